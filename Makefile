@@ -22,7 +22,7 @@ READY := .venv/.ready
 READY_TEST := .venv/.ready-test
 READY_ALL := .venv/.ready-all
 
-SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts
+SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts soak-swaps
 
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce test test-all check check-style check-types check-sql check-imports soak $(SOAKS) soak-sensitivity bench docs pins sbom clean
@@ -121,6 +121,10 @@ soak-readers: $(READY_TEST)
 # Revert each fix on record in tests/reverts alone: its test fails by its own assertion.
 soak-reverts: $(READY_TEST)
 	$(BIN)/python -m tests.reverts.soak
+
+# Every two arguments that could be mistaken for each other, wherever an event is made, swapped once: the type checker, a run or a test finds it.
+soak-swaps: $(READY_TEST)
+	$(BIN)/python -m tests.swaps.soak
 
 # Vary every constant, the load and the fleet size: which cell does each move, and how far? Not a test; repeat it after a fit.
 soak-sensitivity: $(READY)

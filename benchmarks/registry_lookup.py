@@ -20,6 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from fsar_ledger.constants import Constants
 from fsar_ledger.designs.registered import fleet
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Robot, robot_named
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
@@ -46,16 +47,16 @@ def cell(number: int, cells: int) -> str:
 def founding(size: int) -> Iterator[Event]:
     yield run_started(RunSpec(1, "fsar", "full", "door-relay", size, 0), Constants())
     cells = size // 4
-    last = f"robot/D{cells}"
+    last = robot_named("D", cells)
     for team in range(1, cells + 1):
         for one in fleet().robots:
-            role, robot = one.kind, f"robot/{one.name}{team}"
-            yield RobotJoined(robot, role, team, None, cell(team - 1, cells))
+            role, robot = one.kind, robot_named(one.name, team)
+            yield RobotJoined(robot=robot, role=role, team=team, supervisor=None, domain=cell(team - 1, cells))
             for capability in (*one.capabilities, *((FAR,) if robot == last else ())):
-                yield CapabilityInstalled(robot, capability, "1.0.0")
-                yield CapabilityAdvertised(robot, capability)
-        yield TrustSet(f"robot/B{team}", f"robot/A{team}", "task")
-        yield TrustSet(last, f"robot/A{team}", "task")
+                yield CapabilityInstalled(robot=robot, capability=capability, version="1.0.0")
+                yield CapabilityAdvertised(robot=robot, capability=capability)
+        yield TrustSet(robot=robot_named("B", team), peer=robot_named("A", team), scope="task")
+        yield TrustSet(robot=last, peer=robot_named("A", team), scope="task")
 
 
 def scanned(state: State, records: list[Advertisement], query: Query) -> str:
@@ -82,10 +83,10 @@ def median_us(work: Callable[[Query], str], queries: list[Query]) -> tuple[float
     return statistics.median(spent) / 1000, found
 
 
-def median_update_us(state: State, robots: list[str]) -> float:
+def median_update_us(state: State, robots: list[Robot]) -> float:
     spent = []
     for robot in robots:
-        changed = AvailabilityChanged(robot, NEAR, "busy", "benchmark")
+        changed = AvailabilityChanged(robot=robot, capability=NEAR, availability="busy", reason="benchmark")
         began = time.perf_counter_ns()
         registry.evolve(state.registry, changed)
         spent.append(time.perf_counter_ns() - began)
@@ -103,7 +104,7 @@ def main() -> int:
         state = fold(founding(size))
         teams = [1 + number * 7919 % (size // 4) for number in range(options.lookups)]
         near, far = (
-            [Query(f"robot/A{team}", capability, "t", limit=1) for team in teams] for capability in (NEAR, FAR)
+            [Query(Robot(f"robot/A{team}"), capability, "t", limit=1) for team in teams] for capability in (NEAR, FAR)
         )
         records = [record for robot in state.fleet.robots for record in registry.surface(state.registry, robot)]
         near_us, found = median_us(partial(looked_up, state), near)
@@ -113,7 +114,7 @@ def main() -> int:
         if expected != [*found, *found_far][every]:
             print(f"differs: {size} robots: look-up and scan find other robots", file=sys.stderr)
             return 1
-        rows.append((near_us, far_us, median_update_us(state, [f"robot/B{team}" for team in teams]), scan_us))
+        rows.append((near_us, far_us, median_update_us(state, [robot_named("B", team) for team in teams]), scan_us))
         print(f"{size:>6,} {near_us:>10.1f} {far_us:>9.1f} {rows[-1][2]:>12.1f} {scan_us:>10.1f}", flush=True)
     for name, column, goal in (
         ("near look-up", 0, "flat"),

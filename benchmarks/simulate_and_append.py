@@ -21,7 +21,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fsar_ledger.events import EVENT_TYPES
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.schema import layout
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
@@ -97,7 +99,7 @@ def domain_classes() -> dict[type, type[Any]]:
     metaclass: Any = type(DomainEvent)
     made: dict[type, type[Any]] = {}
     for kind in EVENT_TYPES:
-        fields = dict.fromkeys(("caused_by", "time_us", *kind.__struct_fields__), Any)
+        fields = dict.fromkeys(("caused_by", "time_us", *(field.name for field in layout(kind).fields)), Any)
         made[kind] = metaclass(
             kind.__name__,
             (DomainEvent,),
@@ -119,7 +121,7 @@ def domain_events(run: RunRecord, classes: dict[type, type[Any]]) -> list[Any]:
             timestamp=now,
             caused_by=cause,
             time_us=time_us,
-            **{name: getattr(event, name) for name in event.__struct_fields__},
+            **flat(event),
         )
         for version, (event, cause, time_us) in enumerate(
             zip(run.events, run.caused_by, run.times_us, strict=True), start=1

@@ -30,6 +30,7 @@ import msgspec
 from fsar_ledger.cli.app import run
 from fsar_ledger.constants import Constants, Load, Outages
 from fsar_ledger.events.configuration import MECHANISMS_OF
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.log import merkle
@@ -237,7 +238,19 @@ EXAMPLE_RUNS = (
         "r1",
         [0, 1_500_000],
         [None, 0],
-        [TaskArrived("T1", "robot/A1", 1, (), 9, -1, ("T1/1", "T1/2"), True), TaskCompleted("T1")],
+        [
+            TaskArrived(
+                task_id="T1",
+                robot=Robot("robot/A1"),
+                team=1,
+                steps=(),
+                budget_us=9,
+                due_us=-1,
+                checkpoints=("T1/1", "T1/2"),
+                is_time_critical=True,
+            ),
+            TaskCompleted("T1"),
+        ],
     ),
     RunRecord("r2", [7], [None], [TaskAbandoned('"\\\t\u2028\N{ROBOT FACE}')]),
 )

@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA
 from fsar_ledger.ledger.store.opening import open_for_answers
@@ -90,8 +91,7 @@ def _agents(robot: str) -> str:
 def names(event: Event, robot: str) -> bool:
     """Whether a field of the event, or an item of one, is this robot or an agent of it."""
     agents = _agents(robot)
-    for field in event.__struct_fields__:
-        value = getattr(event, field)
+    for value in flat(event).values():
         for text in value if isinstance(value, tuple) else (value,):
             if isinstance(text, str) and (text == robot or text.startswith(agents)):
                 return True

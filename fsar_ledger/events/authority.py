@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from .envelope import Dimension, Event, OverrideLevel
+from .envelope import ActionId, Dimension, Event, OverrideLevel, Principal, Robot, Subject, TaskId
 
 RevocationReason = Literal["trust downgrade", "context expired", "human override"]
 
@@ -10,43 +10,41 @@ RevocationReason = Literal["trust downgrade", "context expired", "human override
 class AuthorityClaimed(Event, frozen=True):
     """`claimant` holds this dimension of authority over the action from now on. Paper: eq:auth."""
 
-    task_id: str | None
-    action_id: str
+    subject: Subject[TaskId | None, ActionId]
     dimension: Dimension
-    claimant: str
+    claimant: Principal
     reason: str
 
 
 class AuthorityReleased(Event, frozen=True):
     """`claimant` no longer holds it."""
 
-    task_id: str | None
-    action_id: str
+    subject: Subject[TaskId | None, ActionId]
     dimension: Dimension
-    claimant: str
+    claimant: Principal
     reason: str
 
 
-class AuthorityGranted(Event, frozen=True):
+class AuthorityGranted(Event, frozen=True, kw_only=True):
     """`requested_by` may ask (of None: anyone) up to this override level, by role or a supervisor's word; lifts a revocation. Paper: eq:auth, eq:override."""
 
-    requested_by: str
-    executed_by: str | None
+    requested_by: Robot
+    executed_by: Robot | None
     capability: str | None
     context: str | None
     override: OverrideLevel
-    decided_by: str | None
+    decided_by: Principal | None
 
 
-class AuthorityRevoked(Event, frozen=True):
+class AuthorityRevoked(Event, frozen=True, kw_only=True):
     """`requested_by` may no longer ask this, from the next request boundary on: what executes already goes on. Paper: sec:model:authority."""
 
-    requested_by: str
-    executed_by: str | None
+    requested_by: Robot
+    executed_by: Robot | None
     capability: str | None
     context: str | None
     reason: RevocationReason
-    decided_by: str | None
+    decided_by: Principal | None
 
 
 AuthorityEvent = AuthorityClaimed | AuthorityReleased | AuthorityGranted | AuthorityRevoked

@@ -1,9 +1,9 @@
 """Commands that could not be carried out: bad input is recorded and changes nothing."""
 
-from .envelope import Event
+from .envelope import Event, Principal
 
 
-class CommandRejected(Event, frozen=True):
+class CommandRejected(Event, frozen=True, kw_only=True):
     """The command named something that is unknown, over, or impossible; nothing else has happened. Paper: sec:architecture:overview.
 
     `subject` is what it was about, `reason` what was found and what was expected.
@@ -12,7 +12,7 @@ class CommandRejected(Event, frozen=True):
     command: str
     subject: str
     reason: str
-    issued_by: str | None = None
+    issued_by: Principal | None = None
 
 
 CommandEvent = CommandRejected

@@ -3,17 +3,34 @@
 An event says what happened; the envelope around it says where in a run. Envelope columns that every
 row has (`run_id`, `seq`, `time_us`, `caused_by`, `type`) are kept beside the structs as columns, because
 they are the same for whole runs or follow from the position. Envelope columns that only some events
-have are ordinary fields with these names wherever they occur: `task_id`, `action_id` (task/step),
-`request_id`, the principals `decided_by`, `requested_by`, `executed_by`, `supervised_by`, and `path`
-(principals that the decision traversed, decider last).
+have come in parts, types of their own that are stored as the columns of the same names: a subject (`Subject`,
+`RequestSubject`) says what an event is about, principals (`Principals`, `Parties`) who decided, asked, executes and supervises.
 
 A principal is None when the record does not name one; it is never defaulted. Times are integer
 microseconds of run time, shares are parts per million; no event holds a float.
 """
 
-from typing import Literal, TypeAlias
+from typing import Any, Generic, Literal, NewType, TypeAlias, TypeVar
 
 import msgspec
+
+Robot = NewType("Robot", str)
+Supervisor = NewType("Supervisor", str)
+Service = NewType("Service", str)
+Agent = NewType("Agent", str)
+Coordinator = NewType("Coordinator", str)
+Principal: TypeAlias = Robot | Supervisor | Service | Agent | Coordinator
+"""Whoever can be on record for something."""
+
+# What is named after what it is about; to the type checker these are plain text.
+TaskId: TypeAlias = str
+ActionId: TypeAlias = str
+RequestId: TypeAlias = str
+
+_Event = TypeVar("_Event", bound="Event")
+_Task = TypeVar("_Task", bound=TaskId | None, covariant=True)
+_Action = TypeVar("_Action", bound=ActionId | None, covariant=True)
+_Request = TypeVar("_Request", bound=RequestId | None, covariant=True)
 
 
 def tag(name: str) -> str:
@@ -27,23 +44,106 @@ class Event(
     """A fact, immutable to the leaves: fields hold strings, integers, booleans, None, or tuples of strings."""
 
 
-COORDINATOR = "coordinator"
-FLEET_SUPERVISOR = "supervisor/fleet"
-REGISTRY = "service/registry"
-COORDINATION = "service/coordination"
-RECOVERY = "service/recovery"
-POLICY = "service/policy"
-TRUST = "service/trust"
+class Part(msgspec.Struct, frozen=True, gc=False):
+    """What several columns of an event say together; each field is stored as the column of its name."""
 
 
-def local_supervisor(robot: str) -> str:
+def flat(event: Event) -> dict[str, Any]:
+    """Return what is stored of an event, by column: its fields, and those of its parts."""
+    found: dict[str, Any] = {}
+    for name, value in msgspec.structs.asdict(event).items():
+        found |= msgspec.structs.asdict(value) if isinstance(value, Part) else {name: value}
+    return found
+
+
+def with_columns(event: _Event, **columns: object) -> _Event:
+    """Return the event with other values in these columns. Raises: TypeError for a column that it does not have."""
+    fields: dict[str, object] = {}
+    for name, value in msgspec.structs.asdict(event).items():
+        if isinstance(value, Part):
+            inside = {column: columns.pop(column) for column in value.__struct_fields__ if column in columns}
+            fields[name] = msgspec.structs.replace(value, **inside) if inside else value
+    return msgspec.structs.replace(event, **fields, **columns)
+
+
+class Subject(Part, Generic[_Task, _Action], frozen=True):
+    """What an event is about: an action (task/step) of a task."""
+
+    task_id: _Task
+    action_id: _Action
+
+
+class RequestSubject(Part, Generic[_Task, _Action, _Request], frozen=True):
+    """What an event of a request is about; `request_id` is None where the architecture gives requests no names."""
+
+    task_id: _Task
+    action_id: _Action
+    request_id: _Request
+
+
+class Parties(Part, frozen=True, kw_only=True):
+    """Whom the record names: who asked, the robot that executes, who supervises it."""
+
+    requested_by: Principal | None
+    executed_by: Robot | None
+    supervised_by: Supervisor | None
+
+    def decided(self, *path: Principal) -> "Principals":
+        """Return the principals of a decision that traversed these, the last of whom decided."""
+        return Principals(
+            decided_by=path[-1],
+            requested_by=self.requested_by,
+            executed_by=self.executed_by,
+            supervised_by=self.supervised_by,
+            path=path,
+        )
+
+
+class Principals(Part, frozen=True, kw_only=True):
+    """Whom the record of a decision names: the parties, the decider, and the principals that the decision traversed (`path`, decider last)."""
+
+    decided_by: Principal | None
+    requested_by: Principal | None
+    executed_by: Robot | None
+    supervised_by: Supervisor | None
+    path: tuple[Principal, ...]
+
+
+COORDINATOR = Coordinator("coordinator")
+FLEET_SUPERVISOR = Supervisor("supervisor/fleet")
+REGISTRY = Service("service/registry")
+COORDINATION = Service("service/coordination")
+RECOVERY = Service("service/recovery")
+POLICY = Service("service/policy")
+TRUST = Service("service/trust")
+
+
+def local_supervisor(robot: Robot) -> Supervisor:
     """The principal of the robot's own supervisor H_i: `robot/A1` is supervised by `supervisor/A1`."""
-    return "supervisor/" + robot[6:]
+    return Supervisor("supervisor/" + robot[6:])
 
 
-def agent(robot: str, kind: Literal["planning", "execution", "communication", "recovery"]) -> str:
+def robot_named(role: str, team: int) -> Robot:
+    """Return the principal of a simulated robot: `robot/A1` is the robot of role A in team 1."""
+    return Robot(f"robot/{role}{team}")
+
+
+AgentKind = Literal["planning", "execution", "communication", "recovery"]
+
+
+def agent(robot: Robot, kind: AgentKind) -> Agent:
     """The principal of one of the four agents into which DHMA splits a robot: `agent/A1/planning`."""
-    return f"agent/{robot[6:]}/{kind}"
+    return Agent(f"agent/{robot[6:]}/{kind}")
+
+
+def robot_of(agent: Agent) -> Robot:
+    """Return the robot that an agent belongs to: `agent/A1/planning` to `robot/A1`."""
+    return Robot("robot/" + agent.split("/")[1])
+
+
+def as_robot(requester: Principal) -> Robot:
+    """Return the requester of a record of which only a robot is the requester, as the robot that it is."""
+    return Robot(requester)
 
 
 # Open text, in an event (`RunStarted`) and everywhere: the experiment checks it against what is registered.

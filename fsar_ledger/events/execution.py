@@ -4,36 +4,41 @@
 stand beside the principals that the architecture recorded, which may be None.
 """
 
-from .envelope import Event, FailureCause, Operation, OverrideLevel, PolicyOutcome, Result
+from .envelope import (
+    ActionId,
+    Event,
+    FailureCause,
+    Operation,
+    OverrideLevel,
+    Parties,
+    PolicyOutcome,
+    Principals,
+    Result,
+    Robot,
+    Subject,
+    TaskId,
+)
 
 
 class OwnStepDecided(Event, frozen=True):
     """The robot is going to do a step of its own."""
 
-    task_id: str
-    action_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: Subject[TaskId, ActionId | None]
+    principals: Principals
     capability: str
 
 
-class ExecutionQueued(Event, frozen=True):
+class ExecutionQueued(Event, frozen=True, kw_only=True):
     """The action waits for the robot, which serves one at a time: by override level, else in order of arrival. Paper: eq:override.
 
     The principals are those that the architecture records of the execution; `is_supervised` is False when
     it knows no supervisor for it at all.
     """
 
-    task_id: str
-    action_id: str
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    robot: str
-    on_behalf_of: str
+    subject: Subject[TaskId, ActionId]
+    principals: Parties
+    robot: Robot
+    on_behalf_of: Robot
     capability: str
     step: int
     attempt: int
@@ -46,9 +51,8 @@ class ExecutionQueued(Event, frozen=True):
 class ApproachStarted(Event, frozen=True):
     """The robot moves to where the delegated action is to happen."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
 
 
 class ExecutionHeld(Event, frozen=True):
@@ -57,28 +61,20 @@ class ExecutionHeld(Event, frozen=True):
     `decided_by` names the decider when waiting is a denial, else it is None.
     """
 
-    task_id: str
-    action_id: str
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    principals: Principals
+    robot: Robot
     outcome: PolicyOutcome
     reason: str
 
 
-class ExecutionStarted(Event, frozen=True):
+class ExecutionStarted(Event, frozen=True, kw_only=True):
     """The robot executes. Units: `ends_us` microseconds of run time, the planned end."""
 
-    task_id: str
-    action_id: str
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    robot: str
-    on_behalf_of: str
+    subject: Subject[TaskId, ActionId]
+    principals: Parties
+    robot: Robot
+    on_behalf_of: Robot
     capability: str
     ends_us: int
 
@@ -86,18 +82,16 @@ class ExecutionStarted(Event, frozen=True):
 class ExecutionPaused(Event, frozen=True):
     """The robot stopped to replan. Units: `remaining_us` microseconds of execution left."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
     remaining_us: int
 
 
 class ExecutionHalted(Event, frozen=True):
     """The robot went off while it executed; the rest goes on when it is back. Units: `remaining_us` microseconds of execution left."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
     remaining_us: int
 
 
@@ -107,42 +101,35 @@ class ExecutionPreempted(Event, frozen=True):
     Units: `remaining_us` microseconds of execution left, None when it had not started.
     """
 
-    task_id: str
-    action_id: str
-    robot: str
-    preempted_by: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    preempted_by: ActionId
     remaining_us: int | None
 
 
 class ReplanOrdered(Event, frozen=True):
     """The coordinator has sent a new plan for a paused action."""
 
-    task_id: str
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    task_id: TaskId
+    principals: Principals
 
 
 class ExecutionResumed(Event, frozen=True):
     """The robot executes the rest. Units: `ends_us` microseconds of run time, the planned end."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
     ends_us: int
 
 
-class ExecutionFailed(Event, frozen=True):
+class ExecutionFailed(Event, frozen=True, kw_only=True):
     """An attempt has failed and the failure was detected now; `failure` counts from 1 within the action.
 
     Units: `remaining_us` microseconds of execution left; `detected_us` run time.
     """
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
     failure: int
     cause: FailureCause
     remaining_us: int
@@ -155,12 +142,9 @@ class ExecutionFinished(Event, frozen=True):
     `achieved` names the postconditions that hold, when not all do.
     """
 
-    task_id: str
-    action_id: str
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    principals: Parties
+    robot: Robot
     result: Result = "success"
     achieved: tuple[str, ...] = ()
 
@@ -168,42 +152,31 @@ class ExecutionFinished(Event, frozen=True):
 class ExecutionWithdrawn(Event, frozen=True):
     """The action no longer occupies this robot: its contract is void, it was reassigned, or its task was given up before it began."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
 
 
 class RoutinePerformed(Event, frozen=True):
     """The robot did something of its own. Motion is subject to policy; sensing is not."""
 
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
-    robot: str
+    principals: Principals
+    robot: Robot
     operation: Operation
 
 
 class RoutineWithheld(Event, frozen=True):
     """The robot did not, because policy as it is known does not allow the motion."""
 
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
-    robot: str
+    principals: Principals
+    robot: Robot
     operation: Operation
 
 
 class RoutineReported(Event, frozen=True):
     """A second agent's record of a motion that crossed two agents of the robot. Paper: sec:evaluation:baselines (DHMA)."""
 
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    robot: str
+    principals: Parties
+    robot: Robot
 
 
 ExecutionEvent = (

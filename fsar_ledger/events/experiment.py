@@ -3,7 +3,7 @@
 from .envelope import Event
 
 
-class ExperimentPlanned(Event, frozen=True):
+class ExperimentPlanned(Event, frozen=True, kw_only=True):
     """An experiment was planned: `run_count` simulated runs for each architecture, configuration and scenario. The only event of a run of its own.
 
     Its runs are numbered from 0 to `run_count` - 1; every other field is as in the `RunStarted` of each of them. Who repeats or continues

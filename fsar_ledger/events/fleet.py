@@ -2,10 +2,10 @@
 
 from typing import Literal
 
-from .envelope import Event
+from .envelope import Event, Robot, Supervisor
 
 
-class RunStarted(Event, frozen=True, tag="RunStarted.v2"):
+class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
     """A run has begun; event 0 of every run, with everything that another run would do differently.
 
     A run is simulated, live (commands from outside, decided by our handlers) or foreign (recorded by another system, named by `source`).
@@ -27,17 +27,17 @@ class RunStarted(Event, frozen=True, tag="RunStarted.v2"):
     source: str | None = None
 
 
-class RobotJoined(Event, frozen=True):
+class RobotJoined(Event, frozen=True, kw_only=True):
     """A robot is part of the fleet, under its own supervisor H_i, if it has one. Paper: eq:fleet, eq:runtime.
 
     `domain` is the path of the registry that the robot advertises in (`hall/cell`); empty is the fleet's own.
     `place` is where it works (`floor/2`): robots meet, and are in each other's way, where they are; None: the fleet has one place.
     """
 
-    robot: str
+    robot: Robot
     role: str
     team: int
-    supervisor: str | None
+    supervisor: Supervisor | None
     domain: str = ""
     place: str | None = None
 

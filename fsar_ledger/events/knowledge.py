@@ -3,13 +3,13 @@
 Knowledge lags behind the world. Which knowledge exists is the architecture's structure.
 """
 
-from .envelope import Event, PolicyOutcome
+from .envelope import ActionId, Event, PolicyOutcome, Robot, Subject, TaskId
 
 
 class FleetRuleLearned(Event, frozen=True):
     """The robot has been told the fleet's rule for its zone, as it was at `as_of_us` (run time)."""
 
-    robot: str
+    robot: Robot
     outcome: PolicyOutcome
     as_of_us: int
 
@@ -17,50 +17,48 @@ class FleetRuleLearned(Event, frozen=True):
 class PeerRemembered(Event, frozen=True):
     """Without a registry, a robot knows the peer it met until `until_us` (microseconds of run time)."""
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
     until_us: int
 
 
-class CopySynced(Event, frozen=True):
+class CopySynced(Event, frozen=True, kw_only=True):
     """The coordinator's copy of all robots was refreshed; robots not named allow, are idle and in order."""
 
-    local_deny: tuple[str, ...] = ()
-    local_review: tuple[str, ...] = ()
-    fleet_deny: tuple[str, ...] = ()
-    fleet_review: tuple[str, ...] = ()
-    busy: tuple[str, ...] = ()
-    degraded: tuple[str, ...] = ()
+    local_deny: tuple[Robot, ...] = ()
+    local_review: tuple[Robot, ...] = ()
+    fleet_deny: tuple[Robot, ...] = ()
+    fleet_review: tuple[Robot, ...] = ()
+    busy: tuple[Robot, ...] = ()
+    degraded: tuple[Robot, ...] = ()
 
 
 class SnapshotTaken(Event, frozen=True):
     """A robot's planner has refreshed its snapshot of the robot's own policy."""
 
-    robot: str
+    robot: Robot
     outcome: PolicyOutcome
 
 
 class BidReceived(Event, frozen=True):
     """The requester's planner has read a bid."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
     outcome: PolicyOutcome
 
 
 class PlannerEngaged(Event, frozen=True):
     """The planning agent attends to a motion or a context change until `until_us` (microseconds of run time)."""
 
-    robot: str
+    robot: Robot
     until_us: int
 
 
 class WorkQueued(Event, frozen=True):
     """An item waits for the coordinator, which serves one at a time; it is done at `ready_us` (run time)."""
 
-    task_id: str
-    action_id: str
+    subject: Subject[TaskId, ActionId]
     item: str
     ready_us: int
 

@@ -1,9 +1,9 @@
 """Policy that is set by rule (`eq:policy`, `app:foundations`); what opens and closes by itself is the world's."""
 
-from .envelope import Event, PolicyOutcome, PolicyScope
+from .envelope import ActionId, Event, PolicyOutcome, PolicyScope, Principal, Principals, Robot, Subject, TaskId
 
 
-class PolicyRuleSet(Event, frozen=True):
+class PolicyRuleSet(Event, frozen=True, kw_only=True):
     """P_i(e, sigma) is this from now on: of one robot (`local`) or of the fleet for it, None for every robot. Paper: app:foundations.
 
     For one `capability`, in one `context` (task), or (None) for all; the strictest rule that applies holds. A rule
@@ -12,14 +12,14 @@ class PolicyRuleSet(Event, frozen=True):
     """
 
     scope: PolicyScope
-    robot: str | None
+    robot: Robot | None
     capability: str | None
     context: str | None
     outcome: PolicyOutcome
-    decided_by: str | None
+    decided_by: Principal | None
 
 
-class RolePolicyRuleSet(Event, frozen=True):
+class RolePolicyRuleSet(Event, frozen=True, kw_only=True):
     """Every robot of `role` has this rule from now on, as its own (`local`) or as the fleet's for it, also robots that join later. Paper: app:foundations.
 
     They must be in the `domain` or below it; empty is the whole fleet. A rule about the very robot with the same scope, capability and context
@@ -33,19 +33,14 @@ class RolePolicyRuleSet(Event, frozen=True):
     domain: str = ""
     capability: str | None = None
     context: str | None = None
-    decided_by: str | None = None
+    decided_by: Principal | None = None
 
 
 class PolicyConflictEscalated(Event, frozen=True):
     """The fleet mandates what the robot's own policy denies: nothing is overridden, a supervisor is told. Paper: sec:architecture:fleet."""
 
-    task_id: str | None
-    action_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: Subject[TaskId | None, ActionId | None]
+    principals: Principals
     capability: str
     local: PolicyOutcome
     fleet: PolicyOutcome

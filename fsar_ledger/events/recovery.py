@@ -3,100 +3,90 @@
 `failure` is the number of the failure within the action, as in `ExecutionFailed`.
 """
 
-from .envelope import Event, FailureCause, RecoveryLevel, Result
+from .envelope import (
+    ActionId,
+    Event,
+    FailureCause,
+    Principal,
+    Principals,
+    RecoveryLevel,
+    Result,
+    Robot,
+    Subject,
+    TaskId,
+)
 
 
-class RecoveryBudgetSet(Event, frozen=True):
+class RecoveryBudgetSet(Event, frozen=True, kw_only=True):
     """Q_i of the robot gives a level this budget (t_max, n_max) from now on. Units: `t_max_us` microseconds. Paper: app:foundations."""
 
-    robot: str
+    robot: Robot
     level: RecoveryLevel
     t_max_us: int
     n_max: int
-    decided_by: str | None
+    decided_by: Principal | None
 
 
-class RecoveryAttempted(Event, frozen=True):
+class RecoveryAttempted(Event, frozen=True, kw_only=True):
     """An attempt to recover has begun; `number` counts from 1 within the failure. Units: `deadline_us` run time. Paper: sec:model:recovery."""
 
-    task_id: str
-    action_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
-    robot: str
+    subject: Subject[TaskId, ActionId | None]
+    principals: Principals
+    robot: Robot
     failure: int
     number: int
     level: RecoveryLevel
     deadline_us: int
-    failed_action: str
+    failed_action: ActionId
 
 
-class RecoveryAttemptFailed(Event, frozen=True):
+class RecoveryAttemptFailed(Event, frozen=True, kw_only=True):
     """The attempt did not resolve the failure; a partial one has `achieved` some of the postconditions."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
     failure: int
     number: int
     result: Result = "failure"
     achieved: tuple[str, ...] = ()
 
 
-class RecoveryEscalated(Event, frozen=True):
+class RecoveryEscalated(Event, frozen=True, kw_only=True):
     """Recovery leaves one level for the next, for this reason; a level that has nothing to try is left at once. Paper: eq:recovery."""
 
-    task_id: str
-    action_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
-    robot: str
+    subject: Subject[TaskId, ActionId | None]
+    principals: Principals
+    robot: Robot
     failure: int
     level: RecoveryLevel
     to_level: RecoveryLevel
-    failed_action: str
+    failed_action: ActionId
     reason: str | None = None
 
 
-class AssistanceRequested(Event, frozen=True):
+class AssistanceRequested(Event, frozen=True, kw_only=True):
     """`helper` has been asked to help `robot`. Paper: sec:model:recovery, level 2.
 
     Units: `since_us` run time at which recovery turned to this level, None where the level has no budget of its own.
     """
 
-    task_id: str
-    action_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
-    robot: str
-    helper: str
+    subject: Subject[TaskId, ActionId | None]
+    principals: Principals
+    robot: Robot
+    helper: Robot
     failure: int
     level: RecoveryLevel
-    failed_action: str
+    failed_action: ActionId
     since_us: int | None = None
 
 
-class AssistanceAdmitted(Event, frozen=True):
+class AssistanceAdmitted(Event, frozen=True, kw_only=True):
     """The helper has agreed and is held until it has helped."""
 
-    task_id: str
-    action_id: str
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
-    robot: str
-    helper: str
+    subject: Subject[TaskId, ActionId]
+    principals: Principals
+    robot: Robot
+    helper: Robot
     failure: int
     level: RecoveryLevel
 
@@ -104,61 +94,52 @@ class AssistanceAdmitted(Event, frozen=True):
 class AssistanceDeclined(Event, frozen=True):
     """The helper is busy."""
 
-    task_id: str
-    action_id: str
-    robot: str
-    helper: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    helper: Robot
     failure: int
 
 
 class AssistanceEnded(Event, frozen=True):
     """The helper has helped, and is free again."""
 
-    task_id: str
-    action_id: str
-    robot: str
-    helper: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    helper: Robot
     failure: int
 
 
-class AssistanceFailed(Event, frozen=True):
+class AssistanceFailed(Event, frozen=True, kw_only=True):
     """The helper could not help, and is free again: its own way was blocked, or its actuator did not hold either. Paper: sec:model:recovery, level 2."""
 
-    task_id: str
-    action_id: str
-    robot: str
-    helper: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    helper: Robot
     failure: int
     cause: FailureCause
 
 
-class ReassignmentDecided(Event, frozen=True):
+class ReassignmentDecided(Event, frozen=True, kw_only=True):
     """The recovery orchestrator has looked for another robot; `helper` is None when no reassignment is feasible. Paper: sec:model:recovery, level 3.
 
     `checkpoint` is the declared state from which the helper resumes; `reason` says why none can.
     """
 
-    task_id: str
-    action_id: str
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
-    robot: str
-    helper: str | None
+    subject: Subject[TaskId, ActionId]
+    principals: Principals
+    robot: Robot
+    helper: Robot | None
     failure: int
     checkpoint: str | None = None
     reason: str | None = None
 
 
-class TaskStateTransferred(Event, frozen=True):
+class TaskStateTransferred(Event, frozen=True, kw_only=True):
     """The helper holds the state of the task as of the checkpoint: the steps done until then. Paper: sec:model:recovery, level 3."""
 
-    task_id: str
-    action_id: str
-    robot: str
-    helper: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
+    helper: Robot
     checkpoint: str
     completed: tuple[str, ...]
 
@@ -166,9 +147,8 @@ class TaskStateTransferred(Event, frozen=True):
 class FailureResolved(Event, frozen=True):
     """The failure is over, by means of this level."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
     failure: int
     level: RecoveryLevel
 

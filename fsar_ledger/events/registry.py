@@ -4,13 +4,25 @@ A contract is the same everywhere: `preconditions` must hold before, `postcondit
 are taken meanwhile; a contradiction is written with `not `: `not door.closed` beside `door.closed`.
 """
 
-from .envelope import Availability, Event, OverrideLevel, TrustScope, Visibility
+from .envelope import (
+    ActionId,
+    Availability,
+    Event,
+    OverrideLevel,
+    Parties,
+    Principal,
+    Robot,
+    Subject,
+    TaskId,
+    TrustScope,
+    Visibility,
+)
 
 
-class CapabilityInstalled(Event, frozen=True):
+class CapabilityInstalled(Event, frozen=True, kw_only=True):
     """The robot possesses this version of an ECM. Paper: eq:possess, sec:model:robot."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     preconditions: tuple[str, ...] = ()
@@ -21,11 +33,11 @@ class CapabilityInstalled(Event, frozen=True):
 class CapabilityRemoved(Event, frozen=True):
     """The robot no longer possesses it, nor advertises it."""
 
-    robot: str
+    robot: Robot
     capability: str
 
 
-class CapabilityAdvertised(Event, frozen=True):
+class CapabilityAdvertised(Event, frozen=True, kw_only=True):
     """A robot offers a capability; a later record of the same robot and capability replaces this one. Paper: eq:adv.
 
     The seven fields are `version`; the contract; `trust_required`, the narrowest scope that suffices;
@@ -35,7 +47,7 @@ class CapabilityAdvertised(Event, frozen=True):
     whoever the robot trusts; `visible_to` narrows that to roles (empty: all).
     """
 
-    robot: str
+    robot: Robot
     capability: str
     visible_to: tuple[str, ...] = ()
     version: str = "1.0.0"
@@ -53,27 +65,27 @@ class CapabilityAdvertised(Event, frozen=True):
 class CapabilityWithdrawn(Event, frozen=True):
     """The capability is no longer on the robot's surface; the robot still possesses it. Paper: sec:architecture:registry."""
 
-    robot: str
+    robot: Robot
     capability: str
     reason: str
 
 
-class AvailabilityChanged(Event, frozen=True):
+class AvailabilityChanged(Event, frozen=True, kw_only=True):
     """Another availability is known, of one capability or (None) of all that the robot advertises. Paper: sec:architecture:registry.
 
     The robot has reported it; with the reason `no answer` it did not answer somebody, and the registry has it offline.
     """
 
-    robot: str
+    robot: Robot
     capability: str | None
     availability: Availability
     reason: str
 
 
-class CapabilityDeprecated(Event, frozen=True):
+class CapabilityDeprecated(Event, frozen=True, kw_only=True):
     """The version is on its way out: shown last, and to no query that another version satisfies. Paper: sec:discussion:continuity."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     successor: str | None = None
@@ -82,26 +94,26 @@ class CapabilityDeprecated(Event, frozen=True):
 class RegistryCached(Event, frozen=True):
     """`holder` keeps a copy of the registry as it was at `as_of_us` (run time). Paper: sec:discussion:heterogeneity."""
 
-    holder: str
+    holder: Principal
     as_of_us: int
 
 
-class RegistryConsulted(Event, frozen=True):
+class RegistryConsulted(Event, frozen=True, kw_only=True):
     """Somebody has looked into the registry outside of any request: nothing between two robots follows from it. Paper: sec:architecture:registry.
 
     The fields are as in `RegistryQueried`.
     """
 
-    requested_by: str
+    requested_by: Principal
     capability: str
-    candidates: tuple[str, ...]
-    rejected: tuple[str, ...]
+    candidates: tuple[Robot, ...]
+    rejected: tuple[Robot, ...]
     rejected_by: tuple[str, ...]
     domain: str = ""
     as_of_us: int | None = None
 
 
-class RegistryQueried(Event, frozen=True):
+class RegistryQueried(Event, frozen=True, kw_only=True):
     """A registry or directory has answered a query with the candidates it may show. Paper: sec:architecture:registry.
 
     `relay` is the doubly trusted peer through which a request must go when there is no direct trust. Each robot of
@@ -109,15 +121,12 @@ class RegistryQueried(Event, frozen=True):
     registry that answered, `as_of_us` the run time of the copy that it read, None for the present.
     """
 
-    task_id: str | None
-    action_id: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
+    subject: Subject[TaskId | None, ActionId | None]
+    principals: Parties
     capability: str
-    candidates: tuple[str, ...]
-    relay: str | None = None
-    rejected: tuple[str, ...] = ()
+    candidates: tuple[Robot, ...]
+    relay: Robot | None = None
+    rejected: tuple[Robot, ...] = ()
     rejected_by: tuple[str, ...] = ()
     domain: str = ""
     as_of_us: int | None = None

@@ -1,20 +1,32 @@
 """The request lifecycle and its counterparts in the two baselines (Delta, `eq:request`)."""
 
-from .envelope import Event, OverrideLevel, PolicyOutcome, Result, TrustScope
+from .envelope import (
+    ActionId,
+    Agent,
+    Event,
+    OverrideLevel,
+    Parties,
+    PolicyOutcome,
+    Principals,
+    RequestId,
+    RequestSubject,
+    Result,
+    Robot,
+    Subject,
+    TaskId,
+    TrustScope,
+)
 
 
 class GapDetected(Event, frozen=True):
     """A step needs a capability that the acting robot lacks. Paper: sec:model:request, phase 1."""
 
-    task_id: str | None
-    action_id: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
+    subject: Subject[TaskId | None, ActionId | None]
+    principals: Parties
     capability: str
 
 
-class RequestIssued(Event, frozen=True):
+class RequestIssued(Event, frozen=True, kw_only=True):
     """A request is on its way. `carried_policy` is the requester's own policy at this moment, if it sends it.
 
     `override` is the level it asks for; `parent` the request in whose service the requester asks (a chain);
@@ -23,19 +35,13 @@ class RequestIssued(Event, frozen=True):
     Paper: eq:request, phase 3; eq:override; eq:nontransitive.
     """
 
-    task_id: str | None
-    action_id: str | None
-    request_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
+    principals: Principals
     capability: str
     carried_policy: PolicyOutcome | None = None
-    relay: str | None = None
+    relay: Robot | None = None
     override: OverrideLevel = "none"
-    parent: str | None = None
+    parent: ActionId | None = None
     directives: tuple[str, ...] = ()
     version: str | None = None
 
@@ -43,96 +49,68 @@ class RequestIssued(Event, frozen=True):
 class RequestRelayed(Event, frozen=True):
     """A doubly trusted peer has passed the request on, composing its own policy. Paper: eq:nontransitive."""
 
-    task_id: str
-    action_id: str
-    request_id: str
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: RequestSubject[TaskId, ActionId, RequestId]
+    principals: Principals
     carried_policy: PolicyOutcome
 
 
 class RequestUnanswered(Event, frozen=True):
     """No candidate is known for the step, or the one that was asked (`executed_by`) has not answered in time; it is tried again."""
 
-    task_id: str
-    action_id: str
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: Subject[TaskId, ActionId]
+    principals: Principals
     capability: str
 
 
 class PeerSought(Event, frozen=True):
     """The robot has looked again among the peers it has met, and found none."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
 
 
 class CandidateMatched(Event, frozen=True):
     """The coordinator has considered one candidate for a step. Paper: sec:evaluation:baselines (CFC)."""
 
-    task_id: str
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    task_id: TaskId
+    principals: Principals
     capability: str
 
 
 class BidSubmitted(Event, frozen=True):
     """A bid has left a robot's communication agent. Paper: sec:evaluation:baselines (DHMA)."""
 
-    task_id: str
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    robot: str
+    task_id: TaskId
+    principals: Parties
+    robot: Robot
     outcome: PolicyOutcome
 
 
 class AwardMade(Event, frozen=True):
     """The requester's planner has awarded the contract. Paper: sec:evaluation:baselines (DHMA)."""
 
-    task_id: str
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    robot: str
+    task_id: TaskId
+    principals: Parties
+    robot: Robot
 
 
 class InternalHandoff(Event, frozen=True):
     """One agent of a robot has passed work to another; nothing ties the message to a request. Paper: sec:evaluation:baselines (DHMA)."""
 
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    sender: str
-    receiver: str
+    principals: Parties
+    sender: Agent
+    receiver: Agent
 
 
-class RequestAdmitted(Event, frozen=True):
+class RequestAdmitted(Event, frozen=True, kw_only=True):
     """The executor has found the request admissible. Paper: eq:admissible, phase 4.
 
     With the trust it rests on and the authority tuple that it gives: may request, may execute, override level, audited
     (None where the architecture evaluates neither). Paper: eq:auth.
     """
 
-    task_id: str | None
-    action_id: str | None
-    request_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
+    principals: Principals
     outcome: PolicyOutcome
     trust: TrustScope | None = None
     may_request: bool | None = None
@@ -148,28 +126,16 @@ class RequestDenied(Event, frozen=True):
     negotiation or review.
     """
 
-    task_id: str | None
-    action_id: str | None
-    request_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
+    principals: Principals
     reason: str
 
 
 class RequestDeferred(Event, frozen=True):
     """The request must wait its turn. Paper: sec:model:request (defer)."""
 
-    task_id: str
-    action_id: str
-    request_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: RequestSubject[TaskId, ActionId, RequestId | None]
+    principals: Principals
 
 
 class RequestCountered(Event, frozen=True):
@@ -178,14 +144,8 @@ class RequestCountered(Event, frozen=True):
     `round` counts the offers of the request from 1; the number of rounds is bounded.
     """
 
-    task_id: str | None
-    action_id: str | None
-    request_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
+    principals: Principals
     round: int
     override: OverrideLevel
 
@@ -193,14 +153,8 @@ class RequestCountered(Event, frozen=True):
 class OfferAnswered(Event, frozen=True):
     """The requester has answered the counter-offer: it takes the terms, asks for others, or (neither) lets go. Paper: sec:model:request (negotiate)."""
 
-    task_id: str | None
-    action_id: str | None
-    request_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
+    principals: Principals
     round: int
     is_accepted: bool
     override: OverrideLevel | None = None
@@ -209,58 +163,38 @@ class OfferAnswered(Event, frozen=True):
 class CommandIssued(Event, frozen=True):
     """The coordinator has delegated a step to a robot; `seen_busy` is what its copy showed. Paper: sec:evaluation:baselines (CFC)."""
 
-    task_id: str
-    action_id: str
-    request_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
-    robot: str
+    subject: RequestSubject[TaskId, ActionId, RequestId | None]
+    principals: Principals
+    robot: Robot
     seen_busy: bool
 
 
 class RequestAccepted(Event, frozen=True):
     """The executor is committed to the request. Paper: sec:model:request (accept)."""
 
-    task_id: str
-    action_id: str
-    request_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: RequestSubject[TaskId, ActionId, RequestId | None]
+    principals: Principals
 
 
 class ContractQuestioned(Event, frozen=True):
     """A party's context changed after the award, so the contract may no longer hold. Paper: sec:evaluation:baselines (DHMA)."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
 
 
 class ContractVoided(Event, frozen=True):
     """The contract is off and must be negotiated again, under the same action. Paper: sec:evaluation:baselines (DHMA)."""
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
 
 
 class RequestClosed(Event, frozen=True):
     """Completion has been tracked and the request is over. Paper: sec:architecture:fleet (coordination engine)."""
 
-    task_id: str
-    action_id: str
-    request_id: str | None
-    decided_by: str | None
-    requested_by: str | None
-    executed_by: str | None
-    supervised_by: str | None
-    path: tuple[str, ...]
+    subject: RequestSubject[TaskId, ActionId, RequestId | None]
+    principals: Principals
     result: Result = "success"
 
 

@@ -1,17 +1,16 @@
 """Progress of a task (sigma) through its steps."""
 
-from .envelope import Event
+from .envelope import ActionId, Event, Robot, Subject, TaskId
 
 
-class StepBegan(Event, frozen=True):
+class StepBegan(Event, frozen=True, kw_only=True):
     """The acting robot turns to a step: its own when `target_role` is None, else to be delegated.
 
     A step that was denied begins again under a new `action_id`; `step` and `attempt` count from 1.
     """
 
-    task_id: str
-    action_id: str
-    robot: str
+    subject: Subject[TaskId, ActionId]
+    robot: Robot
     step: int
     attempt: int
     capability: str
@@ -21,20 +20,19 @@ class StepBegan(Event, frozen=True):
 class StepCompleted(Event, frozen=True):
     """The acting robot knows that the step is done."""
 
-    task_id: str
-    action_id: str
+    subject: Subject[TaskId, ActionId]
 
 
 class TaskCompleted(Event, frozen=True):
     """All steps are done; whether in time is for SQL to judge."""
 
-    task_id: str
+    task_id: TaskId
 
 
 class TaskAbandoned(Event, frozen=True):
     """The task has taken twice its budget and is given up before its next step."""
 
-    task_id: str
+    task_id: TaskId
 
 
 TaskEvent = StepBegan | StepCompleted | TaskCompleted | TaskAbandoned

@@ -1,9 +1,9 @@
 """Trust between robots (`eq:trust`)."""
 
-from .envelope import Event, TrustScope
+from .envelope import Event, Principal, Robot, TrustScope
 
 
-class TrustSet(Event, frozen=True):
+class TrustSet(Event, frozen=True, kw_only=True):
     """`robot` trusts `peer` with this scope from now on. Paper: eq:trust.
 
     For one `capability`, in one `context` (task), or (None) for all of them; the most specific entry holds.
@@ -11,16 +11,16 @@ class TrustSet(Event, frozen=True):
     gave it, or None at the founding.
     """
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
     scope: TrustScope
     capability: str | None = None
     context: str | None = None
-    decided_by: str | None = None
+    decided_by: Principal | None = None
     reason: str = "founding"
 
 
-class RoleTrustSet(Event, frozen=True):
+class RoleTrustSet(Event, frozen=True, kw_only=True):
     """Every robot of `role` trusts every robot of `peer_role` with this scope from now on, also those that join later. Paper: eq:trust.
 
     Both must be in the `domain` or below it; empty is the whole fleet. `capability`, `context` and `decided_by` are as in
@@ -33,7 +33,7 @@ class RoleTrustSet(Event, frozen=True):
     domain: str = ""
     capability: str | None = None
     context: str | None = None
-    decided_by: str | None = None
+    decided_by: Principal | None = None
     reason: str = "founding"
 
 
@@ -42,7 +42,7 @@ class TrustThresholdsSet(Event, frozen=True):
 
     promote_after: int
     downgrade_after: int
-    decided_by: str | None
+    decided_by: Principal | None
 
 
 TrustEvent = TrustSet | RoleTrustSet | TrustThresholdsSet

@@ -6,7 +6,7 @@ their (time_us, type, payload) is the same under every architecture and configur
 
 from typing import Literal
 
-from .envelope import Event, Operation, PolicyOutcome, PolicyScope
+from .envelope import Event, Operation, PolicyOutcome, PolicyScope, Robot, Supervisor, TaskId
 
 Grade = Literal["unreliable", "slipping", "lost"]  # from better to worse
 
@@ -20,21 +20,21 @@ class SyncPhaseSet(Event, frozen=True):
 class SnapshotPhaseSet(Event, frozen=True):
     """The robot's clock of periodic refreshes has this phase (parts per million of a period)."""
 
-    robot: str
+    robot: Robot
     phase_ppm: int
 
 
 class ContextChanged(Event, frozen=True):
     """The situation around a robot has changed; `window` names the local-policy window that it opens, if any."""
 
-    robot: str
+    robot: Robot
     window: str | None = None
 
 
-class PolicyWindowOpened(Event, frozen=True):
+class PolicyWindowOpened(Event, frozen=True, kw_only=True):
     """From now on this policy does not allow: the robot's own (`local`) or the fleet's rule for its zone (`fleet`)."""
 
-    robot: str
+    robot: Robot
     scope: PolicyScope
     window: str
     outcome: PolicyOutcome
@@ -43,7 +43,7 @@ class PolicyWindowOpened(Event, frozen=True):
 class PolicyWindowClosed(Event, frozen=True):
     """The window is over."""
 
-    robot: str
+    robot: Robot
     scope: PolicyScope
     window: str
 
@@ -51,14 +51,14 @@ class PolicyWindowClosed(Event, frozen=True):
 class ObstructionAppeared(Event, frozen=True):
     """Something is in the robot's way."""
 
-    robot: str
+    robot: Robot
     obstruction: str
 
 
 class ObstructionCleared(Event, frozen=True):
     """That thing is out of the way."""
 
-    robot: str
+    robot: Robot
     obstruction: str
 
 
@@ -68,61 +68,61 @@ class ActuatorDegraded(Event, frozen=True):
     An unreliable one fails some attempts, a slipping one grips but does not hold, a lost one does not grip. One that is worse already stays so.
     """
 
-    robot: str
+    robot: Robot
     grade: Grade = "unreliable"
 
 
 class RobotWentOff(Event, frozen=True):
     """The robot is off from now on: it executes, hears, decides and answers nothing; what it was at stops, and goes on when it is back."""
 
-    robot: str
+    robot: Robot
 
 
 class RobotCameBack(Event, frozen=True):
     """The robot is on again."""
 
-    robot: str
+    robot: Robot
 
 
 class LinkWentDown(Event, frozen=True):
     """No message reaches or leaves the robot from now on; it goes on by itself. What is sent meanwhile waits."""
 
-    robot: str
+    robot: Robot
 
 
 class LinkCameUp(Event, frozen=True):
     """Messages reach and leave the robot again."""
 
-    robot: str
+    robot: Robot
 
 
 class SupervisorLeft(Event, frozen=True):
     """The local supervisor is off shift from now on."""
 
-    supervisor: str
+    supervisor: Supervisor
 
 
 class SupervisorReturned(Event, frozen=True):
     """The local supervisor is back on shift."""
 
-    supervisor: str
+    supervisor: Supervisor
 
 
 class RoutineDue(Event, frozen=True):
     """The robot is due to do something of its own that no task asks for."""
 
-    robot: str
+    robot: Robot
     operation: Operation
 
 
 class PeersMet(Event, frozen=True):
     """Two robots have come within range of each other."""
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
 
 
-class TaskArrived(Event, frozen=True):
+class TaskArrived(Event, frozen=True, kw_only=True):
     """A task is there. `steps` are `ACTOR capability` (own) or `ACTOR capability TARGET` (delegated), roles of `team`.
 
     Another robot can resume before each step whose number stands in `checkpoints` (None: before every step); a task that
@@ -131,8 +131,8 @@ class TaskArrived(Event, frozen=True):
     Units: `budget_us` microseconds from arrival; `due_us` run time at which the budget ends.
     """
 
-    task_id: str
-    robot: str
+    task_id: TaskId
+    robot: Robot
     team: int
     steps: tuple[str, ...]
     budget_us: int
@@ -141,12 +141,12 @@ class TaskArrived(Event, frozen=True):
     is_time_critical: bool = False
 
 
-class OutsiderRequestInjected(Event, frozen=True):
+class OutsiderRequestInjected(Event, frozen=True, kw_only=True):
     """A robot attempts a request for which it has no trust. Paper: sec:evaluation:setup (injected trust violations)."""
 
-    task_id: str
-    robot: str
-    peer: str
+    task_id: TaskId
+    robot: Robot
+    peer: Robot
     capability: str
 
 

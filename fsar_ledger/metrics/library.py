@@ -27,6 +27,8 @@ from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, Layout
 
+from . import definitions
+
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Key", "Units", "NULL", "Example")
 READINGS = "readings/"
 READING_KEYS = ("Reading", "Question", "Replaces", "Moves", "Why")

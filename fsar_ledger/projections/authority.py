@@ -5,7 +5,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
-from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome
+from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Robot
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
@@ -41,7 +41,7 @@ class Later(msgspec.Struct, frozen=True, gc=False):
 
     windows: frozenset[str] = frozenset()
     rules: frozenset[Rule | RoleRule] = frozenset()
-    heard: dict[str, PolicyOutcome] = {}
+    heard: dict[Robot, PolicyOutcome] = {}
 
 
 class Authority(msgspec.Struct, frozen=True, gc=False):
@@ -60,7 +60,7 @@ def rank(level: OverrideLevel) -> int:
     return LEVELS.index(level)
 
 
-def right_of(state: Authority, requester: str, executor: str, capability: str, context: str) -> Right | None:
+def right_of(state: Authority, requester: Robot, executor: Robot, capability: str, context: str) -> Right | None:
     """The last grant or revocation that concerns this request, or None when nobody has said anything. Paper: sec:model:authority."""
     for right in reversed(state.rights):
         if (
@@ -77,13 +77,13 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
     """The claims, rights and approvals after the event."""
     match event:
         case AuthorityClaimed():
-            claims = {**state.claims, event.action_id: (*state.claims.get(event.action_id, ()), event)}
+            claims = {**state.claims, event.subject.action_id: (*state.claims.get(event.subject.action_id, ()), event)}
             return Authority(claims, state.rights, state.approvals)
         case AuthorityReleased():
-            left = tuple(claim for claim in state.claims.get(event.action_id, ()) if _key(claim) != _key(event))
-            claims = {**state.claims, event.action_id: left}
+            left = tuple(claim for claim in state.claims.get(event.subject.action_id, ()) if _key(claim) != _key(event))
+            claims = {**state.claims, event.subject.action_id: left}
             if not left:
-                del claims[event.action_id]
+                del claims[event.subject.action_id]
             return Authority(claims, state.rights, state.approvals)
         case PolicyWindowOpened() | PolicyRuleSet() | RolePolicyRuleSet() | FleetRuleLearned():
             if not state.approvals:
@@ -91,16 +91,18 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
             approvals = {action: _with(later, event) for action, later in state.approvals.items()}
             return Authority(state.claims, state.rights, approvals)
         case ExecutionFinished():
-            if event.action_id not in state.approvals:
+            if event.subject.action_id not in state.approvals:
                 return state
-            approvals = {action: later for action, later in state.approvals.items() if action != event.action_id}
+            approvals = {
+                action: later for action, later in state.approvals.items() if action != event.subject.action_id
+            }
             return Authority(state.claims, state.rights, approvals)
         case AuthorityGranted() | AuthorityRevoked():
             return Authority(state.claims, (*state.rights, event), state.approvals)
         case SupervisorResponded():
             if event.purpose != "review" or not event.approves:
                 return state
-            return Authority(state.claims, state.rights, {**state.approvals, event.action_id: Later()})
+            return Authority(state.claims, state.rights, {**state.approvals, event.subject.action_id: Later()})
         case _:
             assert_never(event)
 

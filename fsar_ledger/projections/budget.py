@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from fsar_ledger.events.envelope import RecoveryLevel
+from fsar_ledger.events.envelope import RecoveryLevel, Robot
 from fsar_ledger.events.recovery import RecoveryBudgetSet
 
 HANDLES = RecoveryBudgetSet
@@ -15,7 +15,7 @@ class Budget(NamedTuple):
     n_max: int
 
 
-Budgets = dict[tuple[str, RecoveryLevel], Budget]  # robot, level
+Budgets = dict[tuple[Robot, RecoveryLevel], Budget]  # robot, level
 
 INITIAL: Budgets = {}
 

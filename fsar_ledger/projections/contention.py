@@ -40,25 +40,32 @@ def evolve(state: Contention, event: HANDLES) -> Contention:
         case SupervisorCalled():
             if event.competing is None:
                 return state
-            orders = {**state.orders, (event.action_id, event.competing): Order(event.action_id, event.competing)}
-            return Contention(orders, state.refused, state.arrived | {event.action_id})
+            orders = {
+                **state.orders,
+                (event.subject.action_id, event.competing): Order(event.subject.action_id, event.competing),
+            }
+            return Contention(orders, state.refused, state.arrived | {event.subject.action_id})
         case SupervisorResponded():
             if event.purpose != "ordering":
                 return state
             answered = {
                 pair: msgspec.structs.replace(order, is_answered=True, preferred=event.preferred)
                 for pair, order in state.orders.items()
-                if order.action_id == event.action_id and not order.is_answered
+                if order.action_id == event.subject.action_id and not order.is_answered
             }
             return Contention({**state.orders, **answered}, state.refused, state.arrived)
         case RequestDeferred():
-            joins = any(order.other == event.action_id and not order.is_answered for order in state.orders.values())
-            return Contention(state.orders, state.refused, state.arrived | {event.action_id}) if joins else state
+            joins = any(
+                order.other == event.subject.action_id and not order.is_answered for order in state.orders.values()
+            )
+            return (
+                Contention(state.orders, state.refused, state.arrived | {event.subject.action_id}) if joins else state
+            )
         case RequestDenied() | RequestUnanswered():
             return (
                 state
-                if event.action_id is None
-                else Contention(state.orders, state.refused | {event.action_id}, state.arrived)
+                if event.subject.action_id is None
+                else Contention(state.orders, state.refused | {event.subject.action_id}, state.arrived)
             )
         case _:
             assert_never(event)

@@ -4,7 +4,7 @@ from typing import Literal, assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import OverrideLevel
+from fsar_ledger.events.envelope import ActionId, OverrideLevel, Principal, Robot, Subject, Supervisor, TaskId
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -55,10 +55,10 @@ class Action(msgspec.Struct, frozen=True, gc=False):
 
     task_id: str
     action_id: str
-    requested_by: str | None
-    executed_by: str | None
-    robot: str
-    on_behalf_of: str
+    requested_by: Principal | None
+    executed_by: Robot | None
+    robot: Robot
+    on_behalf_of: Robot
     capability: str
     step: int
     attempt: int
@@ -74,14 +74,19 @@ class Action(msgspec.Struct, frozen=True, gc=False):
     override: OverrideLevel = "none"
     preemptions: int = 0
     has_begun: bool = False
-    supervised_by: str | None = None
+    supervised_by: Supervisor | None = None
+
+    @property
+    def subject(self) -> Subject[TaskId, ActionId]:
+        """What an event of this action is about."""
+        return Subject(self.task_id, self.action_id)
 
 
 class Execution(msgspec.Struct, frozen=True, gc=False):
     """`current`: robot -> action or assistance that holds it; `queues`: robot -> actions waiting."""
 
-    current: dict[str, str] = {}
-    queues: dict[str, tuple[str, ...]] = {}
+    current: dict[Robot, str] = {}
+    queues: dict[Robot, tuple[str, ...]] = {}
     actions: dict[str, Action] = {}
 
 
@@ -94,32 +99,36 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ExecutionQueued():
             return _queued(state, event)
         case ApproachStarted():
-            return _staged(state, event.action_id, "approaching")
+            return _staged(state, event.subject.action_id, "approaching")
         case ExecutionStarted():
-            return _staged(state, event.action_id, "running", ends_us=event.ends_us)
+            return _staged(state, event.subject.action_id, "running", ends_us=event.ends_us)
         case ExecutionFinished():
-            actions = {name: action for name, action in state.actions.items() if name != event.action_id}
+            actions = {name: action for name, action in state.actions.items() if name != event.subject.action_id}
             return _freed(Execution(state.current, state.queues, actions), event.robot)
         case ExecutionHeld():
             return _held(state, event)
         case ExecutionPaused():
-            return _staged(state, event.action_id, "paused", remaining_us=event.remaining_us)
+            return _staged(state, event.subject.action_id, "paused", remaining_us=event.remaining_us)
         case ExecutionHalted():
-            return _staged(state, event.action_id, "halted", remaining_us=event.remaining_us)
+            return _staged(state, event.subject.action_id, "halted", remaining_us=event.remaining_us)
         case ExecutionPreempted():
             return _preempted(state, event)
         case ExecutionResumed():
-            return _staged(state, event.action_id, "running", ends_us=event.ends_us)
+            return _staged(state, event.subject.action_id, "running", ends_us=event.ends_us)
         case ExecutionFailed():
-            return _staged(state, event.action_id, "failed", remaining_us=event.remaining_us, failures=event.failure)
+            return _staged(
+                state, event.subject.action_id, "failed", remaining_us=event.remaining_us, failures=event.failure
+            )
         case ExecutionWithdrawn():
-            withdrawn = _staged(state, event.action_id, "withdrawn")
-            if state.current.get(event.robot) == event.action_id:
+            withdrawn = _staged(state, event.subject.action_id, "withdrawn")
+            if state.current.get(event.robot) == event.subject.action_id:
                 return _freed(withdrawn, event.robot)
-            queue = tuple(name for name in state.queues.get(event.robot, ()) if name != event.action_id)
+            queue = tuple(name for name in state.queues.get(event.robot, ()) if name != event.subject.action_id)
             return Execution(withdrawn.current, {**state.queues, event.robot: queue}, withdrawn.actions)
         case AssistanceAdmitted():
-            return Execution({**state.current, event.helper: HELPING + event.action_id}, state.queues, state.actions)
+            return Execution(
+                {**state.current, event.helper: HELPING + event.subject.action_id}, state.queues, state.actions
+            )
         case AssistanceEnded() | AssistanceFailed():
             return _freed(state, event.helper)
         case _:
@@ -127,12 +136,12 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
 
 
 def _queued(state: Execution, event: ExecutionQueued) -> Execution:
-    known = state.actions.get(event.action_id)
+    known = state.actions.get(event.subject.action_id)
     action = Action(
-        event.task_id,
-        event.action_id,
-        event.requested_by,
-        event.executed_by,
+        event.subject.task_id,
+        event.subject.action_id,
+        event.principals.requested_by,
+        event.principals.executed_by,
         event.robot,
         event.on_behalf_of,
         event.capability,
@@ -144,16 +153,18 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
         failures=known.failures if known else 0,
         segments=known.segments if known else 0,
         override=event.override,
-        supervised_by=event.supervised_by,
+        supervised_by=event.principals.supervised_by,
     )
-    actions = {**state.actions, event.action_id: action}
+    actions = {**state.actions, event.subject.action_id: action}
     if event.robot in state.current:
         queue = state.queues.get(event.robot, ())
         place = len(queue) if event.override == "none" else _place(state, queue, event.override)
         return Execution(
-            state.current, {**state.queues, event.robot: (*queue[:place], event.action_id, *queue[place:])}, actions
+            state.current,
+            {**state.queues, event.robot: (*queue[:place], event.subject.action_id, *queue[place:])},
+            actions,
         )
-    return Execution({**state.current, event.robot: event.action_id}, state.queues, actions)
+    return Execution({**state.current, event.robot: event.subject.action_id}, state.queues, actions)
 
 
 def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) -> int:
@@ -167,7 +178,7 @@ def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) ->
 
 def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
     """The action waits at the head of the queue, and the robot is there for whoever has preempted it."""
-    known = state.actions[event.action_id]
+    known = state.actions[event.subject.action_id]
     changed = msgspec.structs.replace(
         known,
         stage="preempted",
@@ -176,17 +187,17 @@ def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
         preemptions=known.preemptions + 1,
         has_begun=event.remaining_us is not None,
     )
-    current = {robot: held for robot, held in state.current.items() if held != event.action_id}
-    queues = {**state.queues, event.robot: (event.action_id, *state.queues.get(event.robot, ()))}
-    return Execution(current, queues, {**state.actions, event.action_id: changed})
+    current = {robot: held for robot, held in state.current.items() if held != event.subject.action_id}
+    queues = {**state.queues, event.robot: (event.subject.action_id, *state.queues.get(event.robot, ()))}
+    return Execution(current, queues, {**state.actions, event.subject.action_id: changed})
 
 
 def _held(state: Execution, event: ExecutionHeld) -> Execution:
     """It polls the fleet's rule, or waits for the window of its own policy; `path` is there when waiting is a denial."""
-    action = state.actions[event.action_id]
+    action = state.actions[event.subject.action_id]
     stage: Stage = "polling" if event.reason == "fleet-rule" else "held"
-    changed = msgspec.structs.replace(action, stage=stage, was_denied=action.was_denied or bool(event.path))
-    return Execution(state.current, state.queues, {**state.actions, event.action_id: changed})
+    changed = msgspec.structs.replace(action, stage=stage, was_denied=action.was_denied or bool(event.principals.path))
+    return Execution(state.current, state.queues, {**state.actions, event.subject.action_id: changed})
 
 
 def _staged(
@@ -204,7 +215,7 @@ def _staged(
     return Execution(state.current, state.queues, {**state.actions, action_id: changed})
 
 
-def _freed(state: Execution, robot: str) -> Execution:
+def _freed(state: Execution, robot: Robot) -> Execution:
     """The robot turns to the next in its queue, if there is one."""
     queue = state.queues.get(robot, ())
     if queue:

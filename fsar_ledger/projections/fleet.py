@@ -8,18 +8,19 @@ import msgspec
 from fsar_ledger.constants import Constants, Outages, Structure, read_constants
 from fsar_ledger.designs import registered
 from fsar_ledger.events.configuration import lacks
+from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 
 HANDLES = RunStarted | RobotJoined
 
 
-class Robot(msgspec.Struct, frozen=True, gc=False):
+class Member(msgspec.Struct, frozen=True, gc=False):
     """One robot of the fleet."""
 
-    name: str
+    name: Robot
     role: str
     team: int
-    supervisor: str | None
+    supervisor: Supervisor | None
     domain: str = ""
     place: str | None = None
 
@@ -34,7 +35,7 @@ class Fleet(msgspec.Struct, frozen=True, gc=False):
     without: frozenset[str] = frozenset()
     size: int = 0
     structure: Structure = Structure()
-    robots: dict[str, Robot] = {}
+    robots: dict[Robot, Member] = {}
     teams: int = 1
     answer_us: int = round(Outages().answer_s * 1e6)
     bodies: tuple[str, ...] = ()
@@ -50,7 +51,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
                 made, without=lacks(event.configuration or ""), size=event.fleet_size or 0, robots=state.robots
             )
         case RobotJoined():
-            robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
+            robot = Member(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
             return msgspec.structs.replace(
                 state, robots={**state.robots, event.robot: robot}, teams=max(state.teams, event.team)
             )

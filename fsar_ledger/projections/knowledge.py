@@ -4,7 +4,7 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import PolicyOutcome
+from fsar_ledger.events.envelope import PolicyOutcome, Robot
 from fsar_ledger.events.knowledge import (
     CopySynced,
     FleetRuleLearned,
@@ -22,12 +22,12 @@ class Knowledge(msgspec.Struct, frozen=True, gc=False):
     """`copy` is the coordinator's last synced copy; `ready_us` when its queue of work is done (run time, microseconds)."""
 
     sync_phase_ppm: int = 0
-    fleet_rule: dict[str, PolicyOutcome] = {}
-    fleet_rule_as_of_us: dict[str, int] = {}
-    met: dict[tuple[str, str], int] = {}
+    fleet_rule: dict[Robot, PolicyOutcome] = {}
+    fleet_rule_as_of_us: dict[Robot, int] = {}
+    met: dict[tuple[Robot, Robot], int] = {}
     copy: CopySynced = CopySynced()
-    snapshot: dict[str, PolicyOutcome] = {}
-    engaged_until_us: dict[str, int] = {}
+    snapshot: dict[Robot, PolicyOutcome] = {}
+    engaged_until_us: dict[Robot, int] = {}
     ready_us: int = 0
 
 

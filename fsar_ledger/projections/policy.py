@@ -5,7 +5,7 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 
@@ -14,7 +14,7 @@ from .world import stricter
 
 HANDLES = RobotJoined | PolicyRuleSet | RolePolicyRuleSet
 
-Rule = tuple[PolicyScope, str | None, str | None, str | None]  # scope, robot, capability, context; None: all of them
+Rule = tuple[PolicyScope, Robot | None, str | None, str | None]  # scope, robot, capability, context; None: all of them
 RoleRule = tuple[PolicyScope, str, str, str | None, str | None]  # scope, role, domain, capability, context
 
 
@@ -23,7 +23,7 @@ class Policy(msgspec.Struct, frozen=True, gc=False):
 
     rules: dict[Rule, PolicyOutcome] = {}
     of_roles: dict[RoleRule, PolicyOutcome] = {}
-    members: dict[str, Member] = {}
+    members: dict[Robot, Member] = {}
 
     @property
     def is_empty(self) -> bool:
@@ -37,7 +37,7 @@ INITIAL = Policy()
 def ruled(
     state: Policy,
     scope: PolicyScope,
-    robot: str,
+    robot: Robot,
     capability: str | None,
     context: str | None,
     among: Container[Rule | RoleRule] | None = None,
@@ -55,7 +55,7 @@ def ruled(
 
 
 def _applying(
-    state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None
+    state: Policy, scope: PolicyScope, robot: Robot, capability: str | None, context: str | None
 ) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
     """The rules that apply, without those that another replaces."""
     for about in ((capability, context), (capability, None), (None, context), (None, None)):

@@ -4,7 +4,7 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
+from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Robot
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -35,17 +35,17 @@ class Recovery(msgspec.Struct, frozen=True, gc=False):
     whoever was asked for help last.
     """
 
-    robot: str
+    robot: Robot
     failure: int
     cause: FailureCause
     detected_us: int
     level: RecoveryLevel = "local"
     number: int = 0
     deadline_us: int = 0
-    tried: tuple[str, ...] = ()
+    tried: tuple[Robot, ...] = ()
     calls: int = 0
     since_us: int = 0
-    awaited: str | None = None
+    awaited: Robot | None = None
 
 
 Recoveries = dict[str, Recovery]  # action -> open failure
@@ -57,7 +57,10 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
     """The open failures after the event."""
     match event:
         case ExecutionFailed():
-            return {**state, event.action_id: Recovery(event.robot, event.failure, event.cause, event.detected_us)}
+            return {
+                **state,
+                event.subject.action_id: Recovery(event.robot, event.failure, event.cause, event.detected_us),
+            }
         case RecoveryAttempted():
             changed = msgspec.structs.replace(
                 state[event.failed_action], number=event.number, deadline_us=event.deadline_us
@@ -77,18 +80,18 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
             )
             return {**state, event.failed_action: asked}
         case AssistanceAdmitted() | AssistanceDeclined():
-            action_id = event.action_id or ""
+            action_id = event.subject.action_id or ""
             return (
                 {**state, action_id: msgspec.structs.replace(state[action_id], awaited=None)}
                 if action_id in state
                 else state
             )
         case SupervisorCalled():
-            called = state.get(event.action_id)
+            called = state.get(event.subject.action_id)
             if called is None or event.purpose != "recovery":
                 return state
-            return {**state, event.action_id: msgspec.structs.replace(called, calls=called.calls + 1)}
+            return {**state, event.subject.action_id: msgspec.structs.replace(called, calls=called.calls + 1)}
         case FailureResolved():
-            return {action: recovery for action, recovery in state.items() if action != event.action_id}
+            return {action: recovery for action, recovery in state.items() if action != event.subject.action_id}
         case _:
             assert_never(event)

@@ -5,7 +5,7 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import Availability, OverrideLevel, TrustScope, Visibility
+from fsar_ledger.events.envelope import Availability, OverrideLevel, Principal, Robot, TrustScope, Visibility
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
@@ -48,7 +48,7 @@ class Module(msgspec.Struct, frozen=True, gc=False):
 class Advertisement(msgspec.Struct, frozen=True, gc=False):
     """The record of one capability of one robot, with the seven fields of `eq:adv` and who may see it."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     contract: Contract
@@ -89,23 +89,23 @@ class Registry(msgspec.Struct, frozen=True, gc=False):
     `silent`: robot that did not answer -> how available each of its capabilities was said to be before.
     """
 
-    domains: dict[str, str] = {}
-    modules: dict[str, dict[str, Module]] = {}
+    domains: dict[Robot, str] = {}
+    modules: dict[Robot, dict[str, Module]] = {}
     offers: Offers = Offers()
-    caches: dict[str, Cache] = {}
-    silent: dict[str, dict[str, Availability]] = {}
+    caches: dict[Principal, Cache] = {}
+    silent: dict[Robot, dict[str, Availability]] = {}
 
 
 INITIAL = Registry()
 NO_ANSWER = "no answer"  # reason of `AvailabilityChanged` for a robot that others found silent
 
 
-def possesses(state: Registry, robot: str, capability: str) -> bool:
+def possesses(state: Registry, robot: Robot, capability: str) -> bool:
     """True when the robot has the capability installed. Paper: eq:possess."""
     return capability in state.modules.get(robot, ())
 
 
-def advertisement(state: Registry, robot: str, capability: str) -> Advertisement | None:
+def advertisement(state: Registry, robot: Robot, capability: str) -> Advertisement | None:
     """The robot's record of the capability, or None while it does not advertise it. Paper: eq:advertise."""
     found = state.offers
     for name in path_of(state.domains.get(robot, "")):
@@ -115,7 +115,7 @@ def advertisement(state: Registry, robot: str, capability: str) -> Advertisement
     return found.records.get(capability, {}).get(robot)
 
 
-def surface(state: Registry, robot: str) -> Iterator[Advertisement]:
+def surface(state: Registry, robot: Robot) -> Iterator[Advertisement]:
     """What the robot advertises. Paper: sec:model:robot (capability surface)."""
     for capability in state.modules.get(robot, ()):
         record = advertisement(state, robot, capability)
@@ -215,14 +215,14 @@ def _record(state: Registry, event: CapabilityAdvertised) -> Advertisement:
     )
 
 
-def _put(state: Registry, robot: str, capability: str, record: Advertisement | None) -> Registry:
+def _put(state: Registry, robot: Robot, capability: str, record: Advertisement | None) -> Registry:
     changed = _changed(state.offers, path_of(state.domains.get(robot, "")), robot, capability, record)
     return Registry(state.domains, state.modules, changed, state.caches, state.silent)
 
 
 def _silent(
     state: Registry, event: AvailabilityChanged, changed: list[Advertisement]
-) -> dict[str, dict[str, Availability]]:
+) -> dict[Robot, dict[str, Availability]]:
     """Who is silent by now: whoever did not answer, but for what it has spoken of since."""
     known = state.silent.get(event.robot)
     if event.reason == NO_ANSWER and event.availability == "offline":
@@ -237,7 +237,9 @@ def _silent(
     return {**others, event.robot: left} if left else others
 
 
-def _changed(found: Offers, path: tuple[str, ...], robot: str, capability: str, record: Advertisement | None) -> Offers:
+def _changed(
+    found: Offers, path: tuple[str, ...], robot: Robot, capability: str, record: Advertisement | None
+) -> Offers:
     """The registry with this record of the robot in the domain at the path, or with none of it."""
     if path:
         name = path[0]

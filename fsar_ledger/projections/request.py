@@ -4,7 +4,18 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Result
+from fsar_ledger.events.envelope import (
+    ActionId,
+    OverrideLevel,
+    PolicyOutcome,
+    RequestId,
+    RequestSubject,
+    Result,
+    Robot,
+    Subject,
+    TaskId,
+    as_robot,
+)
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
@@ -69,18 +80,18 @@ class Request(msgspec.Struct, frozen=True, gc=False):
 
     task_id: str
     action_id: str
-    requester: str
+    requester: Robot
     capability: str
     step: int
     attempt: int
     is_delegated: bool
-    candidates: tuple[str, ...] = ()
-    relay: str | None = None
+    candidates: tuple[Robot, ...] = ()
+    relay: Robot | None = None
     carried: PolicyOutcome = "allow"
-    target: str | None = None
+    target: Robot | None = None
     seen_busy: bool = False
-    bidders: tuple[str, ...] = ()
-    bids: tuple[tuple[str, PolicyOutcome], ...] = ()
+    bidders: tuple[Robot, ...] = ()
+    bids: tuple[tuple[Robot, PolicyOutcome], ...] = ()
     is_accepted: bool = False
     is_questioned: bool = False
     round: int = 0
@@ -97,7 +108,17 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     is_heard: bool = False
     is_received: bool = False
     is_unanswered: bool = False
-    silent: tuple[str, ...] = ()
+    silent: tuple[Robot, ...] = ()
+
+    @property
+    def subject(self) -> Subject[TaskId, ActionId]:
+        """What an event of this action is about."""
+        return Subject(self.task_id, self.action_id)
+
+    @property
+    def request_subject(self) -> RequestSubject[TaskId, ActionId, RequestId]:
+        """What an event of this request is about, which has the name of its action."""
+        return RequestSubject(self.task_id, self.action_id, self.action_id)
 
 
 Requests = dict[str, Request]
@@ -110,22 +131,24 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
     match event:
         case StepBegan():
             others = {
-                name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.task_id
+                name: request
+                for name, request in state.items()
+                if request.is_adhoc or request.task_id != event.subject.task_id
             }
             begun = Request(
-                event.task_id,
-                event.action_id,
+                event.subject.task_id,
+                event.subject.action_id,
                 event.robot,
                 event.capability,
                 event.step,
                 event.attempt,
                 event.target_role is not None,
             )
-            return {**others, event.action_id: begun}
+            return {**others, event.subject.action_id: begun}
         case ExecutionFinished() | RequestClosed() | RequestDenied():
             return _ended(state, event)
         case StepCompleted():
-            return {name: request for name, request in state.items() if name != event.action_id}
+            return {name: request for name, request in state.items() if name != event.subject.action_id}
         case TaskAbandoned():  # what a robot has goes on or is withdrawn there; nobody answers the rest
             kept = {
                 name: request
@@ -147,42 +170,44 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             )
             return {**state, event.task_id: injected}
         case RegistryQueried():
-            asking = state.get(event.action_id or "")
+            asking = state.get(event.subject.action_id or "")
             if asking is None or asking.capability != event.capability:  # a query in service of the action's recovery
                 return state
-            return _changed(state, event.action_id, candidates=event.candidates, relay=event.relay)
+            return _changed(state, event.subject.action_id, candidates=event.candidates, relay=event.relay)
         case RequestIssued():
             return _issued(state, event)
         case RequestRelayed():
-            return _changed(state, event.action_id, carried=event.carried_policy, is_relayed=True)
+            return _changed(state, event.subject.action_id, carried=event.carried_policy, is_relayed=True)
         case CommandIssued():
-            return _changed(state, event.action_id, target=event.robot, seen_busy=event.seen_busy, is_unanswered=False)
+            return _changed(
+                state, event.subject.action_id, target=event.robot, seen_busy=event.seen_busy, is_unanswered=False
+            )
         case BidSubmitted():
             return _bid(state, event)
         case BidReceived():
             earlier = tuple(
-                bid for bid in state[event.action_id].bids if bid[0] != event.robot
+                bid for bid in state[event.subject.action_id].bids if bid[0] != event.robot
             )  # one that answers late was asked again
             bids = (*earlier, (event.robot, event.outcome))
-            return _changed(state, event.action_id, bids=bids)
+            return _changed(state, event.subject.action_id, bids=bids)
         case AwardMade():
             action_id = next(name for name, request in state.items() if request.task_id == event.task_id)
             return _changed(state, action_id, target=event.robot, is_questioned=False)
         case SupervisorCalled():
             return _called(state, event)
         case ExecutionQueued():
-            return _changed(state, event.action_id, is_received=True)
+            return _changed(state, event.subject.action_id, is_received=True)
         case RequestDeferred():
-            return _changed(state, event.action_id, is_heard=True)
+            return _changed(state, event.subject.action_id, is_heard=True)
         case RequestAccepted():
-            return _changed(state, event.action_id, target=event.executed_by, is_accepted=True)
+            return _changed(state, event.subject.action_id, target=event.principals.executed_by, is_accepted=True)
         case ContractQuestioned():
-            return _changed(state, event.action_id, is_questioned=True)
+            return _changed(state, event.subject.action_id, is_questioned=True)
         case ContractVoided():
-            known = state[event.action_id]
+            known = state[event.subject.action_id]
             return _changed(
                 state,
-                event.action_id,
+                event.subject.action_id,
                 bidders=(),
                 bids=(),
                 target=None,
@@ -194,7 +219,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case RequestUnanswered():
             return _unanswered(state, event)
         case RequestCountered():
-            return _changed(state, event.action_id, offers=event.round, offered=event.override)
+            return _changed(state, event.subject.action_id, offers=event.round, offered=event.override)
         case OfferAnswered():
             return _answered(state, event)
         case _:
@@ -203,11 +228,18 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
 
 def _issued(state: Requests, event: RequestIssued) -> Requests:
     """The step's request is on its way; one that is nobody's step begins here. Paper: eq:request."""
-    task_id, action_id, robot, executor = event.task_id, event.action_id, event.requested_by, event.executed_by
+    task_id, action_id, robot, executor = (
+        event.subject.task_id,
+        event.subject.action_id,
+        event.principals.requested_by,
+        event.principals.executed_by,
+    )
     carried = event.carried_policy or "allow"
     if action_id in state or task_id is None or action_id is None or robot is None or executor is None:
         return _changed(state, action_id, carried=carried, relay=event.relay, override=event.override)
-    begun = Request(task_id, action_id, robot, event.capability, 1, 1, True, (executor,), event.relay, carried)
+    begun = Request(
+        task_id, action_id, as_robot(robot), event.capability, 1, 1, True, (executor,), event.relay, carried
+    )
     asked = {
         "override": event.override,
         "parent": event.parent,
@@ -219,7 +251,7 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
 
 def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
     """The request is over, or has its result; of a step only a result other than success is news before the step ends."""
-    known = state.get(event.action_id or "")
+    known = state.get(event.subject.action_id or "")
     if known is None:
         return state
     if isinstance(event, ExecutionFinished):
@@ -233,11 +265,13 @@ def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDe
 
 def _called(state: Requests, event: SupervisorCalled) -> Requests:
     """A supervisor has it before them; whoever calls one to order two requests has received them."""
-    known = state.get(event.action_id)
+    known = state.get(event.subject.action_id)
     if known is None:
         return state
     is_received = known.is_received or event.purpose == "ordering"
-    return _changed(state, event.action_id, is_heard=True, is_received=is_received, target=event.robot or known.target)
+    return _changed(
+        state, event.subject.action_id, is_heard=True, is_received=is_received, target=event.robot or known.target
+    )
 
 
 def _bid(state: Requests, event: BidSubmitted) -> Requests:
@@ -250,24 +284,24 @@ def _bid(state: Requests, event: BidSubmitted) -> Requests:
 
 def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
     """The request is over for who did not answer; without a name nobody did, or there was nobody to ask."""
-    if event.action_id not in state:
+    if event.subject.action_id not in state:
         return state
     silent = (
-        state[event.action_id].silent
-        if event.executed_by is None
-        else (*state[event.action_id].silent, event.executed_by)
+        state[event.subject.action_id].silent
+        if event.principals.executed_by is None
+        else (*state[event.subject.action_id].silent, event.principals.executed_by)
     )
-    return _changed(state, event.action_id, silent=silent, target=None, is_accepted=False, is_unanswered=True)
+    return _changed(state, event.subject.action_id, silent=silent, target=None, is_accepted=False, is_unanswered=True)
 
 
 def _answered(state: Requests, event: OfferAnswered) -> Requests:
     """The requester takes the terms or asks for others, and the executor is to judge again; or it lets go and the request is over."""
-    if event.action_id is None or event.action_id not in state:
+    if event.subject.action_id is None or event.subject.action_id not in state:
         return state
-    asked = state[event.action_id].offered if event.is_accepted else event.override
+    asked = state[event.subject.action_id].offered if event.is_accepted else event.override
     if asked is None:
-        return _changed(state, event.action_id, offered=None, is_over=True)
-    return _changed(state, event.action_id, offered=None, override=asked)
+        return _changed(state, event.subject.action_id, offered=None, is_over=True)
+    return _changed(state, event.subject.action_id, offered=None, override=asked)
 
 
 def _changed(state: Requests, action_id: str | None, **changes: object) -> Requests:

@@ -5,6 +5,7 @@ from typing import assert_never
 import msgspec
 from msgspec.structs import replace
 
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAdmitted
 from fsar_ledger.events.supervision import Purpose, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
@@ -22,42 +23,45 @@ class Supervision(msgspec.Struct, frozen=True, gc=False):
 
     approved: frozenset[str] = frozenset()
     calls: dict[int, SupervisorCalled] = {}
-    review_every: dict[str | None, int] = {}
-    admissions: dict[str, int] = {}
+    review_every: dict[Robot | None, int] = {}
+    admissions: dict[Robot, int] = {}
     called: int = 0
 
 
 INITIAL = Supervision()
 
 
-def density(state: Supervision, robot: str) -> int:
+def density(state: Supervision, robot: Robot) -> int:
     """One in so many admissions of the robot is put before a supervisor; its own density before every robot's; 0 is none."""
     return state.review_every.get(robot, state.review_every.get(None, 0))
 
 
 def is_asked(state: Supervision, action_id: str, purpose: Purpose) -> bool:
     """True while a supervisor is asked this about the action."""
-    return any((call.action_id, call.purpose) == (action_id, purpose) for call in state.calls.values())
+    return any((call.subject.action_id, call.purpose) == (action_id, purpose) for call in state.calls.values())
 
 
 def evolve(state: Supervision, event: HANDLES) -> Supervision:
     """Supervision after the event."""
     match event:
         case RequestAdmitted():
-            if event.executed_by is None:
+            if event.principals.executed_by is None:
                 return state
-            count = state.admissions.get(event.executed_by, 0) + 1
-            return replace(state, admissions={**state.admissions, event.executed_by: count})
+            count = state.admissions.get(event.principals.executed_by, 0) + 1
+            return replace(state, admissions={**state.admissions, event.principals.executed_by: count})
         case SupervisorCalled():
             called = state.called + 1
             return replace(state, calls={**state.calls, called: event}, called=called)
         case SupervisorResponded():
             approved = (
-                state.approved | {event.action_id} if event.purpose == "review" and event.approves else state.approved
+                state.approved | {event.subject.action_id}
+                if event.purpose == "review" and event.approves
+                else state.approved
             )
-            return replace(state, approved=approved, calls=_without(state.calls, event.action_id, event.purpose))
+            calls = _without(state.calls, event.subject.action_id, event.purpose)
+            return replace(state, approved=approved, calls=calls)
         case FailureResolved():
-            return replace(state, calls=_without(state.calls, event.action_id, "recovery"))
+            return replace(state, calls=_without(state.calls, event.subject.action_id, "recovery"))
         case SupervisionDensitySet():
             return replace(state, review_every={**state.review_every, event.robot: event.review_every})
         case _:
@@ -66,4 +70,6 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
 
 def _without(calls: dict[int, SupervisorCalled], action_id: str, purpose: str) -> dict[int, SupervisorCalled]:
     """The calls that are open once this is settled: whoever answers first, answers for all who were asked the same."""
-    return {number: call for number, call in calls.items() if (call.action_id, call.purpose) != (action_id, purpose)}
+    return {
+        number: call for number, call in calls.items() if (call.subject.action_id, call.purpose) != (action_id, purpose)
+    }

@@ -5,6 +5,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.constants import END_US
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 
@@ -18,7 +19,7 @@ class Task(msgspec.Struct, frozen=True, gc=False):
     """
 
     task_id: str
-    robot: str
+    robot: Robot
     team: int
     steps: tuple[str, ...]
     budget_us: int
@@ -39,9 +40,12 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
     """The open tasks after the event."""
     match event:
         case StepBegan():
-            return {**state, event.task_id: _at(state[event.task_id], 0, event.attempt, event.action_id)}
+            return {
+                **state,
+                event.subject.task_id: _at(state[event.subject.task_id], 0, event.attempt, event.subject.action_id),
+            }
         case StepCompleted():
-            return {**state, event.task_id: _at(state[event.task_id], 1, 0, "")}
+            return {**state, event.subject.task_id: _at(state[event.subject.task_id], 1, 0, "")}
         case TaskArrived():
             about = (event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)
             return {

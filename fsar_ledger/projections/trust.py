@@ -7,7 +7,7 @@ import msgspec
 from msgspec.structs import replace
 
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import TrustScope
+from fsar_ledger.events.envelope import Robot, TrustScope, as_robot
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
@@ -22,8 +22,8 @@ VIOLATIONS = ("trust", "authority", "advertisement")  # refusals that are the re
 About = tuple[str | None, str | None]  # capability, context; None: all of them
 Entries = dict[About, TrustScope]
 Member = tuple[str, str]  # role, domain
-Asked = tuple[str, str, str, str | None]  # executor, requester, capability, context
-Key = tuple[str, str, str, str | None]  # robot, peer, capability, and the context if trust is set for that one
+Asked = tuple[Robot, Robot, str, str | None]  # executor, requester, capability, context
+Key = tuple[Robot, Robot, str, str | None]  # robot, peer, capability, and the context if trust is set for that one
 
 
 class Record(msgspec.Struct, frozen=True, gc=False):
@@ -43,9 +43,9 @@ class Trust(msgspec.Struct, frozen=True, gc=False):
     its trust is set for; `judged`: the records that the last result changed.
     """
 
-    entries: dict[tuple[str, str], Entries] = {}
+    entries: dict[tuple[Robot, Robot], Entries] = {}
     of_roles: dict[tuple[str, str, str], Entries] = {}
-    members: dict[str, Member] = {}
+    members: dict[Robot, Member] = {}
     promote_after: int = 0
     downgrade_after: int = 0
     contexts: frozenset[str] = frozenset()
@@ -58,14 +58,14 @@ INITIAL = Trust()
 
 
 def scope_of(
-    state: Trust, robot: str, peer: str, capability: str | None = None, context: str | None = None
+    state: Trust, robot: Robot, peer: Robot, capability: str | None = None, context: str | None = None
 ) -> TrustScope:
     """How far the robot trusts the peer; the most specific entry holds, and without any there is none."""
     return _holding(state, robot, peer, capability, context)[1]
 
 
 def _holding(
-    state: Trust, robot: str, peer: str, capability: str | None, context: str | None
+    state: Trust, robot: Robot, peer: Robot, capability: str | None, context: str | None
 ) -> tuple[About, TrustScope]:
     """What the entry is about that holds between the two, and its scope: of those about the pair, else about their roles in the smallest domain."""
     entries = state.entries.get((robot, peer))
@@ -152,7 +152,7 @@ def _set(state: Trust, event: TrustSet | RoleTrustSet) -> Trust:
     return replace(state, contexts=contexts, records=records)
 
 
-def is_about(state: Trust, event: TrustSet | RoleTrustSet, robot: str, peer: str) -> bool:
+def is_about(state: Trust, event: TrustSet | RoleTrustSet, robot: Robot, peer: Robot) -> bool:
     """True when the entry is about how far this robot trusts that one."""
     if isinstance(event, TrustSet):
         return (event.robot, event.peer) == (robot, peer)
@@ -171,36 +171,43 @@ def _noted(state: Trust, event: Result) -> Trust:
     match event:
         case RequestIssued():
             if (
-                event.action_id is None
-                or event.requested_by is None
-                or event.executed_by is None
+                event.subject.action_id is None
+                or event.principals.requested_by is None
+                or event.principals.executed_by is None
                 or event.relay is not None
             ):
                 return state  # whoever needs a relay has no direct trust that could move
             return _asking(
-                state, event.action_id, (event.executed_by, event.requested_by, event.capability, event.task_id)
+                state,
+                event.subject.action_id,
+                (
+                    event.principals.executed_by,
+                    as_robot(event.principals.requested_by),
+                    event.capability,
+                    event.subject.task_id,
+                ),
             )
         case OutsiderRequestInjected():
             return _asking(state, event.task_id, (event.peer, event.robot, event.capability, event.task_id))
         case RequestDenied():
-            asked = state.asked.get(event.action_id or "")
+            asked = state.asked.get(event.subject.action_id or "")
             return _changed(
-                _closed(state, event.action_id),
+                _closed(state, event.subject.action_id),
                 (asked, False) if asked is not None and event.reason in VIOLATIONS else None,
             )
         case RequestClosed():
-            asked = state.asked.get(event.action_id)
+            asked = state.asked.get(event.subject.action_id)
             if asked is None:
                 return _changed(state)
-            executor, requester, capability, context = event.executed_by or asked[0], *asked[1:]
+            executor, requester, capability, context = event.principals.executed_by or asked[0], *asked[1:]
             of_executor = (
                 (requester, executor, capability, context),
                 {"success": True, "partial": None, "failure": False}[event.result],
             )
             of_requester = ((executor, requester, capability, context), True) if event.result == "success" else None
-            return _changed(_closed(state, event.action_id), of_executor, of_requester)
+            return _changed(_closed(state, event.subject.action_id), of_executor, of_requester)
         case ExecutionFailed():
-            asked = state.asked.get(event.action_id)
+            asked = state.asked.get(event.subject.action_id)
             return _changed(
                 state,
                 None if asked is None or asked[1] == event.robot else ((asked[1], event.robot, *asked[2:]), False),
@@ -235,7 +242,7 @@ def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
     return replace(state, records=records, judged=tuple(judged))
 
 
-def _row(state: Trust, robot: str, peer: str, capability: str, context: str | None) -> Key:
+def _row(state: Trust, robot: Robot, peer: Robot, capability: str, context: str | None) -> Key:
     """Where a result between the two counts: for the trust that holds there, be it that of the context or that of all of them."""
     (_, of_context), _ = _holding(state, robot, peer, capability, context)
     return robot, peer, capability, of_context

@@ -4,7 +4,7 @@ from typing import assert_never, get_args
 
 import msgspec
 
-from fsar_ledger.events.envelope import PolicyOutcome
+from fsar_ledger.events.envelope import PolicyOutcome, Robot, Supervisor
 from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved, RecoveryAttemptFailed
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import (
@@ -41,7 +41,7 @@ HANDLES = (
 )
 
 GRADES: tuple[Grade, ...] = get_args(Grade)  # from better to worse
-Windows = dict[str, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open windows (id, outcome)
+Windows = dict[Robot, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open windows (id, outcome)
 
 
 class World(msgspec.Struct, frozen=True, gc=False):
@@ -52,11 +52,11 @@ class World(msgspec.Struct, frozen=True, gc=False):
 
     local: Windows = {}
     fleet: Windows = {}
-    obstructions: dict[str, tuple[str, ...]] = {}
-    degraded: dict[str, Grade] = {}
-    off_shift: frozenset[str] = frozenset()
-    off: frozenset[str] = frozenset()
-    unlinked: frozenset[str] = frozenset()
+    obstructions: dict[Robot, tuple[str, ...]] = {}
+    degraded: dict[Robot, Grade] = {}
+    off_shift: frozenset[Supervisor] = frozenset()
+    off: frozenset[Robot] = frozenset()
+    unlinked: frozenset[Robot] = frozenset()
 
 
 INITIAL = World()
@@ -69,7 +69,7 @@ def stricter(one: PolicyOutcome, other: PolicyOutcome) -> PolicyOutcome:
     return "review" if one == "review" or other == "review" else "allow"
 
 
-def in_force(windows: Windows, robot: str) -> PolicyOutcome:
+def in_force(windows: Windows, robot: Robot) -> PolicyOutcome:
     """The policy in force for the robot: the strictest of its open windows."""
     outcome: PolicyOutcome = "allow"
     for _, found in windows.get(robot, ()):
@@ -128,13 +128,13 @@ def evolve(state: World, event: HANDLES) -> World:
             assert_never(event)
 
 
-def _graded(state: World, robot: str, grade: Grade) -> World:
+def _graded(state: World, robot: Robot, grade: Grade) -> World:
     """The actuator is that far gone, or as far as it was before: only a service makes it better."""
     worst = max(state.degraded.get(robot, grade), grade, key=GRADES.index)
     return msgspec.structs.replace(state, degraded={**state.degraded, robot: worst})
 
 
-def _cleared(state: World, robot: str) -> World:
+def _cleared(state: World, robot: Robot) -> World:
     return msgspec.structs.replace(state, obstructions={**state.obstructions, robot: ()})
 
 

@@ -32,6 +32,7 @@ import msgspec
 from fsar_ledger.constants import Constants, read_constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import ALONE, Event
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows import segment
@@ -285,7 +286,8 @@ class _Replay(Kernel):
             ("time_us", time_us, actual_us),
             ("caused_by", cause, self._stored.caused_by[seq]),
         ]
-        pairs += [(name, getattr(event, name), getattr(stored, name)) for name in event.__struct_fields__]
+        expected_values, actual_values = flat(event), flat(stored)
+        pairs += [(name, value, actual_values[name]) for name, value in expected_values.items()]
         name, expected, actual = next(pair for pair in pairs if pair[1] != pair[2])
         if type(event) in _FACTS and name != "caused_by":
             return name, self.handler(), _at(event, time_us), self._actual(seq)
@@ -313,11 +315,7 @@ def _name(function: Callable[..., object]) -> str:
 
 def _at(event: Event, time_us: int) -> str:
     """The event, of a fact of the world also what it is about."""
-    about = (
-        ", ".join(f"{name} {getattr(event, name)!r:.80}" for name in event.__struct_fields__)
-        if type(event) in _FACTS
-        else ""
-    )
+    about = ", ".join(f"{name} {value!r:.80}" for name, value in flat(event).items()) if type(event) in _FACTS else ""
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 

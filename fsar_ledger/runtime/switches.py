@@ -15,7 +15,17 @@ from fsar_ledger.constants import Structure
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.configuration import MECHANISMS_OF, Configuration, lacks, without
-from fsar_ledger.events.envelope import COORDINATOR, Architecture
+from fsar_ledger.events.envelope import (
+    COORDINATOR,
+    Agent,
+    Architecture,
+    Parties,
+    Robot,
+    as_robot,
+    flat,
+    robot_of,
+    with_columns,
+)
 from fsar_ledger.events.execution import ExecutionFailed, RoutinePerformed
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed
 from fsar_ledger.events.request import ContractQuestioned, RequestClosed
@@ -37,7 +47,7 @@ from fsar_ledger.runtime.architectures.fsar import authority as fsar_authority
 from fsar_ledger.runtime.architectures.fsar import request as fsar_request
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.actors import body
-from fsar_ledger.runtime.handlers.attribution import on_shift, principals
+from fsar_ledger.runtime.handlers.attribution import on_shift, parties
 from fsar_ledger.runtime.handlers.commands import (
     CloseRequest,
     Command,
@@ -78,8 +88,8 @@ class Switch(NamedTuple):
 
     def taken_out(self, whole: Wiring) -> Wiring:
         """The wiring without the mechanism."""
-        changed = whole if self.rewire is None else self.rewire(whole)
-        return Wiring({**changed.decides, **self.decides}, changed.reacts, changed.actors)
+        with_columns = whole if self.rewire is None else self.rewire(whole)
+        return Wiring({**with_columns.decides, **self.decides}, with_columns.reacts, with_columns.actors)
 
 
 def switched(whole: Wiring, architecture: Architecture, configuration: Configuration) -> Wiring:
@@ -90,14 +100,14 @@ def switched(whole: Wiring, architecture: Architecture, configuration: Configura
     return whole
 
 
-# --- how decisions are changed ---
+# --- how decisions are with_columns ---
 
 
 def _nothing(_state: State, _command: Command) -> tuple[Event, ...]:
     return ()
 
 
-def _seeing(slot: str, changed: Callable[[State], Any], decide: Callable[..., Any]) -> Callable[..., Any]:
+def _seeing(slot: str, with_columns: Callable[[State], Any], decide: Callable[..., Any]) -> Callable[..., Any]:
     """The same decision, or reaction, on a state of which one slot is another."""
 
     @wraps(decide)
@@ -105,18 +115,20 @@ def _seeing(slot: str, changed: Callable[[State], Any], decide: Callable[..., An
         other = State.__new__(State)
         for name in State.__slots__:
             setattr(other, name, getattr(state, name))
-        setattr(other, slot, changed(state))
+        setattr(other, slot, with_columns(state))
         return decide(other, *about)
 
     return seen
 
 
 def _retold(change: Callable[[State, Event], Event | None], decide: Decide) -> Decide:
-    """The same decision, with its events changed one by one, or left out."""
+    """The same decision, with its events with_columns one by one, or left out."""
 
     @wraps(decide)
     def retold(state: State, command: Command) -> tuple[Event, ...]:
-        return tuple(changed for event in decide(state, command) if (changed := change(state, event)) is not None)
+        return tuple(
+            with_columns for event in decide(state, command) if (with_columns := change(state, event)) is not None
+        )
 
     return retold
 
@@ -140,9 +152,8 @@ def _leaving_out(kind: type[Event], command: type[Command]) -> Rewire:
     return rewired
 
 
-def _decided_by(event: Any, robot: str | None) -> Event:
-    found: Event = msgspec.structs.replace(event, decided_by=robot, path=() if robot is None else (robot,))
-    return found
+def _decided_by(event: Event, robot: Robot | None) -> Event:
+    return with_columns(event, decided_by=robot, path=() if robot is None else (robot,))
 
 
 @lru_cache(maxsize=4)
@@ -161,7 +172,10 @@ def _in_no_time(name: str) -> Callable[[State], Any]:
 def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ...]:
     events = fsar_request.close_request(state, command)
     return tuple(
-        _decided_by(event, event.requested_by) if isinstance(event, RequestClosed) else event for event in events
+        _decided_by(event, as_robot(event.principals.requested_by))
+        if isinstance(event, RequestClosed) and event.principals.requested_by is not None
+        else event
+        for event in events
     )
 
 
@@ -194,7 +208,8 @@ def _starting_unchecked(*, is_delegated: bool) -> Rewire:
 
 def _moved_unchecked(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     robot = command.robot
-    return (RoutinePerformed(robot, robot, robot, on_shift(state, robot), (robot,), robot, command.operation),)  # type: ignore[arg-type]
+    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot))
+    return (RoutinePerformed(parties.decided(robot), robot, command.operation),)
 
 
 # --- CFC ---
@@ -220,11 +235,8 @@ def _may_try(state: State, recovery: Recovery, tried: int, now_us: int) -> bool:
 
 def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
     return RecoveryAttempted(
-        task_id=action.task_id,
-        action_id=action.action_id,
-        decided_by=action.robot,
-        path=(action.robot,),
-        **principals(state, action),
+        subject=action.subject,
+        principals=parties(state, action).decided(action.robot),
         robot=action.robot,
         failure=recovery.failure,
         number=recovery.number + 1,
@@ -245,23 +257,30 @@ def _end_own_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     if failure is None or failure[1].number != command.number:
         return ()
     action, recovery = failure
-    about = (action.task_id, action.action_id, action.robot, recovery.failure)
     if attempt_succeeds(state, recovery, command):
-        return (FailureResolved(*about, "local"),)
-    failed = RecoveryAttemptFailed(*about, command.number, *attempt_result(state, action, recovery))
+        return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
+    result, achieved = attempt_result(state, action, recovery)
+    failed = RecoveryAttemptFailed(
+        subject=action.subject,
+        robot=action.robot,
+        failure=recovery.failure,
+        number=command.number,
+        result=result,
+        achieved=achieved,
+    )
     if _may_try(state, recovery, command.number, command.now_us):
         return (failed, _retried(state, action, recovery))
     return (failed,)
 
 
 def _on_own_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
-    if _may_try(state, state.recovery[event.action_id], 0, now_us):
-        return (Scheduled(RetryAlone(event.action_id)),)
+    if _may_try(state, state.recovery[event.subject.action_id], 0, now_us):
+        return (Scheduled(RetryAlone(event.subject.action_id)),)
     return cfc_recovery.REACTS[ExecutionFailed](state, event, now_us)
 
 
 def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tuple[Scheduled, ...]:
-    if event.decided_by == COORDINATOR:  # it orders one where the robot may not try at all
+    if event.principals.decided_by == COORDINATOR:  # it orders one where the robot may not try at all
         return cfc_recovery.REACTS[RecoveryAttempted](state, event, now_us)
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end = EndAttempt(event.failed_action, event.number)
@@ -274,7 +293,7 @@ def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tupl
 
 def _on_own_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) -> tuple[Scheduled, ...]:
     """The coordinator hears of the last one alone."""
-    failure = open_failure(state, event.action_id)
+    failure = open_failure(state, event.subject.action_id)
     if failure is not None and _may_try(state, failure[1], event.number, now_us):
         return ()
     return cfc_recovery.REACTS[RecoveryAttemptFailed](state, event, now_us)
@@ -295,23 +314,22 @@ def _recovering_alone(whole: Wiring) -> Wiring:
     )
 
 
-def _requester_named(state: State, event: Any) -> Event:
+def _requester_named(state: State, event: Event) -> Event:
     """What names no requester, or the coordinator as such, names the robot whose task it is."""
-    found: Event = event
-    if getattr(event, "requested_by", "") in (None, COORDINATOR):
-        task = state.task.get(event.task_id or "")
-        if task is not None:
-            found = msgspec.structs.replace(event, requested_by=task.robot)
-    return found
+    values = flat(event)
+    task = state.task.get(values.get("task_id") or "")
+    if task is not None and values.get("requested_by", "") in (None, COORDINATOR):
+        return with_columns(event, requested_by=task.robot)
+    return event
 
 
-def _decided_by_robots(state: State, event: Any) -> Event:
-    found: Event = event
-    if getattr(event, "decided_by", None) == COORDINATOR:
-        task = state.task.get(event.task_id or "")
-        robot = event.executed_by or (None if task is None else task.robot)
-        found = event if robot is None else _decided_by(event, robot)
-    return found
+def _decided_by_robots(state: State, event: Event) -> Event:
+    values = flat(event)
+    if values.get("decided_by") != COORDINATOR:
+        return event
+    task = state.task.get(values["task_id"] or "")
+    robot = values["executed_by"] or (None if task is None else task.robot)
+    return event if robot is None else _decided_by(event, robot)
 
 
 # --- DHMA ---
@@ -341,12 +359,11 @@ def _talking_in_no_time(whole: Wiring) -> Wiring:
     )
 
 
-def _decided_as_one(_state: State, event: Any) -> Event:
-    decided_by = getattr(event, "decided_by", None) or ""
-    found: Event = event
-    if decided_by.startswith("agent/"):
-        found = _decided_by(event, f"robot/{decided_by.split('/')[1]}")
-    return found
+def _decided_as_one(_state: State, event: Event) -> Event:
+    decided_by: Agent | None = flat(event).get("decided_by")
+    if decided_by is None or not decided_by.startswith("agent/"):
+        return event
+    return _decided_by(event, robot_of(decided_by))
 
 
 _now = partial(_seeing, "knowledge", _copy_of_now)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.metrics.definitions import metrics
@@ -17,8 +18,16 @@ from tests.ledger.samples import append_all
 def members(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A live run that observes membership, and three robots that join."""
     path = tmp_path_factory.mktemp("members") / "ledger"
-    joined = [RobotJoined(f"robot/A{number}", "A", number, f"supervisor/A{number}") for number in (1, 2, 3)]
-    append_all(path, [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted("live", ("fleet",)), *joined])]])
+    joined = [
+        RobotJoined(
+            robot=Robot(f"robot/A{number}"), role="A", team=number, supervisor=Supervisor(f"supervisor/A{number}")
+        )
+        for number in (1, 2, 3)
+    ]
+    append_all(
+        path,
+        [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted(kind="live", observes=("fleet",)), *joined])]],
+    )
     return path
 
 
@@ -33,10 +42,15 @@ def test_audit_says_of_each_of_the_ten_that_it_is_not_observable_and_passes_none
 
 
 def test_an_invariant_without_a_case_is_no_pass_although_all_is_observed(call: Call, tmp_path: Path) -> None:
-    joined = [RobotJoined(f"robot/A{number}", "A", number, f"supervisor/A{number}") for number in (1, 2, 3)]
+    joined = [
+        RobotJoined(
+            robot=Robot(f"robot/A{number}"), role="A", team=number, supervisor=Supervisor(f"supervisor/A{number}")
+        )
+        for number in (1, 2, 3)
+    ]
     append_all(
         tmp_path / "ledger",
-        [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted("live", CONCERNS), *joined])]],
+        [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted(kind="live", observes=CONCERNS), *joined])]],
     )
     said = call("audit", tmp_path / "ledger")
     assert said.code == 1
@@ -107,7 +121,7 @@ def test_where_everything_is_observed_nothing_is_said_of_it(call: Call, ledger: 
 
 
 def test_an_architecture_of_somebody_elses_can_be_asked_for_by_its_name(call: Call, tmp_path: Path) -> None:
-    started = RunStarted("foreign", ("fleet",), architecture="open-rmf", source="a log")
+    started = RunStarted(kind="foreign", observes=("fleet",), architecture="open-rmf", source="a log")
     append_all(tmp_path / "ledger", [[RunRecord("ward", [0], [None], [started])]])
     assert {
         row["architecture"]

@@ -99,7 +99,7 @@ def odd_run(run_id: str, size: int, draw: random.Random) -> RunRecord:
         return kinds[field.kind]()
 
     layouts = [draw.choice(list(IN_RUNS.values())) for _ in range(size)]
-    events = [layout.cls(*map(value, layout.fields)) for layout in layouts]
+    events = [layout.event(map(value, layout.fields)) for layout in layouts]
     causes = [None, *(draw.randrange(seq) for seq in range(1, size))]
     return RunRecord(run_id, [draw.choice([0, -5, 2**53 - 1, 77]) for _ in events], causes, events)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, SCHEMA
@@ -213,15 +214,12 @@ def relabelled(run: RunRecord, name: Callable[[str], str]) -> RunRecord:
             for field in LAYOUTS[str(event.__struct_config__.tag)].fields
             if field.values is None and field.name not in ("parameters", "observes")
         ]
+        values = flat(event)
         changes: dict[str, object] = {
-            field.name: name(getattr(event, field.name))
-            for field in free
-            if isinstance(getattr(event, field.name), str)
+            field.name: name(values[field.name]) for field in free if isinstance(values[field.name], str)
         }
         changes |= {
-            field.name: tuple(map(name, getattr(event, field.name)))
-            for field in free
-            if isinstance(getattr(event, field.name), tuple)
+            field.name: tuple(map(name, values[field.name])) for field in free if isinstance(values[field.name], tuple)
         }
-        events.append(msgspec.structs.replace(event, **changes))
+        events.append(with_columns(event, **changes))
     return RunRecord(name(run.run_id), run.times_us, run.caused_by, events)

@@ -56,7 +56,10 @@ def _second(event: StepBeganV1) -> StepBeganV2:
 
 
 def _third(event: StepBeganV2) -> StepBegan:
-    return StepBegan(event.task_id, event.action_id, event.robot, event.step, event.attempt, event.capability, not event.is_own, event.target_role)
+    return StepBegan(
+        subject=Subject(event.task_id, event.action_id), robot=event.robot, step=event.step, attempt=event.attempt,
+        capability=event.capability, is_delegated=not event.is_own, target_role=event.target_role,
+    )
 
 
 '''
@@ -66,8 +69,8 @@ UPCASTERS = "Upcaster(StepBeganV1, StepBeganV2, _second), Upcaster(StepBeganV2, 
 EDITS = (
     (
         "events/task.py",
-        "class StepBegan(Event, frozen=True):",
-        'class StepBegan(Event, frozen=True, tag="StepBegan.v3"):',
+        "class StepBegan(Event, frozen=True, kw_only=True):",
+        'class StepBegan(Event, frozen=True, kw_only=True, tag="StepBegan.v3"):',
     ),
     (
         "events/task.py",
@@ -76,13 +79,13 @@ EDITS = (
     ),
     (
         "runtime/handlers/task.py",
-        "            capability,\n            target[0]",
-        "            capability,\n            bool(target),\n            target[0]",
+        "            capability=capability,\n            target_role=",
+        "            capability=capability,\n            is_delegated=bool(target),\n            target_role=",
     ),
     (
         "events/retired.py",
         "from .upcasting import Upcaster, adding\n",
-        f"from .task import StepBegan\nfrom .upcasting import Upcaster, adding\n{STEPS}",
+        f"from .envelope import Subject\nfrom .task import StepBegan\nfrom .upcasting import Upcaster, adding\n{STEPS}",
     ),
     ("events/retired.py", "] = (RunStartedV1,", "] = (StepBeganV1, StepBeganV2, RunStartedV1,"),
     ("events/retired.py", "] = (adding(RunStartedV1", f"] = ({UPCASTERS}, adding(RunStartedV1"),

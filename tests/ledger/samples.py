@@ -43,7 +43,7 @@ def made_up_run(run_id: str, size: int, seed: int) -> RunRecord:
     draw = random.Random(seed)
     layouts = list(IN_RUNS.values())
     chosen = [layouts[0], *(draw.choice(layouts[1:]) for _ in range(size - 1))]
-    events = [layout.cls(*[_value(field, draw) for field in layout.fields]) for layout in chosen]
+    events = [layout.event([_value(field, draw) for field in layout.fields]) for layout in chosen]
     times = sorted(draw.randrange(60_000_000) for _ in range(size))
     return RunRecord(run_id, times, [None, *(max(0, seq - draw.randrange(1, 5)) for seq in range(1, size))], events)
 
@@ -53,7 +53,7 @@ def run_of_every_type(run_id: str, seed: int) -> RunRecord:
     draw = random.Random(seed)
     first, *others = IN_RUNS.values()
     layouts = [first, *(layout for layout in others for _ in range(2))]
-    events = [layout.cls(*[_value(field, draw) for field in layout.fields]) for layout in layouts]
+    events = [layout.event([_value(field, draw) for field in layout.fields]) for layout in layouts]
     return RunRecord(run_id, list(range(0, 1000 * len(events), 1000)), [None, *range(len(events) - 1)], events)
 
 
@@ -98,7 +98,7 @@ def _any_value(field: Field) -> st.SearchStrategy[object]:
 
 def any_event_of(layout: Layout) -> st.SearchStrategy[Event]:
     """Any event of this type."""
-    return st.builds(layout.cls, **{field.name: _any_value(field) for field in layout.fields})
+    return st.tuples(*map(_any_value, layout.fields)).map(layout.event)
 
 
 any_event = st.one_of([any_event_of(layout) for layout in IN_RUNS.values()])

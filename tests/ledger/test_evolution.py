@@ -26,11 +26,11 @@ OLD = LEDGERS / KEPT / "ledger"
 DECODE = """
 import json, sys
 from pathlib import Path
-import msgspec
 import fsar_ledger
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.store.read import open_ledger
 events = [event for run in open_ledger(Path(sys.argv[1])).runs() for event in run.events if type(event).__name__.startswith("StepBegan")]
-found = [{**msgspec.structs.asdict(event), "type": type(event).__struct_config__.tag} for event in events]
+found = [{**flat(event), "type": type(event).__struct_config__.tag} for event in events]
 print(json.dumps({"package": fsar_ledger.__file__, "events": found}))
 """
 APPEND = """

@@ -11,7 +11,16 @@ from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged, write
 
-PLAN = ExperimentPlanned(("fsar",), ("full",), ("door-relay",), 2, 42, 4, "2", "{}")
+PLAN = ExperimentPlanned(
+    architectures=("fsar",),
+    configurations=("full",),
+    scenarios=("door-relay",),
+    run_count=2,
+    seed=42,
+    fleet_size=4,
+    model_version="2",
+    parameters="{}",
+)
 TASK = TaskCompleted("T1")
 
 

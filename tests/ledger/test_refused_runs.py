@@ -14,6 +14,7 @@ import pytest
 
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, SequenceConflict, UsageError, WriteFailed
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events.envelope import Robot, with_columns
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.task import TaskCompleted
@@ -54,7 +55,7 @@ def seq_with(condition: Callable[[str, Layout], bool]) -> tuple[int, str]:
         (seq, name)
         for seq, layout in layouts
         if seq > 0
-        for name in layout.cls.__struct_fields__
+        for name in (field.name for field in layout.fields)
         if condition(name, layout)
     )
 
@@ -94,7 +95,7 @@ EACH = [(kind, value) for kind, (_, values) in WRONG.items() for value in values
 @pytest.mark.parametrize(("kind", "value"), EACH, ids=[f"{kind}: {value!a:.20}" for kind, value in EACH])
 def test_a_value_that_its_field_cannot_hold_is_refused(path: Path, kind: str, value: object) -> None:
     (seq, field), _ = WRONG[kind]
-    run = with_event(RUN, seq, msgspec.structs.replace(RUN.events[seq], **{field: value}))
+    run = with_event(RUN, seq, with_columns(RUN.events[seq], **{field: value}))
     refused(
         path,
         [BATCHES[2][0], run],
@@ -108,7 +109,7 @@ def test_closed_lists_are_the_same_for_writer_and_verifier() -> None:
     for layout, field in closed:
         event = next(event for event in RUN.events if type(event) is layout.cls)
         values = sorted(field.values or ())
-        events = [msgspec.structs.replace(event, **{field.name: value}) for value in values]
+        events = [with_columns(event, **{field.name: value}) for value in values]
         good = RunRecord("r", range(len(events)), [None, *range(len(events) - 1)], events)
         table = encode([good])
         assert first_flaw(table) is None
@@ -116,7 +117,7 @@ def test_closed_lists_are_the_same_for_writer_and_verifier() -> None:
             InvalidRun,
             match=re.escape(expected := f"seq 0, field {field.name}: found 'perhaps', expected one of {values}"),
         ):
-            encode([with_event(good, 0, msgspec.structs.replace(event, **{field.name: "perhaps"}))])
+            encode([with_event(good, 0, with_columns(event, **{field.name: "perhaps"}))])
         assert expected in str(first_flaw(changed(table, field.name, 0, "perhaps")))
 
 
@@ -183,7 +184,16 @@ def test_a_run_begins_with_its_start_and_has_no_other(path: Path) -> None:
 
 
 def test_what_stands_alone_is_in_no_run(path: Path) -> None:
-    plan = ExperimentPlanned(("fsar",), ("full",), ("door-relay",), 20, 42, 4, "2", "{}")
+    plan = ExperimentPlanned(
+        architectures=("fsar",),
+        configurations=("full",),
+        scenarios=("door-relay",),
+        run_count=20,
+        seed=42,
+        fleet_size=4,
+        model_version="2",
+        parameters="{}",
+    )
     assert stage(path, [RunRecord("plan", [0], [None], [plan])]).rows == 1
     refused(
         path,
@@ -394,9 +404,9 @@ def test_a_ledger_takes_no_more_commits_than_a_folder_holds_names(path: Path, mo
 def observing(*concerns: str) -> RunRecord:
     """A start that says so, two robots that join, and a task that is done."""
     events = [
-        RunStarted("foreign", concerns),
-        RobotJoined("robot/A1", "carrier", 1, None),
-        RobotJoined("robot/A2", "carrier", 1, None),
+        RunStarted(kind="foreign", observes=concerns),
+        RobotJoined(robot=Robot("robot/A1"), role="carrier", team=1, supervisor=None),
+        RobotJoined(robot=Robot("robot/A2"), role="carrier", team=1, supervisor=None),
         TaskCompleted("T1"),
     ]
     return RunRecord("seen", [0, 0, 0, 5], [None, 0, 0, 0], events)
@@ -434,7 +444,7 @@ def test_an_event_of_a_concern_that_its_run_does_not_observe_is_refused_and_cond
 
 def test_what_a_run_observes_it_may_hold_and_other_runs_may_hold_more(path: Path) -> None:
     append_all(path, [[RUN, observing("fleet", "task"), BATCHES[2][0]]])
-    quiet = RunRecord("quiet", [0], [None], [RunStarted("foreign", ())])
+    quiet = RunRecord("quiet", [0], [None], [RunStarted(kind="foreign", observes=())])
     append_all(path, [[quiet]])
     assert verify(path).ok
 
@@ -452,7 +462,7 @@ def test_what_a_run_observes_it_may_hold_and_other_runs_may_hold_more(path: Path
     ],
 )
 def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> None:
-    run = RunRecord("night", [0], [None], [RunStarted("live", ("fleet",), parameters=text)])
+    run = RunRecord("night", [0], [None], [RunStarted(kind="live", observes=("fleet",), parameters=text)])
     refused(
         path,
         [run],
@@ -464,6 +474,15 @@ def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> N
 def test_parameters_of_somebody_elses_are_any_json_object(path: Path, text: str | None) -> None:
     append_all(
         path,
-        [[RunRecord("night", [0], [None], [RunStarted("foreign", ("fleet",), source="example.org", parameters=text)])]],
+        [
+            [
+                RunRecord(
+                    "night",
+                    [0],
+                    [None],
+                    [RunStarted(kind="foreign", observes=("fleet",), source="example.org", parameters=text)],
+                )
+            ]
+        ],
     )
     assert verify(path).ok

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-import msgspec
 import pytest
 
+from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import open_ledger
@@ -35,8 +35,8 @@ def test_a_name_that_is_not_printed_is_refused_before_anything_is_written(tmp_pa
 
 def test_the_field_is_named(tmp_path: Path) -> None:
     for field, value in (("robot", "robot-0\x1b"), ("achieved", ("robot/A1\x1b",))):
-        at = next(at for at, event in enumerate(RUN.events) if field in event.__struct_fields__)
-        events = [*RUN.events[:at], msgspec.structs.replace(RUN.events[at], **{field: value}), *RUN.events[at + 1 :]]
+        at = next(at for at, event in enumerate(RUN.events) if field in flat(event))
+        events = [*RUN.events[:at], with_columns(RUN.events[at], **{field: value}), *RUN.events[at + 1 :]]
         with pytest.raises(ValueError, match=f"seq {at}, field {field}: found 'robot.*x1b'"):
             stage(tmp_path / "ledger", [RunRecord(RUN.run_id, RUN.times_us, RUN.caused_by, events)])
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from fsar_ledger.errors import InvalidRun
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer, stage
@@ -115,10 +116,10 @@ Change = Callable[[RunRecord, st.DrawFn], RunRecord]
 
 def another_value(run: RunRecord, draw: st.DrawFn) -> RunRecord:
     seq = draw(st.integers(0, len(run.events) - 1))
-    names = run.events[seq].__struct_fields__
+    names = tuple(flat(run.events[seq]))
     if not names:
         return run
-    event = msgspec.structs.replace(run.events[seq], **{draw(st.sampled_from(names)): draw(st.sampled_from(ODD))})
+    event = with_columns(run.events[seq], **{draw(st.sampled_from(names)): draw(st.sampled_from(ODD))})
     return with_event(run, seq, event)
 
 

@@ -9,6 +9,7 @@ from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.configuration import CONFIGURATIONS
+from fsar_ledger.events.envelope import Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections import execution, world
@@ -17,6 +18,8 @@ from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
 from tests.runtime.commanded import commanded
+
+A = Robot("robot/A1")
 
 RECORDS_ONLY = {
     "ExperimentPlanned",  # of no run
@@ -115,17 +118,36 @@ def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[in
     opened: dict[int, str] = {}
     for name, outcome in windows:
         if name in opened:
-            state = world.evolve(state, PolicyWindowClosed("robot/A1", "local", str(name)))
+            state = world.evolve(state, PolicyWindowClosed(A, "local", str(name)))
             del opened[name]
         else:
-            state = world.evolve(state, PolicyWindowOpened("robot/A1", "local", str(name), outcome))  # type: ignore[arg-type]
+            state = world.evolve(
+                state,
+                PolicyWindowOpened(
+                    robot=A,
+                    scope="local",
+                    window=str(name),
+                    outcome=outcome,  # type: ignore[arg-type]
+                ),
+            )
             opened[name] = outcome
     expected = "deny" if "deny" in opened.values() else "review" if opened else "allow"
-    assert in_force(state.local, "robot/A1") == expected
+    assert in_force(state.local, A) == expected
 
 
-def queued(name: str, robot: str) -> ExecutionQueued:
-    return ExecutionQueued(name, name, None, None, None, robot, robot, "carry.package", 1, 1, False, False, True)
+def queued(name: str, robot: Robot) -> ExecutionQueued:
+    return ExecutionQueued(
+        subject=Subject(name, name),
+        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
+        robot=robot,
+        on_behalf_of=robot,
+        capability="carry.package",
+        step=1,
+        attempt=1,
+        is_delegated=False,
+        has_approach=False,
+        is_supervised=True,
+    )
 
 
 @given(st.lists(st.integers(0, 9), max_size=40))
@@ -137,15 +159,25 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
     for ordinal, move in enumerate(moves):
         name = f"task-{ordinal}"
         if move % 2 == 0 or not model:
-            state = execution.evolve(state, queued(name, "robot/A1"))
+            state = execution.evolve(state, queued(name, A))
             model.append(name)
         elif move < 6:
-            state = execution.evolve(state, ExecutionFinished(model[0], model[0], None, None, None, "robot/A1"))
+            state = execution.evolve(
+                state,
+                ExecutionFinished(
+                    Subject(model[0], model[0]),
+                    Parties(requested_by=None, executed_by=None, supervised_by=None),
+                    A,
+                ),
+            )
             model.pop(0)
         else:
-            state = execution.evolve(state, ExecutionWithdrawn(model[-1], model[-1], "robot/A1"))
+            state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), A))
             model.pop()
-        assert [*([state.current["robot/A1"]] if model else []), *state.queues.get("robot/A1", ())] == model
+        assert [
+            *([state.current[A]] if model else []),
+            *state.queues.get(A, ()),
+        ] == model
 
 
 def test_events_are_immutable_to_the_leaves() -> None:

@@ -5,6 +5,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
@@ -18,16 +19,23 @@ from fsar_ledger.events.registry import (
 from fsar_ledger.projections import registry
 from fsar_ledger.projections.registry import Offers, Registry, advertisement, enclosing, offers, surface
 
-DOMAINS = {"robot/A1": "", "robot/B1": "hall", "robot/C1": "hall/cell", "robot/D1": "yard/cell/rack"}
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
+DOMAINS = {
+    A: "",
+    B: "hall",
+    C: "hall/cell",
+    D: "yard/cell/rack",
+}
 
 
 def populated() -> Registry:
     """Four robots in four domains, each with two modules."""
     state = registry.INITIAL
     for robot, domain in DOMAINS.items():
-        state = registry.evolve(state, RobotJoined(robot, robot[6], 1, None, domain))
+        state = registry.evolve(state, RobotJoined(robot=robot, role=robot[6], team=1, supervisor=None, domain=domain))
         for capability in ("lift", "open"):
-            state = registry.evolve(state, CapabilityInstalled(robot, capability, "1.0.0"))
+            state = registry.evolve(state, CapabilityInstalled(robot=robot, capability=capability, version="1.0.0"))
     return state
 
 
@@ -39,18 +47,18 @@ def evolved(state: Registry, *events: registry.HANDLES) -> Registry:
 
 NAMES, CAPABILITIES = st.sampled_from(sorted(DOMAINS)), st.sampled_from(("lift", "open"))
 CHANGES = st.one_of(
-    st.builds(CapabilityAdvertised, NAMES, CAPABILITIES, version=st.sampled_from(("1.0.0", "2.0.0"))),
+    st.builds(CapabilityAdvertised, robot=NAMES, capability=CAPABILITIES, version=st.sampled_from(("1.0.0", "2.0.0"))),
     st.builds(CapabilityWithdrawn, NAMES, CAPABILITIES, st.just("x")),
     st.builds(CapabilityRemoved, NAMES, CAPABILITIES),
-    st.builds(CapabilityInstalled, NAMES, CAPABILITIES, st.just("1.0.0")),
+    st.builds(CapabilityInstalled, robot=NAMES, capability=CAPABILITIES, version=st.just("1.0.0")),
     st.builds(
         AvailabilityChanged,
-        NAMES,
-        st.one_of(st.none(), CAPABILITIES),
-        st.sampled_from(("busy", "offline")),
-        st.just("x"),
+        robot=NAMES,
+        capability=st.one_of(st.none(), CAPABILITIES),
+        availability=st.sampled_from(("busy", "offline")),
+        reason=st.just("x"),
     ),
-    st.builds(CapabilityDeprecated, NAMES, CAPABILITIES, st.sampled_from(("1.0.0", "2.0.0"))),
+    st.builds(CapabilityDeprecated, robot=NAMES, capability=CAPABILITIES, version=st.sampled_from(("1.0.0", "2.0.0"))),
 )
 
 
@@ -68,7 +76,8 @@ def test_the_records_are_those_of_a_plain_table(changes: list[Any]) -> None:
                 installed.add(key)
             case CapabilityAdvertised():
                 table[key] = (event.version, "ready", False)
-                state, installed = registry.evolve(state, CapabilityInstalled(*key, event.version)), installed | {key}
+                again = CapabilityInstalled(robot=event.robot, capability=event.capability, version=event.version)
+                state, installed = registry.evolve(state, again), installed | {key}
             case CapabilityWithdrawn():
                 table.pop(key, None)
             case CapabilityRemoved():
@@ -102,7 +111,7 @@ def assert_tidy(found: Offers) -> None:
 
 
 def test_the_registries_around_a_domain_go_outward_and_name_the_one_just_left() -> None:
-    state = evolved(populated(), *[CapabilityAdvertised(robot, "lift") for robot in DOMAINS])
+    state = evolved(populated(), *[CapabilityAdvertised(robot=robot, capability="lift") for robot in DOMAINS])
     levels = [
         (path, [record.robot for record in offers(level, "lift", but)])
         for path, level, but in enclosing(state.offers, "hall/cell")
@@ -111,14 +120,14 @@ def test_the_registries_around_a_domain_go_outward_and_name_the_one_just_left() 
 
 
 def test_a_domain_that_nobody_advertises_in_is_passed_over() -> None:
-    state = evolved(populated(), CapabilityAdvertised("robot/B1", "lift"))
+    state = evolved(populated(), CapabilityAdvertised(robot=B, capability="lift"))
     assert [path for path, _, _ in enclosing(state.offers, "hall/other/corner")] == ["hall", ""]
     assert [path for path, _, _ in enclosing(registry.INITIAL.offers, "hall")] == [""]
 
 
 def test_a_change_touches_only_the_registries_on_its_path() -> None:
-    before = evolved(populated(), *[CapabilityAdvertised(robot, "lift") for robot in DOMAINS])
-    after = evolved(before, AvailabilityChanged("robot/C1", "lift", "busy", "x"))
+    before = evolved(populated(), *[CapabilityAdvertised(robot=robot, capability="lift") for robot in DOMAINS])
+    after = evolved(before, AvailabilityChanged(robot=C, capability="lift", availability="busy", reason="x"))
     assert after.offers.below["yard"] is before.offers.below["yard"]
     assert after.offers.records is before.offers.records
     assert after.offers.ways is before.offers.ways
@@ -126,17 +135,23 @@ def test_a_change_touches_only_the_registries_on_its_path() -> None:
 
 
 def test_a_copy_keeps_what_was_offered_when_it_was_taken() -> None:
-    state = evolved(populated(), CapabilityAdvertised("robot/B1", "lift"), RegistryCached("robot/A1", 5))
-    state = evolved(state, CapabilityWithdrawn("robot/B1", "lift", "x"))
+    state = evolved(
+        populated(),
+        CapabilityAdvertised(robot=B, capability="lift"),
+        RegistryCached(A, 5),
+    )
+    state = evolved(state, CapabilityWithdrawn(B, "lift", "x"))
     assert list(offers(state.offers, "lift")) == []
-    assert [record.robot for record in offers(state.caches["robot/A1"].offers, "lift")] == ["robot/B1"]
+    assert [record.robot for record in offers(state.caches[A].offers, "lift")] == ["robot/B1"]
 
 
 def test_what_was_never_advertised_can_be_withdrawn_deprecated_and_removed_without_effect() -> None:
     state = populated()
     after = evolved(
-        state, CapabilityWithdrawn("robot/D1", "lift", "x"), CapabilityDeprecated("robot/D1", "lift", "1.0.0")
+        state,
+        CapabilityWithdrawn(D, "lift", "x"),
+        CapabilityDeprecated(robot=D, capability="lift", version="1.0.0"),
     )
-    assert advertisement(after, "robot/D1", "lift") is None
+    assert advertisement(after, D, "lift") is None
     assert list(offers(after.offers, "lift")) == []
-    assert not registry.possesses(evolved(after, CapabilityRemoved("robot/D1", "lift")), "robot/D1", "lift")
+    assert not registry.possesses(evolved(after, CapabilityRemoved(D, "lift")), D, "lift")

@@ -3,12 +3,13 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fsar_ledger.events.envelope import Principals, RequestSubject, Robot, Service, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
 from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
 from fsar_ledger.projections.trust import INITIAL, SCOPES, Record, Trust, covers, evolve, scope_of
 
-A, B = "robot/A1", "robot/B1"
+A, B = Robot("robot/A1"), Robot("robot/B1")
 DOOR = "door.open.secure"
 ABOUT = st.tuples(st.sampled_from([None, DOOR, "door.open.basic"]), st.sampled_from([None, "t1", "t2"]))
 SCOPE = st.sampled_from(SCOPES)
@@ -17,33 +18,61 @@ OF_REQUESTER, OF_EXECUTOR = (B, A, DOOR, None), (A, B, DOOR, None)
 
 def folded(*events: object, of: Trust | None = None) -> Trust:
     """Trust after these events, with thresholds set unless a state is given."""
-    state = evolve(INITIAL, TrustThresholdsSet(3, 3, "supervisor/fleet")) if of is None else of
+    state = evolve(INITIAL, TrustThresholdsSet(3, 3, Supervisor("supervisor/fleet"))) if of is None else of
     for event in events:
         state = evolve(state, event)  # type: ignore[arg-type]
     return state
 
 
-def issued(action: str = "t1/1", relay: str | None = None) -> RequestIssued:
-    return RequestIssued("t1", action, action, A, A, B, None, (A,), DOOR, "allow", relay)
+def issued(action: str = "t1/1", relay: Robot | None = None) -> RequestIssued:
+    return RequestIssued(
+        subject=RequestSubject("t1", action, action),
+        principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
+        capability=DOOR,
+        carried_policy="allow",
+        relay=relay,
+    )
 
 
-def closed(action: str = "t1/1", result: str = "success", by: str | None = B) -> RequestClosed:
-    return RequestClosed("t1", action, action, "service/coordination", A, by, None, ("service/coordination",), result)  # type: ignore[arg-type]
+def closed(action: str = "t1/1", result: str = "success", by: Robot | None = B) -> RequestClosed:
+    return RequestClosed(
+        RequestSubject("t1", action, action),
+        Principals(
+            decided_by=Service("service/coordination"),
+            requested_by=A,
+            executed_by=by,
+            supervised_by=None,
+            path=(Service("service/coordination"),),
+        ),
+        result,  # type: ignore[arg-type]
+    )
 
 
 def denied(reason: str, action: str = "t1/1") -> RequestDenied:
-    return RequestDenied("t1", action, action, B, A, B, None, (B,), reason)
+    return RequestDenied(
+        RequestSubject("t1", action, action),
+        Principals(decided_by=B, requested_by=A, executed_by=B, supervised_by=None, path=(B,)),
+        reason,
+    )
 
 
-def failed(action: str = "t1/1", robot: str = B) -> ExecutionFailed:
-    return ExecutionFailed("t1", action, robot, 1, "obstruction", 0, 0)
+def failed(action: str = "t1/1", robot: Robot = B) -> ExecutionFailed:
+    return ExecutionFailed(
+        subject=Subject("t1", action), robot=robot, failure=1, cause="obstruction", remaining_us=0, detected_us=0
+    )
 
 
 @given(st.lists(st.tuples(ABOUT, SCOPE), max_size=9), ABOUT)
 def test_the_most_specific_entry_holds_and_of_one_entry_the_last_word(
     entries: list[tuple[tuple[str | None, str | None], str]], asked: tuple[str, str]
 ) -> None:
-    state = folded(*[TrustSet(A, B, scope, *about) for about, scope in entries], of=INITIAL)  # type: ignore[arg-type]
+    state = folded(
+        *[
+            TrustSet(robot=A, peer=B, scope=scope, capability=about[0], context=about[1])  # type: ignore[arg-type]
+            for about, scope in entries
+        ],
+        of=INITIAL,
+    )
     last = dict(entries)
     capability, context = asked
     expected = next(
@@ -102,7 +131,7 @@ def test_a_failed_result_counts_against_the_executor_and_a_partial_one_only_ends
 
 
 def test_success_after_a_reassignment_is_that_of_the_robot_that_executed() -> None:
-    other = "robot/D1"
+    other = Robot("robot/D1")
     assert folded(issued(), failed(), closed(by=other)).records == {
         OF_EXECUTOR: Record(0, 1),
         (A, other, DOOR, None): Record(1, 0),
@@ -111,7 +140,7 @@ def test_success_after_a_reassignment_is_that_of_the_robot_that_executed() -> No
 
 
 def test_results_through_a_relay_count_for_nobody() -> None:
-    assert folded(issued(relay="robot/C1"), closed()).records == {}
+    assert folded(issued(relay=Robot("robot/C1")), closed()).records == {}
 
 
 def test_without_thresholds_nothing_is_kept_and_without_them_again_it_is_forgotten() -> None:
@@ -121,22 +150,42 @@ def test_without_thresholds_nothing_is_kept_and_without_them_again_it_is_forgott
 
 def test_what_is_set_begins_the_rows_that_it_is_about_again() -> None:
     state = folded(issued(), closed())
-    assert folded(TrustSet(B, A, "task", DOOR), of=state).records == {OF_EXECUTOR: Record(1, 0)}
-    assert folded(TrustSet(B, A, "task"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
-    assert folded(TrustSet(B, A, "task", "carry.heavy"), of=state).records == state.records
+    assert folded(TrustSet(robot=B, peer=A, scope="task", capability=DOOR), of=state).records == {
+        OF_EXECUTOR: Record(1, 0)
+    }
+    assert folded(TrustSet(robot=B, peer=A, scope="task"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
+    assert folded(TrustSet(robot=B, peer=A, scope="task", capability="carry.heavy"), of=state).records == state.records
 
 
 def test_results_count_for_the_trust_that_holds_in_their_context() -> None:
     of_context = (B, A, DOOR, "t1")
-    assert folded(TrustSet(B, A, "task", DOOR, "t1"), issued(), denied("trust")).records == {of_context: Record(0, 1)}
-    assert folded(TrustSet(B, A, "task", None, "t1"), issued(), denied("trust")).records == {of_context: Record(0, 1)}
     assert folded(
-        TrustSet(B, A, "task", None, "t1"), TrustSet(B, A, "task", DOOR), issued(), denied("trust")
+        TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t1"), issued(), denied("trust")
+    ).records == {of_context: Record(0, 1)}
+    assert folded(
+        TrustSet(robot=B, peer=A, scope="task", capability=None, context="t1"), issued(), denied("trust")
+    ).records == {of_context: Record(0, 1)}
+    assert folded(
+        TrustSet(robot=B, peer=A, scope="task", capability=None, context="t1"),
+        TrustSet(robot=B, peer=A, scope="task", capability=DOOR),
+        issued(),
+        denied("trust"),
     ).records == {OF_REQUESTER: Record(0, 1)}
-    assert folded(TrustSet(B, A, "task", DOOR, "t2"), issued(), denied("trust")).records == {OF_REQUESTER: Record(0, 1)}
+    assert folded(
+        TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t2"), issued(), denied("trust")
+    ).records == {OF_REQUESTER: Record(0, 1)}
 
 
 def test_what_is_set_for_one_context_leaves_the_rows_of_the_others() -> None:
-    state = folded(TrustSet(B, A, "task", DOOR, "t1"), issued(), closed())
-    assert folded(TrustSet(B, A, "task", DOOR), TrustSet(B, A, "task", DOOR, "t2"), of=state).records == state.records
-    assert folded(TrustSet(B, A, "session", None, "t1"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
+    state = folded(TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t1"), issued(), closed())
+    assert (
+        folded(
+            TrustSet(robot=B, peer=A, scope="task", capability=DOOR),
+            TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t2"),
+            of=state,
+        ).records
+        == state.records
+    )
+    assert folded(TrustSet(robot=B, peer=A, scope="session", capability=None, context="t1"), of=state).records == {
+        OF_EXECUTOR: Record(1, 0)
+    }

@@ -2,13 +2,12 @@
 
 from typing import Any
 
-import msgspec
 import pytest
 
 from fsar_ledger.events import AnyEvent
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import Architecture, Scenario
-from fsar_ledger.events.execution import ExecutionStarted, RoutinePerformed
+from fsar_ledger.events.envelope import Architecture, Scenario, with_columns
+from fsar_ledger.events.execution import ExecutionStarted, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.recovery import RecoveryEscalated
 from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.ledger.rows.codec import encode
@@ -27,7 +26,7 @@ def changed(event: type[AnyEvent], **fields: Any) -> Wiring:
 
     def mutated(decide: Any) -> Any:
         return lambda state, command: tuple(
-            msgspec.structs.replace(one, **fields) if isinstance(one, event) else one for one in decide(state, command)
+            with_columns(one, **fields) if isinstance(one, event) else one for one in decide(state, command)
         )
 
     return Wiring({command: mutated(decide) for command, decide in FSAR.decides.items()}, FSAR.reacts)
@@ -41,7 +40,11 @@ def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
 
 def unchecked_routine(state: Any, command: DecideRoutine) -> tuple[Any, ...]:
     """FSAR's handler, which moves whatever it is told."""
-    return tuple(RoutinePerformed(**msgspec.structs.asdict(one)) for one in FSAR.decides[DecideRoutine](state, command))
+    return tuple(
+        RoutinePerformed(one.principals, one.robot, one.operation)
+        for one in FSAR.decides[DecideRoutine](state, command)
+        if isinstance(one, RoutinePerformed | RoutineWithheld)
+    )
 
 
 MUTATED: tuple[tuple[str, Wiring], ...] = (

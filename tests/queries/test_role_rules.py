@@ -6,7 +6,7 @@ from itertools import product
 from random import Random
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
@@ -28,6 +28,8 @@ from tests.queries.test_rules_and_trust import ASKED, REFUSED, rule, unchecked_s
 from tests.runtime.governed import H_F, governed
 from tests.runtime.live import of, played
 
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
 OUTCOMES: tuple[PolicyOutcome, ...] = ("allow", "deny", "review")
 SCOPES: tuple[PolicyScope, ...] = ("local", "fleet")
 ABOUT = list(product((DOOR, LIFT), ("t1", "t2")))
@@ -41,9 +43,27 @@ def history(seed: int) -> list[Event]:
         scope, outcome = draw.choice(SCOPES), draw.choice(OUTCOMES)
         about = (draw.choice((None, None, DOOR, LIFT)), draw.choice((None, None, "t1", "t2")))
         if draw.random() < 0.3:
-            events.append(PolicyRuleSet(scope, draw.choice((*ROBOTS, None)), *about, outcome, None))
+            events.append(
+                PolicyRuleSet(
+                    scope=scope,
+                    robot=draw.choice((*ROBOTS, None)),
+                    capability=about[0],
+                    context=about[1],
+                    outcome=outcome,
+                    decided_by=None,
+                )
+            )
         else:
-            events.append(RolePolicyRuleSet(scope, draw.choice("AB"), outcome, draw.choice(DOMAINS), *about))
+            events.append(
+                RolePolicyRuleSet(
+                    scope=scope,
+                    role=draw.choice("AB"),
+                    outcome=outcome,
+                    domain=draw.choice(DOMAINS),
+                    capability=about[0],
+                    context=about[1],
+                )
+            )
     for member in MEMBERS:
         events.insert(draw.randint(0, len(events)), member)
     return events
@@ -92,37 +112,100 @@ def test_handlers_and_queries_find_the_same_rules_of_robot_role_domain_capabilit
     assert seen == {*OUTCOMES, None}
 
 
-OF_B = RolePolicyRuleSet("fleet", "B", "deny", "", DOOR)
+OF_B = RolePolicyRuleSet(scope="fleet", role="B", outcome="deny", domain="", capability=DOOR)
 NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
     "its role": ((OF_B,), "deny"),
-    "another role": ((RolePolicyRuleSet("fleet", "A", "deny"),), None),
-    "the robots' own": ((RolePolicyRuleSet("local", "B", "deny"),), None),
-    "the robot": ((OF_B, PolicyRuleSet("fleet", "robot/B1", DOOR, None, "allow", None)), "allow"),
-    "the robot before": ((PolicyRuleSet("fleet", "robot/B1", DOOR, None, "review", None), OF_B), "review"),
-    "another robot": ((OF_B, PolicyRuleSet("fleet", "robot/B2", DOOR, None, "allow", None)), "deny"),
-    "its own, not the fleet's": ((OF_B, PolicyRuleSet("local", "robot/B1", DOOR, None, "allow", None)), "deny"),
-    "about everything": ((OF_B, PolicyRuleSet("fleet", "robot/B1", None, None, "allow", None)), "deny"),
-    "in one context": ((OF_B, PolicyRuleSet("fleet", "robot/B1", DOOR, "t1", "allow", None)), "deny"),
-    "every robot": ((OF_B, PolicyRuleSet("fleet", None, DOOR, None, "allow", None)), "deny"),
-    "every robot before": (
-        (PolicyRuleSet("fleet", None, DOOR, None, "deny", None), RolePolicyRuleSet("fleet", "B", "allow", "", DOOR)),
+    "another role": ((RolePolicyRuleSet(scope="fleet", role="A", outcome="deny"),), None),
+    "the robots' own": ((RolePolicyRuleSet(scope="local", role="B", outcome="deny"),), None),
+    "the robot": (
+        (
+            OF_B,
+            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None),
+        ),
+        "allow",
+    ),
+    "the robot before": (
+        (
+            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="review", decided_by=None),
+            OF_B,
+        ),
+        "review",
+    ),
+    "another robot": (
+        (
+            OF_B,
+            PolicyRuleSet(
+                scope="fleet", robot=Robot("robot/B2"), capability=DOOR, context=None, outcome="allow", decided_by=None
+            ),
+        ),
         "deny",
     ),
-    "replaced": ((OF_B, RolePolicyRuleSet("fleet", "B", "review", "", DOOR)), "review"),
-    "its domain": ((OF_B, RolePolicyRuleSet("fleet", "B", "allow", "hall", DOOR)), "allow"),
-    "its domain before": ((RolePolicyRuleSet("fleet", "B", "allow", "hall/cell", DOOR), OF_B), "allow"),
-    "another domain": ((OF_B, RolePolicyRuleSet("fleet", "B", "allow", "yard", DOOR)), "deny"),
-    "half a name": ((OF_B, RolePolicyRuleSet("fleet", "B", "allow", "hal", DOOR)), "deny"),
+    "its own, not the fleet's": (
+        (
+            OF_B,
+            PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None),
+        ),
+        "deny",
+    ),
+    "about everything": (
+        (
+            OF_B,
+            PolicyRuleSet(scope="fleet", robot=B, capability=None, context=None, outcome="allow", decided_by=None),
+        ),
+        "deny",
+    ),
+    "in one context": (
+        (
+            OF_B,
+            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context="t1", outcome="allow", decided_by=None),
+        ),
+        "deny",
+    ),
+    "every robot": (
+        (
+            OF_B,
+            PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=None),
+        ),
+        "deny",
+    ),
+    "every robot before": (
+        (
+            PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=None),
+            RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="", capability=DOOR),
+        ),
+        "deny",
+    ),
+    "replaced": (
+        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="review", domain="", capability=DOOR)),
+        "review",
+    ),
+    "its domain": (
+        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hall", capability=DOOR)),
+        "allow",
+    ),
+    "its domain before": (
+        (RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hall/cell", capability=DOOR), OF_B),
+        "allow",
+    ),
+    "another domain": (
+        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="yard", capability=DOOR)),
+        "deny",
+    ),
+    "half a name": (
+        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hal", capability=DOOR)),
+        "deny",
+    ),
 }
 """Rules of the fleet about robot/B1, which works in hall/cell, and what they make of the secure door in t1."""
 
 
 def test_a_rule_is_replaced_by_a_nearer_one_about_the_same_and_by_nothing_else() -> None:
-    runs = {name: (RobotJoined("robot/B1", "B", 1, None, "hall/cell"), *rules) for name, (rules, _) in NEARNESS.items()}
+    runs = {
+        name: (RobotJoined(robot=B, role="B", team=1, supervisor=None, domain="hall/cell"), *rules)
+        for name, (rules, _) in NEARNESS.items()
+    }
     expected = {name: outcome for name, (_, outcome) in NEARNESS.items()}
-    assert {
-        name: policy.ruled(folded(events), "fleet", "robot/B1", DOOR, "t1") for name, events in runs.items()
-    } == expected
+    assert {name: policy.ruled(folded(events), "fleet", B, DOOR, "t1") for name, events in runs.items()} == expected
     with from_rows([one for name, events in runs.items() for one in run(*map(row, events), run_id=name)]) as database:
         found = in_force(database, 5, DOOR, "t1")
     assert {name: found[name, "robot/B1", "fleet"] for name in runs} == {
@@ -240,11 +323,11 @@ def test_a_refusal_against_a_mandate_of_the_role_is_a_conflict_unless_the_robot_
 
 # --- runs ---
 
-A1, B1, B2 = "robot/A1", "robot/B1", "robot/B2"
+A1, B1, B2 = A, B, Robot("robot/B2")
 COMMANDS = (
     (1 * S, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR)),
     (2 * S, SetPolicyRule(H_F, "fleet", B1, DOOR, None, "allow")),
-    (3 * S, JoinFleet(B2, "B", 2, "supervisor/B2", "yard")),
+    (3 * S, JoinFleet(B2, "B", 2, Supervisor("supervisor/B2"), "yard")),
     (3 * S, InstallCapability(B2, DOOR, "1.0.0")),
     (4 * S, AdvertiseCapability(B2, DOOR, "1.0.0")),
     (5 * S, RequestCapability(A1, B1, DOOR, "visit", "excepted")),
@@ -271,8 +354,8 @@ def offences(database: Database) -> dict[tuple[str, str], int]:
 
 def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queries_agree_at_every_moment() -> None:
     one = played(COMMANDS)
-    began = {event.action_id for _, event in of(one, ExecutionStarted)}  # type: ignore[attr-defined]
-    denied = {(event.action_id, event.reason) for _, event in of(one, RequestDenied)}  # type: ignore[attr-defined]
+    began = {event.subject.action_id for _, event in of(one, ExecutionStarted)}  # type: ignore[attr-defined]
+    denied = {(event.subject.action_id, event.reason) for _, event in of(one, RequestDenied)}  # type: ignore[attr-defined]
     assert began == {"excepted", "of the yard"}
     assert denied == {("of the role", "policy"), ("of the visit", "policy"), ("no longer excepted", "policy")}
     with from_table(encode([RunRecord("r1", one.times_us, one.caused_by, one.events)]), threads=1) as database:
@@ -289,11 +372,21 @@ def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queri
 
 
 INTERVENTIONS = (
-    (2, RolePolicyRuleSet("fleet", "B", "deny", "", DOOR, None, H_F)),
-    (3, RolePolicyRuleSet("local", "A", "deny", "", "carry.package")),
-    (60 * S, PolicyRuleSet("fleet", B1, DOOR, None, "allow", H_F)),
-    (70 * S, RolePolicyRuleSet("fleet", "B", "deny", "", DOOR, None, H_F)),
-    (80 * S, RolePolicyRuleSet("local", "A", "allow", "", "carry.package")),
+    (
+        2,
+        RolePolicyRuleSet(
+            scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
+        ),
+    ),
+    (3, RolePolicyRuleSet(scope="local", role="A", outcome="deny", domain="", capability="carry.package")),
+    (60 * S, PolicyRuleSet(scope="fleet", robot=B1, capability=DOOR, context=None, outcome="allow", decided_by=H_F)),
+    (
+        70 * S,
+        RolePolicyRuleSet(
+            scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
+        ),
+    ),
+    (80 * S, RolePolicyRuleSet(scope="local", role="A", outcome="allow", domain="", capability="carry.package")),
 )
 
 

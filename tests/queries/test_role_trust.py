@@ -3,11 +3,10 @@
 from itertools import permutations
 from random import Random
 
-import msgspec
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import TrustScope
+from fsar_ledger.events.envelope import Robot, TrustScope, flat
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections import trust
@@ -16,10 +15,18 @@ from fsar_ledger.runtime.world.founding import founding
 from tests.queries.histories import Row, answer, event, run
 from tests.recycled import from_rows
 
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
 DOOR, LIFT = "door.open.secure", "carry.heavy"
 DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")
 MEMBERS = [
-    RobotJoined(f"robot/{role}{team}", role, team, None, DOMAINS[(team * 3 + offset) % len(DOMAINS)])
+    RobotJoined(
+        robot=Robot(f"robot/{role}{team}"),
+        role=role,
+        team=team,
+        supervisor=None,
+        domain=DOMAINS[(team * 3 + offset) % len(DOMAINS)],
+    )
     for team in (1, 2)
     for offset, role in enumerate("AB")
 ]
@@ -37,7 +44,7 @@ def row(one: Event, time_us: int = 0) -> Row:
     return event(
         type(one).__name__,
         time_us,
-        **{name: value for name, value in msgspec.structs.asdict(one).items() if value is not None},
+        **{name: value for name, value in flat(one).items() if value is not None},
     )
 
 
@@ -50,9 +57,18 @@ def history(seed: int) -> list[Event]:
         about = (draw.choice((None, None, DOOR, LIFT)), draw.choice((None, None, "t1", "t2")))
         if draw.random() < 0.3:
             robot, peer = draw.sample(ROBOTS, 2)
-            events.append(TrustSet(robot, peer, scope, *about))
+            events.append(TrustSet(robot=robot, peer=peer, scope=scope, capability=about[0], context=about[1]))
         else:
-            events.append(RoleTrustSet(draw.choice("AB"), draw.choice("AB"), scope, draw.choice(DOMAINS), *about))
+            events.append(
+                RoleTrustSet(
+                    role=draw.choice("AB"),
+                    peer_role=draw.choice("AB"),
+                    scope=scope,
+                    domain=draw.choice(DOMAINS),
+                    capability=about[0],
+                    context=about[1],
+                )
+            )
     for member in MEMBERS:
         events.insert(draw.randint(0, len(events)), member)
     return events
@@ -103,22 +119,61 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
 @pytest.mark.parametrize(
     ("entries", "scope"),
     [
-        ((RoleTrustSet("B", "A", "task"),), "task"),
-        ((RoleTrustSet("A", "B", "task"),), "none"),
-        ((TrustSet("robot/B1", "robot/A1", "none"), RoleTrustSet("B", "A", "task")), "none"),
-        ((TrustSet("robot/B1", "robot/A1", "none", LIFT), RoleTrustSet("B", "A", "task")), "task"),
-        ((RoleTrustSet("B", "A", "session", "hall"), RoleTrustSet("B", "A", "task", "", DOOR, "t1")), "session"),
-        ((RoleTrustSet("B", "A", "session", "yard"), RoleTrustSet("B", "A", "task")), "task"),
-        ((RoleTrustSet("B", "A", "session", "hal"), RoleTrustSet("B", "A", "task")), "task"),
-        ((RoleTrustSet("B", "A", "task", "", DOOR), RoleTrustSet("B", "A", "none")), "task"),
+        ((RoleTrustSet(role="B", peer_role="A", scope="task"),), "task"),
+        ((RoleTrustSet(role="A", peer_role="B", scope="task"),), "none"),
+        (
+            (
+                TrustSet(robot=B, peer=A, scope="none"),
+                RoleTrustSet(role="B", peer_role="A", scope="task"),
+            ),
+            "none",
+        ),
+        (
+            (
+                TrustSet(robot=B, peer=A, scope="none", capability=LIFT),
+                RoleTrustSet(role="B", peer_role="A", scope="task"),
+            ),
+            "task",
+        ),
+        (
+            (
+                RoleTrustSet(role="B", peer_role="A", scope="session", domain="hall"),
+                RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR, context="t1"),
+            ),
+            "session",
+        ),
+        (
+            (
+                RoleTrustSet(role="B", peer_role="A", scope="session", domain="yard"),
+                RoleTrustSet(role="B", peer_role="A", scope="task"),
+            ),
+            "task",
+        ),
+        (
+            (
+                RoleTrustSet(role="B", peer_role="A", scope="session", domain="hal"),
+                RoleTrustSet(role="B", peer_role="A", scope="task"),
+            ),
+            "task",
+        ),
+        (
+            (
+                RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR),
+                RoleTrustSet(role="B", peer_role="A", scope="none"),
+            ),
+            "task",
+        ),
     ],
 )
 def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger(
     entries: tuple[Event, ...], scope: str
 ) -> None:
-    joined = (RobotJoined("robot/A1", "A", 1, None, "hall/cell"), RobotJoined("robot/B1", "B", 1, None, "hall"))
+    joined = (
+        RobotJoined(robot=A, role="A", team=1, supervisor=None, domain="hall/cell"),
+        RobotJoined(robot=B, role="B", team=1, supervisor=None, domain="hall"),
+    )
     state = folded([*joined, *entries])
-    assert trust.scope_of(state, "robot/B1", "robot/A1", DOOR, "t1") == scope
+    assert trust.scope_of(state, B, A, DOOR, "t1") == scope
     rows = run(*(row(one) for one in (*joined, *entries)))
     with from_rows(rows) as database:
         found = database.query("audit/trust_at", {"robot": "robot/B1", "capability": DOOR, "context": "t1"}).to_pylist()
@@ -126,10 +181,16 @@ def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger
 
 
 def test_a_robot_that_is_no_member_is_trusted_only_by_name() -> None:
-    state = folded([MEMBERS[0], RoleTrustSet("A", "A", "task"), TrustSet("robot/A1", "robot/X9", "session")])
-    assert trust.scope_of(state, "robot/A1", "robot/X9") == "session"
-    assert trust.scope_of(state, "robot/A1", "robot/X8") == "none"
-    assert trust.scope_of(state, "robot/X9", "robot/A1") == "none"
+    state = folded(
+        [
+            MEMBERS[0],
+            RoleTrustSet(role="A", peer_role="A", scope="task"),
+            TrustSet(robot=A, peer=Robot("robot/X9"), scope="session"),
+        ]
+    )
+    assert trust.scope_of(state, A, Robot("robot/X9")) == "session"
+    assert trust.scope_of(state, A, Robot("robot/X8")) == "none"
+    assert trust.scope_of(state, Robot("robot/X9"), A) == "none"
 
 
 @pytest.mark.parametrize("fleet_size", [4, 16])
@@ -159,9 +220,9 @@ def test_no_trust_is_in_force_before_both_robots_are_members() -> None:
 
 def test_a_robot_that_is_recorded_as_joining_twice_is_one_member_as_in_the_state() -> None:
     joined = [
-        RobotJoined("robot/B1", "A", 1, None, "hall"),
-        RobotJoined("robot/A1", "A", 1, None),
-        RobotJoined("robot/B1", "B", 2, None, "yard"),
+        RobotJoined(robot=B, role="A", team=1, supervisor=None, domain="hall"),
+        RobotJoined(robot=A, role="A", team=1, supervisor=None),
+        RobotJoined(robot=B, role="B", team=2, supervisor=None, domain="yard"),
     ]
     state = fold(joined)
     rows = run(*(row(one, number) for number, one in enumerate(joined)))

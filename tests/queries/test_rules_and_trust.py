@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.events.envelope import POLICY
+from fsar_ledger.events.envelope import POLICY, Robot, Supervisor
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.supervision import SupervisionDensitySet
 from fsar_ledger.events.trust import TrustThresholdsSet
@@ -21,7 +21,7 @@ from tests.queries.histories import Row, answer, event, measured, run
 from tests.recycled import from_rows, from_table
 from tests.runtime.governed import H_F, governed, record
 
-H_B = "supervisor/B1"
+H_B = Supervisor("supervisor/B1")
 DOOR = "door.open.secure"
 ROBOTS = tuple(
     event("RobotJoined", robot=f"robot/{name}1", role=name, team=1, supervisor=f"supervisor/{name}1") for name in "AB"
@@ -393,12 +393,32 @@ def test_the_absence_that_excuses_is_that_of_the_robots_own_supervisor(
 
 GOVERNANCE = (
     (2, TrustThresholdsSet(2, 1, H_F)),
-    (3, SupervisionDensitySet(None, 2, H_F, "start-up")),
-    (4, PolicyRuleSet("fleet", None, DOOR, None, "allow", H_F)),
-    (5, PolicyRuleSet("local", "robot/B1", DOOR, None, "deny", H_B)),
-    (50_000_000, PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)),
-    (90_000_000, PolicyRuleSet("fleet", "robot/B1", None, None, "deny", H_F)),
-    (110_000_000, PolicyRuleSet("fleet", "robot/B1", None, None, "allow", H_F)),
+    (3, SupervisionDensitySet(robot=None, review_every=2, decided_by=H_F, reason="start-up")),
+    (4, PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)),
+    (
+        5,
+        PolicyRuleSet(
+            scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="deny", decided_by=H_B
+        ),
+    ),
+    (
+        50_000_000,
+        PolicyRuleSet(
+            scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=H_B
+        ),
+    ),
+    (
+        90_000_000,
+        PolicyRuleSet(
+            scope="fleet", robot=Robot("robot/B1"), capability=None, context=None, outcome="deny", decided_by=H_F
+        ),
+    ),
+    (
+        110_000_000,
+        PolicyRuleSet(
+            scope="fleet", robot=Robot("robot/B1"), capability=None, context=None, outcome="allow", decided_by=H_F
+        ),
+    ),
 )
 
 

@@ -9,7 +9,18 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Architecture, RecoveryLevel, Scenario
+from fsar_ledger.events.envelope import (
+    FLEET_SUPERVISOR,
+    Architecture,
+    Coordinator,
+    Principal,
+    Principals,
+    RecoveryLevel,
+    Robot,
+    Scenario,
+    Subject,
+    Supervisor,
+)
 from fsar_ledger.events.execution import ExecutionFailed, OwnStepDecided, RoutinePerformed
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import FailureResolved
@@ -20,6 +31,8 @@ from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.report.findings import SCENARIOS, Findings
 from fsar_ledger.report.gather import gather
+
+A = Robot("robot/A1")
 
 ARCHITECTURES: tuple[Architecture, ...] = ("fsar", "cfc", "dhma")
 PARAMETERS = '{"structure":{"poll_us":1000000},"world":{"message":{"high_s":0.5,"low_s":0.05},"motion_share":0.24}}'
@@ -50,34 +63,31 @@ def _events(
         1,
         TaskArrived(
             task_id="t1",
-            robot="robot/A1",
+            robot=A,
             team=1,
             steps=("A navigate.indoor",),
             budget_us=60_000_000,
             due_us=60_000_001,
         ),
     )
-    yield 2, _decision("t1/1", "robot/A1", ("robot/A1",))
+    yield 2, _decision("t1/1", A, (A,))
     for number in range(bad):
         action = f"t1/{number + 2}"
-        yield 3, _decision(action, "coordinator", ("robot/A1", "coordinator"))
-        for claimant in ("robot/A1", "coordinator"):
+        yield 3, _decision(action, Coordinator("coordinator"), (A, Coordinator("coordinator")))
+        for claimant in (A, Coordinator("coordinator")):
             yield (
                 3,
-                AuthorityClaimed(
-                    task_id="t1", action_id=action, dimension="override", claimant=claimant, reason="execution"
-                ),
+                AuthorityClaimed(Subject("t1", action), dimension="override", claimant=claimant, reason="execution"),
             )
-    yield 4, PolicyWindowOpened(robot="robot/A1", scope="local", window="w1", outcome="deny")
+    yield 4, PolicyWindowOpened(robot=A, scope="local", window="w1", outcome="deny")
     for _ in range(bad):
         yield 5, _motion()
     if scenario != "door-relay":  # containment and latency stay undefined there
         yield (
             6,
             ExecutionFailed(
-                task_id="t1",
-                action_id="t1/1",
-                robot="robot/A1",
+                subject=Subject("t1", "t1/1"),
+                robot=A,
                 failure=1,
                 cause="obstruction",
                 remaining_us=1_000_000,
@@ -87,39 +97,42 @@ def _events(
         level: RecoveryLevel = "local" if bad < 2 else "human"
         yield (
             6 + (1 + bad) * 700_000,
-            FailureResolved(task_id="t1", action_id="t1/1", robot="robot/A1", failure=1, level=level),
+            FailureResolved(Subject("t1", "t1/1"), robot=A, failure=1, level=level),
         )
     if bad > 2:
         yield (
             9_000_000,
-            SupervisorCalled(task_id="t1", action_id="t1/1", supervisor=FLEET_SUPERVISOR, purpose="recovery"),
+            SupervisorCalled(subject=Subject("t1", "t1/1"), supervisor=FLEET_SUPERVISOR, purpose="recovery"),
         )
     if bad < 3:
         yield 10_000_000, TaskCompleted(task_id="t1")
 
 
-def _decision(action: str, decided_by: str, path: tuple[str, ...]) -> Event:
-    origin = "robot/A1" if decided_by == "robot/A1" else None
+def _decision(action: str, decided_by: Principal, path: tuple[Principal, ...]) -> Event:
+    origin = A if decided_by == "robot/A1" else None
     return OwnStepDecided(
-        task_id="t1",
-        action_id=action,
-        decided_by=decided_by,
-        requested_by=origin,
-        executed_by="robot/A1",
-        supervised_by="supervisor/A1",
-        path=path,
+        Subject("t1", action),
+        Principals(
+            decided_by=decided_by,
+            requested_by=origin,
+            executed_by=A,
+            supervised_by=Supervisor("supervisor/A1"),
+            path=path,
+        ),
         capability="navigate.indoor",
     )
 
 
 def _motion() -> Event:
     return RoutinePerformed(
-        decided_by="robot/A1",
-        requested_by="robot/A1",
-        executed_by="robot/A1",
-        supervised_by=None,
-        path=("robot/A1",),
-        robot="robot/A1",
+        Principals(
+            decided_by=A,
+            requested_by=A,
+            executed_by=A,
+            supervised_by=None,
+            path=(A,),
+        ),
+        robot=A,
         operation="motion",
     )
 

@@ -15,6 +15,7 @@ from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, ON_RECORD_ALONE, without
+from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
 from fsar_ledger.ledger.rows.codec import encode
@@ -122,11 +123,9 @@ def is_deed(event: Event) -> bool:
 def what(event: Event) -> Any:
     """The event without who is on record for it."""
     anybody: dict[str, Any] = {
-        name: None if name != "path" else ()
-        for name in ("decided_by", "requested_by", "path")
-        if name in event.__struct_fields__
+        name: None if name != "path" else () for name in ("decided_by", "requested_by", "path") if name in flat(event)
     }
-    return msgspec.structs.replace(event, **anybody)
+    return with_columns(event, **anybody)
 
 
 def test_a_mechanism_is_looked_for_in_the_architecture_that_has_it() -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from fsar_ledger.constants import DURATIONS, Constants, Range, WorldConstants
 from fsar_ledger.events import AnyEvent, Event
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events.envelope import Robot, Supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
@@ -25,7 +26,7 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, run_key
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
-HELPER = "robot/F1"
+HELPER = Robot("robot/F1")
 WORLD = WorldConstants(durations=(*DURATIONS, ("fly", Range(1.0, 2.0))))  # a robot may be given what no scenario knows
 PUBLIC: tuple[type[Command], ...] = tuple(
     sorted((kind for kind in FSAR.decides if issubclass(kind, PublicCommand)), key=lambda kind: kind.__name__)
@@ -90,22 +91,45 @@ def founding(
 
     With a helper there is one robot more that can do everything for everybody and that no command names.
     """
-    names = [f"robot/{role}{team}" for role, team, *_ in fleet]
+    names = [robot_named(role, team) for role, team, *_ in fleet]
     parameters = msgspec.json.encode(Constants(), order="deterministic").decode()
-    events: list[Event] = [RunStarted("live", CONCERNS, "fsar", "full", fleet_size=len(fleet), parameters=parameters)]
+    events: list[Event] = [
+        RunStarted(
+            kind="live",
+            observes=CONCERNS,
+            architecture="fsar",
+            configuration="full",
+            fleet_size=len(fleet),
+            parameters=parameters,
+        )
+    ]
     for name, (role, team, has_supervisor, domain, _) in zip(names, fleet, strict=True):
-        events.append(RobotJoined(name, role, team, f"supervisor/{role}{team}" if has_supervisor else None, domain))
+        events.append(
+            RobotJoined(
+                robot=name,
+                role=role,
+                team=team,
+                supervisor=Supervisor(f"supervisor/{role}{team}") if has_supervisor else None,
+                domain=domain,
+            )
+        )
     for name, (*_, capabilities) in zip(names, fleet, strict=True):
         for capability in sorted(capabilities):
-            events += [CapabilityInstalled(name, capability, "1.0.0"), CapabilityAdvertised(name, capability)]
+            events += [
+                CapabilityInstalled(robot=name, capability=capability, version="1.0.0"),
+                CapabilityAdvertised(robot=name, capability=capability),
+            ]
     for one, other, scope in trust:
         if one % len(names) != other % len(names):
-            events.append(TrustSet(names[one % len(names)], names[other % len(names)], scope))
+            events.append(TrustSet(robot=names[one % len(names)], peer=names[other % len(names)], scope=scope))
     if has_helper:
-        events.append(RobotJoined(HELPER, "F", 1, "supervisor/F1"))
+        events.append(RobotJoined(robot=HELPER, role="F", team=1, supervisor=Supervisor("supervisor/F1")))
         for capability in (*CAPABILITIES, "fly"):
-            events += [CapabilityInstalled(HELPER, capability, "1.0.0"), CapabilityAdvertised(HELPER, capability)]
-        events += [TrustSet(HELPER, name, "persistent") for name in names]
+            events += [
+                CapabilityInstalled(robot=HELPER, capability=capability, version="1.0.0"),
+                CapabilityAdvertised(robot=HELPER, capability=capability),
+            ]
+        events += [TrustSet(robot=HELPER, peer=name, scope="persistent") for name in names]
     return tuple(events)
 
 

@@ -1,5 +1,6 @@
 """One run in which every command from outside is given that no simulated world gives: what only they emit is here."""
 
+from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.registry import CapabilityAdvertised
 from fsar_ledger.runtime.handlers.advertising import DeprecateCapability, WithdrawCapability
 from fsar_ledger.runtime.handlers.authority import GrantAuthority, RevokeAuthority
@@ -15,35 +16,43 @@ from fsar_ledger.runtime.handlers.trust import SetTrust, SetTrustThresholds
 from fsar_ledger.runtime.kernel import Kernel
 from tests.runtime.live import played
 
-DOOR, H_F, S = "door.open.secure", "supervisor/fleet", 1_000_000
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
+DOOR, H_F, S = "door.open.secure", Supervisor("supervisor/fleet"), 1_000_000
 COMMANDS: list[tuple[int, Command]] = [
-    (1 * S, JoinFleet("robot/A1", "A", 1)),  # a member already
-    (2 * S, CacheRegistry("robot/A1")),
-    (3 * S, ConsultRegistry(Query("robot/A1", "grasp.*"), "robot/A1")),
+    (1 * S, JoinFleet(A, "A", 1)),  # a member already
+    (2 * S, CacheRegistry(A)),
+    (3 * S, ConsultRegistry(Query(A, "grasp.*"), A)),
     (4 * S, SetTrustThresholds(H_F, 3, 2)),
-    (5 * S, SetTrust("supervisor/B1", "robot/B1", "robot/D1", "session", reason="worked well")),
-    (6 * S, SetSupervisionDensity(H_F, "robot/B1", 40, "quiet hour")),
-    (7 * S, SetRecoveryBudget("supervisor/B1", "robot/B1", "local", 20 * S, 1)),
-    (8 * S, GrantAuthority(H_F, "robot/D1", "robot/B1", "hard-preempt")),
-    (9 * S, RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")),
-    (13 * S, RequestCapability("robot/D1", "robot/B1", DOOR, "visit", "q2", "hard-preempt")),
+    (
+        5 * S,
+        SetTrust(Supervisor("supervisor/B1"), B, D, "session", reason="worked well"),
+    ),
+    (6 * S, SetSupervisionDensity(H_F, B, 40, "quiet hour")),
+    (7 * S, SetRecoveryBudget(Supervisor("supervisor/B1"), B, "local", 20 * S, 1)),
+    (8 * S, GrantAuthority(H_F, D, B, "hard-preempt")),
+    (9 * S, RequestCapability(A, B, DOOR, "visit", "q1")),
+    (13 * S, RequestCapability(D, B, DOOR, "visit", "q2", "hard-preempt")),
     (
         40 * S,
-        RequestCapability("robot/A1", "robot/B1", "door.open.basic", "visit", "q3", "soft-priority"),
+        RequestCapability(A, B, "door.open.basic", "visit", "q3", "soft-priority"),
     ),  # more than is allowed
-    (45 * S, AnswerOffer("robot/A1", "q3", True)),
-    (60 * S, RevokeAuthority(H_F, "robot/A1", "robot/B1")),
+    (45 * S, AnswerOffer(A, "q3", True)),
+    (60 * S, RevokeAuthority(H_F, A, B)),
     (61 * S, SetPolicyRule(H_F, "fleet", None, "carry.heavy", None, "allow")),
-    (62 * S, SetPolicyRule("supervisor/D1", "local", "robot/D1", "carry.heavy", None, "deny")),
-    (63 * S, RequestCapability("robot/A1", "robot/D1", "carry.heavy", "visit", "q4")),  # mandated, and denied
+    (62 * S, SetPolicyRule(Supervisor("supervisor/D1"), "local", D, "carry.heavy", None, "deny")),
+    (
+        63 * S,
+        RequestCapability(A, D, "carry.heavy", "visit", "q4"),
+    ),  # mandated, and denied
     (64 * S, SetRolePolicyRule(H_F, "B", "review", capability=DOOR)),
-    (70 * S, SubmitTask("robot/C1", "round", ("C navigate.indoor", "C inspect.visual"), 60 * S)),
-    (80 * S, DeprecateCapability("robot/C1", "inspect.visual", "1.0.0")),
-    (81 * S, WithdrawCapability("robot/C1", "inspect.visual", "cleaning")),
-    (82 * S, RemoveCapability("robot/C1", "inspect.visual")),
+    (70 * S, SubmitTask(C, "round", ("C navigate.indoor", "C inspect.visual"), 60 * S)),
+    (80 * S, DeprecateCapability(C, "inspect.visual", "1.0.0")),
+    (81 * S, WithdrawCapability(C, "inspect.visual", "cleaning")),
+    (82 * S, RemoveCapability(C, "inspect.visual")),
 ]
 
 
 def commanded() -> Kernel:
     """The finished run."""
-    return played(COMMANDS, CapabilityAdvertised("robot/B1", DOOR, override_allowed="hard-preempt"))
+    return played(COMMANDS, CapabilityAdvertised(robot=B, capability=DOOR, override_allowed="hard-preempt"))

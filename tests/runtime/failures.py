@@ -3,24 +3,24 @@
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import RecoveryLevel
+from fsar_ledger.events.envelope import Parties, RecoveryLevel, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State, apply
 from tests.runtime.histories import given
 
-A, B, C, D = "robot/A1", "robot/B1", "robot/C1", "robot/D1"
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 STEPS = ("A navigate.indoor", "A carry.package")
 ACTION = "A1-1/2.1"
 
 
 def executing(
-    robot: str = A,
+    robot: Robot = A,
     capability: str = "carry.package",
     *before: Event,
-    owner: str = A,
-    behalf: str | None = None,
+    owner: Robot = A,
+    behalf: Robot | None = None,
     checkpoints: tuple[str, ...] | None = None,
     configuration: str = "full",
 ) -> State:
@@ -29,12 +29,36 @@ def executing(
     return given(
         "fsar",
         *before,
-        TaskArrived("A1-1", owner, 1, STEPS, 60_000_000, 65_000_000, checkpoints),
-        StepBegan("A1-1", ACTION, behalf, 2, 1, capability),
-        ExecutionQueued(
-            "A1-1", ACTION, behalf, robot, None, robot, behalf, capability, 2, 1, robot != behalf, robot != behalf, True
+        TaskArrived(
+            task_id="A1-1",
+            robot=owner,
+            team=1,
+            steps=STEPS,
+            budget_us=60_000_000,
+            due_us=65_000_000,
+            checkpoints=checkpoints,
         ),
-        ExecutionStarted("A1-1", ACTION, behalf, robot, None, robot, behalf, capability, 3_000_000),
+        StepBegan(subject=Subject("A1-1", ACTION), robot=behalf, step=2, attempt=1, capability=capability),
+        ExecutionQueued(
+            subject=Subject("A1-1", ACTION),
+            principals=Parties(requested_by=behalf, executed_by=robot, supervised_by=None),
+            robot=robot,
+            on_behalf_of=behalf,
+            capability=capability,
+            step=2,
+            attempt=1,
+            is_delegated=robot != behalf,
+            has_approach=robot != behalf,
+            is_supervised=True,
+        ),
+        ExecutionStarted(
+            subject=Subject("A1-1", ACTION),
+            principals=Parties(requested_by=behalf, executed_by=robot, supervised_by=None),
+            robot=robot,
+            on_behalf_of=behalf,
+            capability=capability,
+            ends_us=3_000_000,
+        ),
         configuration=configuration,
     )
 
@@ -42,7 +66,17 @@ def executing(
 def failed(state: State, level: RecoveryLevel = "local", cause: str = "obstruction") -> State:
     """The execution has failed at 2 s, and its recovery has come to this level."""
     action = state.execution.actions[ACTION]
-    apply(state, ExecutionFailed("A1-1", ACTION, action.robot, 1, cause, 1_000_000, 2_000_000))  # type: ignore[arg-type]
+    apply(
+        state,
+        ExecutionFailed(
+            subject=Subject("A1-1", ACTION),
+            robot=action.robot,
+            failure=1,
+            cause=cause,  # type: ignore[arg-type]
+            remaining_us=1_000_000,
+            detected_us=2_000_000,
+        ),
+    )
     state.recovery = {ACTION: msgspec.structs.replace(state.recovery[ACTION], level=level)}
     return state
 

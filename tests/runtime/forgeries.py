@@ -6,10 +6,9 @@ A forger who owns the writer can give such a run hashes that agree; only the han
 from itertools import count
 from typing import Any, NamedTuple
 
-import msgspec
-
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Robot, Subject, with_columns
 from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,
@@ -86,15 +85,14 @@ def seq_of(kind: type[Event], after: int = 0, record: RunRecord = HONEST) -> int
 
 def restated(seq: int, /, **fields: Any) -> RunRecord:
     """The honest record, with other values in one event."""
-    return changed(HONEST, seq, msgspec.structs.replace(HONEST.events[seq], **fields))
+    return changed(HONEST, seq, with_columns(HONEST.events[seq], **fields))
 
 
 def denied(seq: int) -> RequestDenied:
     """A refusal in the place of this admission."""
     admitted = HONEST.events[seq]
     assert isinstance(admitted, RequestAdmitted)
-    envelope = {name: getattr(admitted, name) for name in RequestDenied.__struct_fields__ if name != "reason"}
-    return RequestDenied(**envelope, reason="policy")
+    return RequestDenied(admitted.subject, admitted.principals, "policy")
 
 
 class Forgery(NamedTuple):
@@ -157,7 +155,10 @@ FORGERIES = {
         restated(TRUST, scope="persistent"), TRUST, "scope", "world.founding.founding"
     ),
     "a robot trusts one robot more at the founding": Forgery(
-        added(HONEST, TRUST, TrustSet("robot/A1", "robot/C1", "task"), 0, 0), TRUST, "type", "world.founding.founding"
+        added(HONEST, TRUST, TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/C1"), scope="task"), 0, 0),
+        TRUST,
+        "type",
+        "world.founding.founding",
     ),
     "an execution starts early": Forgery(
         changed(HONEST, STARTED, time_us=HONEST.times_us[STARTED] - 1), STARTED, "time_us", "fsar.execution.start"
@@ -179,7 +180,7 @@ FORGERIES = {
         restated(FINISHED, result="partial"), FINISHED, "result", "handlers.execution.finish_attempt"
     ),
     "a withheld routine is performed": Forgery(
-        changed(HONEST, WITHHELD, RoutinePerformed(*msgspec.structs.astuple(withheld))),
+        changed(HONEST, WITHHELD, RoutinePerformed(withheld.principals, withheld.robot, withheld.operation)),
         WITHHELD,
         "type",
         "fsar.execution.decide_routine",
@@ -198,7 +199,18 @@ FORGERIES = {
     ),
     "a task is begun that did not arrive": Forgery(
         added(
-            HONEST, DUE, StepBegan("A9-1", "A9-1/1.1", "robot/A1", 1, 1, "carry.package", None), HONEST.times_us[DUE], 0
+            HONEST,
+            DUE,
+            StepBegan(
+                subject=Subject("A9-1", "A9-1/1.1"),
+                robot=Robot("robot/A1"),
+                step=1,
+                attempt=1,
+                capability="carry.package",
+                target_role=None,
+            ),
+            HONEST.times_us[DUE],
+            0,
         ),
         DUE,
         "type",
@@ -208,7 +220,7 @@ FORGERIES = {
         dropped(HONEST, DUE), DUE, "type", "world.schedule.schedule"
     ),
     "a fact of the world is added, without its consequence": Forgery(
-        added(HONEST, LAST + 1, RoutineDue("robot/A1", "sensing"), LATE, 0), LAST + 1, "type", None
+        added(HONEST, LAST + 1, RoutineDue(Robot("robot/A1"), "sensing"), LATE, 0), LAST + 1, "type", None
     ),
     "a robot fails without a cause in the world": Forgery(
         added(HONEST, STARTED + 1, HONEST.events[FAILED], HONEST.times_us[STARTED] + 1, STARTED),

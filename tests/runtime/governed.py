@@ -2,7 +2,7 @@
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Scenario
+from fsar_ledger.events.envelope import Scenario, Supervisor
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.wiring import Wiring
@@ -12,7 +12,7 @@ from fsar_ledger.runtime.world.draws import Draws, run_key
 from fsar_ledger.runtime.world.founding import founding
 from fsar_ledger.runtime.world.schedule import schedule
 
-H_F = "supervisor/fleet"
+H_F = Supervisor("supervisor/fleet")
 
 
 def governed(scenario: Scenario, *interventions: tuple[int, Event], run: int = 0, structure: Wiring = FSAR) -> Kernel:

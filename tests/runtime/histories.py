@@ -5,7 +5,7 @@ from typing import Any
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, Robot, Subject
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
 from fsar_ledger.projections.fold import State, fold
@@ -14,13 +14,31 @@ from fsar_ledger.runtime.simulation import RunSpec, kernel, run_started
 from fsar_ledger.runtime.world.founding import founding
 
 STEPS = ("A navigate.indoor", "A door.open.secure B")
-ARRIVED = TaskArrived("A1-1", "robot/A1", 1, STEPS, 60_000_000, 65_000_000)
-SECOND: tuple[Event, ...] = (  # another task of the same robot that needs the same door
-    TaskArrived("A1-2", "robot/A1", 1, STEPS, 60_000_000, 65_000_000),
-    StepBegan("A1-2", "A1-2/2.1", "robot/A1", 2, 1, "door.open.secure", "B"),
+ARRIVED = TaskArrived(
+    task_id="A1-1", robot=Robot("robot/A1"), team=1, steps=STEPS, budget_us=60_000_000, due_us=65_000_000
 )
-OWN_STEP = StepBegan("A1-1", "A1-1/1.1", "robot/A1", 1, 1, "navigate.indoor")
-DELEGATED_STEP = StepBegan("A1-1", "A1-1/2.1", "robot/A1", 2, 1, "door.open.secure", "B")
+SECOND: tuple[Event, ...] = (  # another task of the same robot that needs the same door
+    TaskArrived(task_id="A1-2", robot=Robot("robot/A1"), team=1, steps=STEPS, budget_us=60_000_000, due_us=65_000_000),
+    StepBegan(
+        subject=Subject("A1-2", "A1-2/2.1"),
+        robot=Robot("robot/A1"),
+        step=2,
+        attempt=1,
+        capability="door.open.secure",
+        target_role="B",
+    ),
+)
+OWN_STEP = StepBegan(
+    subject=Subject("A1-1", "A1-1/1.1"), robot=Robot("robot/A1"), step=1, attempt=1, capability="navigate.indoor"
+)
+DELEGATED_STEP = StepBegan(
+    subject=Subject("A1-1", "A1-1/2.1"),
+    robot=Robot("robot/A1"),
+    step=2,
+    attempt=1,
+    capability="door.open.secure",
+    target_role="B",
+)
 
 
 def started(architecture: Architecture, configuration: Configuration = "full") -> tuple[Event, ...]:
@@ -34,9 +52,9 @@ def given(architecture: Architecture, *events: Event, configuration: Configurati
     return fold((*started(architecture, configuration), *events))
 
 
-def window(robot: str, outcome: Any = "deny", scope: Any = "local") -> PolicyWindowOpened:
+def window(robot: Robot, outcome: Any = "deny", scope: Any = "local") -> PolicyWindowOpened:
     """A policy window at the robot."""
-    return PolicyWindowOpened(robot, scope, f"{scope}/{robot[6:]}/0", outcome)
+    return PolicyWindowOpened(robot=robot, scope=scope, window=f"{scope}/{robot[6:]}/0", outcome=outcome)
 
 
 def finished(spec: RunSpec, constants: Constants | None = None) -> Kernel:

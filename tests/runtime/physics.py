@@ -8,7 +8,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages, Range, WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, flat
 from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,
@@ -106,7 +106,7 @@ def deeds(runs: Played) -> Iterator[tuple[State, int, str, Event]]:
     """What a robot does or decides: its execution, its decisions, its answers; with the state before it and the time."""
     doing = (ExecutionStarted, ExecutionResumed, ExecutionFinished, ExecutionFailed, ExecutionPaused, RoutinePerformed)
     for state, time_us, event in runs.told():
-        robot = event.robot if isinstance(event, doing) else robot_of(getattr(event, "decided_by", None))
+        robot = event.robot if isinstance(event, doing) else robot_of(flat(event).get("decided_by"))
         if robot in state.fleet.robots:
             yield state, time_us, robot, event
         if isinstance(event, AssistanceEnded):

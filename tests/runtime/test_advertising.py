@@ -8,6 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
@@ -38,8 +39,17 @@ from fsar_ledger.runtime.handlers.advertising import (
 from fsar_ledger.runtime.handlers.commands import Command
 from tests.runtime.histories import given, types
 
-DOOR = ("robot/B1", "door.open.secure")
-GRIP = CapabilityInstalled("robot/B1", "grasp", "1.4.0", ("object.seen",), ("object.held", "object.level"), ("arm",))
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
+DOOR = (B, Robot("door.open.secure"))
+GRIP = CapabilityInstalled(
+    robot=B,
+    capability="grasp",
+    version="1.4.0",
+    preconditions=("object.seen",),
+    postconditions=("object.held", "object.level"),
+    resources=("arm",),
+)
 
 
 def advertise(**fields: Any) -> AdvertiseCapability:
@@ -58,7 +68,7 @@ def test_an_advertisement_has_all_seven_fields_and_who_may_see_it() -> None:
     )
     [event] = advertise_capability(given("fsar", GRIP), command)
     state = given("fsar", GRIP, event)
-    record = advertisement(state.registry, "robot/B1", "grasp")
+    record = advertisement(state.registry, B, "grasp")
     assert record is not None
     assert (record.version, record.contract) == (
         "1.4.0",
@@ -113,7 +123,7 @@ def test_what_cannot_be_advertised_is_refused(command: AdvertiseCapability, reas
 
 def test_a_withdrawn_capability_is_off_the_surface_and_still_possessed() -> None:
     [event] = withdraw_capability(given("fsar"), WithdrawCapability(*DOOR, "jammed"))
-    assert event == CapabilityWithdrawn(*DOOR, "jammed")
+    assert event == CapabilityWithdrawn(DOOR[0], DOOR[1], "jammed")
     state = given("fsar", event)
     assert advertisement(state.registry, *DOOR) is None
     assert possesses(state.registry, *DOOR)
@@ -122,61 +132,79 @@ def test_a_withdrawn_capability_is_off_the_surface_and_still_possessed() -> None
 
 def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
     [one] = report_availability(given("fsar"), ReportAvailability(*DOOR, "restricted", "inspection"))
-    [everything] = report_availability(given("fsar"), ReportAvailability("robot/B1", None, "offline", "charging"))
-    assert [record.availability for record in surface(given("fsar", one).registry, "robot/B1")] == [
+    [everything] = report_availability(given("fsar"), ReportAvailability(B, None, "offline", "charging"))
+    assert [record.availability for record in surface(given("fsar", one).registry, B)] == [
         "ready",
         "ready",
         "restricted",
     ]
-    assert {record.availability for record in surface(given("fsar", everything).registry, "robot/B1")} == {"offline"}
+    assert {record.availability for record in surface(given("fsar", everything).registry, B)} == {"offline"}
 
 
 def test_a_deprecated_version_names_its_successor() -> None:
     [event] = deprecate_capability(given("fsar"), DeprecateCapability(*DOOR, "1.0.0", "2.0.0"))
-    assert event == CapabilityDeprecated(*DOOR, "1.0.0", "2.0.0")
+    assert event == CapabilityDeprecated(robot=DOOR[0], capability=DOOR[1], version="1.0.0", successor="2.0.0")
     record = advertisement(given("fsar", event).registry, *DOOR)
     assert record is not None
     assert (record.is_deprecated, record.successor) == (True, "2.0.0")
 
 
-WITHDRAWN = CapabilityWithdrawn(*DOOR, "jammed")
-EMPTY = [
-    CapabilityWithdrawn("robot/B1", name, "jammed")
-    for name in ("navigate.indoor", "door.open.basic", "door.open.secure")
-]
+WITHDRAWN = CapabilityWithdrawn(DOOR[0], DOOR[1], "jammed")
+EMPTY = [CapabilityWithdrawn(B, name, "jammed") for name in ("navigate.indoor", "door.open.basic", "door.open.secure")]
 
 
 @pytest.mark.parametrize(
     ("events", "command", "reason"),
     [
-        ((), WithdrawCapability("robot/Z9", "door.open.secure", "x"), "unknown robot"),
-        ((), WithdrawCapability("robot/B1", "teleport", "x"), "does not advertise teleport"),
-        ((), ReportAvailability("robot/Z9", None, "busy", "x"), "unknown robot"),
-        ((), ReportAvailability("robot/B1", "teleport", "busy", "x"), "does not advertise teleport"),
+        ((), WithdrawCapability(Robot("robot/Z9"), "door.open.secure", "x"), "unknown robot"),
+        ((), WithdrawCapability(B, "teleport", "x"), "does not advertise teleport"),
+        ((), ReportAvailability(Robot("robot/Z9"), None, "busy", "x"), "unknown robot"),
+        ((), ReportAvailability(B, "teleport", "busy", "x"), "does not advertise teleport"),
         ((), ReportAvailability("robot/B1", None, "asleep", "x"), "unknown, expected one of ready"),  # type: ignore[arg-type]
-        (EMPTY, ReportAvailability("robot/B1", None, "busy", "x"), "advertises nothing"),
-        ((), ReportAvailability("robot/B1", None, "offline", "no answer"), "expected a reason of its own"),
-        ((), DeprecateCapability("robot/Z9", "door.open.secure", "1.0.0"), "unknown robot"),
+        (EMPTY, ReportAvailability(B, None, "busy", "x"), "advertises nothing"),
+        ((), ReportAvailability(B, None, "offline", "no answer"), "expected a reason of its own"),
+        ((), DeprecateCapability(Robot("robot/Z9"), "door.open.secure", "1.0.0"), "unknown robot"),
         ((WITHDRAWN,), DeprecateCapability(*DOOR, "1.0.0"), "does not advertise"),
         ((), DeprecateCapability(*DOOR, "2.0.0"), "expected 1.0.0"),
-        ((CapabilityDeprecated(*DOOR, "1.0.0"),), DeprecateCapability(*DOOR, "1.0.0"), "already"),
+        (
+            (CapabilityDeprecated(robot=DOOR[0], capability=DOOR[1], version="1.0.0"),),
+            DeprecateCapability(*DOOR, "1.0.0"),
+            "already",
+        ),
         ((), DeprecateCapability(*DOOR, "1.0.0", "0.9.0"), "not newer"),
         ((), DeprecateCapability(*DOOR, "1.0.0", "next"), "no version"),
-        ((), UpgradeCapability("robot/Z9", "door.open.secure", "2.0.0"), "unknown robot"),
-        ((), UpgradeCapability("robot/B1", "teleport", "2.0.0"), "does not possess"),
+        ((), UpgradeCapability(Robot("robot/Z9"), "door.open.secure", "2.0.0"), "unknown robot"),
+        ((), UpgradeCapability(B, "teleport", "2.0.0"), "does not possess"),
         ((), UpgradeCapability(*DOOR, "1.0.0"), "not newer"),
         ((), UpgradeCapability(*DOOR, "new"), "no version"),
         ((), UpgradeCapability(*DOOR, "2.0.0", preconditions=("lit", "not lit")), "contradict"),
-        ((AvailabilityChanged("robot/B1", None, "offline", "x"),), UpgradeCapability(*DOOR, "2.0.0"), "is offline"),
         (
-            (AvailabilityChanged(*DOOR, "restricted", "roll-out of 2.0.0"),),
+            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="x"),),
+            UpgradeCapability(*DOOR, "2.0.0"),
+            "is offline",
+        ),
+        (
+            (
+                AvailabilityChanged(
+                    robot=DOOR[0], capability=DOOR[1], availability="restricted", reason="roll-out of 2.0.0"
+                ),
+            ),
             UpgradeCapability(*DOOR, "3.0.0"),
             "in no other roll-out",
         ),
         (
             (
                 ExecutionQueued(
-                    "t", "t/1", None, None, None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True
+                    subject=Subject("t", "t/1"),
+                    principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
+                    robot=B,
+                    on_behalf_of=A,
+                    capability="door.open.secure",
+                    step=1,
+                    attempt=1,
+                    is_delegated=True,
+                    has_approach=True,
+                    is_supervised=True,
                 ),
             ),
             UpgradeCapability(*DOOR, "2.0.0"),
@@ -209,7 +237,13 @@ def rolling_out(state: State, events: tuple[Event, ...]) -> FinishRollOut:
 
 def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on_its_terms() -> None:
     terms = CapabilityAdvertised(
-        *DOOR, ("A",), trust_required="task", override_allowed="soft-priority", visibility="domain", embodiment=("arm",)
+        robot=DOOR[0],
+        capability=DOOR[1],
+        visible_to=("A",),
+        trust_required="task",
+        override_allowed="soft-priority",
+        visibility="domain",
+        embodiment=("arm",),
     )
     state = given("fsar", terms)
     events = upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
@@ -221,13 +255,12 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
     assert begun == FinishRollOut(*DOOR)
     [shown] = finish_roll_out(state, begun)
     assert shown == CapabilityAdvertised(
-        *DOOR,
-        ("A",),
-        "2.0.0",
-        (),
-        ("door.opened",),
-        (),
-        "task",
+        robot=DOOR[0],
+        capability=DOOR[1],
+        visible_to=("A",),
+        version="2.0.0",
+        postconditions=("door.opened",),
+        trust_required="task",
         override_allowed="soft-priority",
         embodiment=("arm",),
         visibility="domain",
@@ -253,16 +286,28 @@ def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
     ("before", "meanwhile", "shown"),
     [
         (None, None, "ready"),
-        (AvailabilityChanged(*DOOR, "degraded", "actuator"), None, "degraded"),
-        (AvailabilityChanged(*DOOR, "busy", "tour"), None, "busy"),
         (
-            AvailabilityChanged("robot/B1", "door.open.basic", "degraded", "actuator"),
+            AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="degraded", reason="actuator"),
+            None,
+            "degraded",
+        ),
+        (AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="busy", reason="tour"), None, "busy"),
+        (
+            AvailabilityChanged(robot=B, capability="door.open.basic", availability="degraded", reason="actuator"),
             None,
             "ready",
         ),  # that is another capability
-        (ActuatorDegraded("robot/B1"), None, "ready"),  # nobody has noticed yet
-        (None, AvailabilityChanged("robot/B1", None, "ready", "all well"), "ready"),
-        (None, AvailabilityChanged("robot/B1", None, "offline", "charging"), "offline"),
+        (ActuatorDegraded(B), None, "ready"),  # nobody has noticed yet
+        (
+            None,
+            AvailabilityChanged(robot=B, capability=None, availability="ready", reason="all well"),
+            "ready",
+        ),
+        (
+            None,
+            AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),
+            "offline",
+        ),
     ],
 )
 def test_a_new_version_is_as_available_as_the_robot_has_said(
@@ -280,7 +325,7 @@ def test_a_new_version_is_as_available_as_the_robot_has_said(
 def test_an_upgrade_during_a_roll_out_is_shown_once() -> None:
     state = given("fsar")
     first = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
-    apply(state, AvailabilityChanged(*DOOR, "ready", "in haste"))
+    apply(state, AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="ready", reason="in haste"))
     second = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "3.0.0")))
     [advertised] = finish_roll_out(state, first)
     apply(state, advertised)
@@ -325,9 +370,9 @@ def test_whatever_is_commanded_the_surface_is_part_of_what_is_possessed(commands
             apply(state, event)
         if types(events) == ["CommandRejected"]:
             assert state.registry is before
-        for record in surface(state.registry, "robot/B1"):
-            assert possesses(state.registry, "robot/B1", record.capability)
-            installed = state.registry.modules["robot/B1"][record.capability].version
+        for record in surface(state.registry, B):
+            assert possesses(state.registry, B, record.capability)
+            installed = state.registry.modules[B][record.capability].version
             assert (
                 record.version == installed
                 or record.availability == "restricted"

@@ -17,6 +17,7 @@ from hypothesis import settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.execution import ExecutionPreempted
 from fsar_ledger.events.request import RequestAdmitted, RequestCountered, RequestDenied, RequestIssued
 from fsar_ledger.ledger.rows.codec import RunRecord, encode
@@ -99,8 +100,8 @@ def disagreements(record: RunRecord) -> Iterator[str]:
         if isinstance(event, ExecutionPreempted):
             # One reaction records what gives way and what takes the robot; between the two it has nothing in hand.
             between[f"{seq:06}"] = ("state", event.robot)
-        if isinstance(event, RequestIssued) and event.action_id is not None:
-            asked[event.action_id] = event
+        if isinstance(event, RequestIssued) and event.subject.action_id is not None:
+            asked[event.subject.action_id] = event
     for prefixes in _prefixes(record):
         with from_table(encode(prefixes)) as database:
             found = said_by_queries(database)
@@ -119,13 +120,20 @@ def disagreements(record: RunRecord) -> Iterator[str]:
 
 def _rights_at(state: State, seq: int, event: Event, asked: dict[str, RequestIssued]) -> Said:
     """Return whether the last word on each who asks is a revocation, where the event judges a request."""
-    if not isinstance(event, EVALUATIONS) or (issued := asked.get(event.action_id or "")) is None:
+    if not isinstance(event, EVALUATIONS) or (issued := asked.get(event.subject.action_id or "")) is None:
         return {}
-    judge = event.executed_by or issued.executed_by
-    executor = issued.relay if issued.relay is not None and event.decided_by == issued.relay else judge
+    asked_by = issued.principals.requested_by
+    judge = event.principals.executed_by or issued.principals.executed_by
+    executor = issued.relay if issued.relay is not None and event.principals.decided_by == issued.relay else judge
     said: Said = {}
-    for asker in {issued.requested_by, issued.relay or issued.requested_by}:
-        right = right_of(state.authority, str(asker), str(executor), issued.capability, issued.task_id or "")
+    for asker in {asked_by, issued.relay or asked_by}:
+        right = right_of(
+            state.authority,
+            Robot(str(asker)),
+            Robot(str(executor)),
+            issued.capability,
+            issued.subject.task_id or "",
+        )
         if right is not None:
             said["right", seq, asker] = type(right).__name__ == "AuthorityRevoked"
     return said

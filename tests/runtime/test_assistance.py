@@ -1,7 +1,7 @@
 """A helper's work is work: what stops it, and what recovery does then."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FailureCause
+from fsar_ledger.events.envelope import FailureCause, Robot, Subject, Supervisor
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceFailed,
@@ -23,12 +23,14 @@ from tests.runtime.failures import ACTION, A, B, D, executing, failed
 from tests.runtime.histories import types
 
 DOOR = "door.open.basic"
-D_TOO = TrustSet(D, B, "session", None, None, "supervisor/D1", "")  # D's body could help B as well
+D_TOO = TrustSet(
+    robot=D, peer=B, scope="session", capability=None, context=None, decided_by=Supervisor("supervisor/D1"), reason=""
+)  # D's body could help B as well
 
 
 def helped(
-    *before: Event, robot: str = B, capability: str = DOOR, cause: FailureCause = "obstruction"
-) -> tuple[State, str]:
+    *before: Event, robot: Robot = B, capability: str = DOOR, cause: FailureCause = "obstruction"
+) -> tuple[State, Robot]:
     """A failure with which a peer is helping now, and that peer."""
     state = failed(executing(robot, capability, *before), "peer", cause)
     made = ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000))
@@ -38,17 +40,30 @@ def helped(
     return state, admitted.helper
 
 
-def ended(state: State, helper: str, drawn: int = 1) -> tuple[Event, ...]:
+def ended(state: State, helper: Robot, drawn: int = 1) -> tuple[Event, ...]:
     return end_assistance(state, EndAssistance(ACTION, helper, 1, drawn=drawn))
 
 
 def asked_again(state: State, now_us: int = 9_000_000) -> tuple[Event, ...]:
     """What comes of the question that follows help that failed."""
-    apply(state, AssistanceFailed("A1-1", ACTION, state.execution.actions[ACTION].robot, A, 1, "obstruction"))
+    apply(
+        state,
+        AssistanceFailed(
+            subject=Subject("A1-1", ACTION),
+            robot=state.execution.actions[ACTION].robot,
+            helper=A,
+            failure=1,
+            cause="obstruction",
+        ),
+    )
     [again, last] = [
         one.command
         for react in FSAR.reacts[AssistanceFailed]
-        for one in react(state, AssistanceFailed("A1-1", ACTION, B, A, 1, "obstruction"), 0)
+        for one in react(
+            state,
+            AssistanceFailed(subject=Subject("A1-1", ACTION), robot=B, helper=A, failure=1, cause="obstruction"),
+            0,
+        )
     ]
     assert isinstance(again, AskPeers)
     assert isinstance(last, AskPeers)
@@ -97,7 +112,9 @@ def test_help_ends_once() -> None:
 
 
 def test_a_peer_that_could_not_help_is_not_asked_again() -> None:
-    more = RecoveryBudgetSet(B, "peer", 30_000_000, 3, "supervisor/B1")
+    more = RecoveryBudgetSet(
+        robot=B, level="peer", t_max_us=30_000_000, n_max=3, decided_by=Supervisor("supervisor/B1")
+    )
     state, helper = helped(more)
     assert helper == A
     escalated = asked_again(state)[0]
@@ -106,7 +123,9 @@ def test_a_peer_that_could_not_help_is_not_asked_again() -> None:
 
 
 def test_the_next_peer_is_asked_as_long_as_the_budget_lasts() -> None:
-    more = RecoveryBudgetSet(B, "peer", 30_000_000, 3, "supervisor/B1")
+    more = RecoveryBudgetSet(
+        robot=B, level="peer", t_max_us=30_000_000, n_max=3, decided_by=Supervisor("supervisor/B1")
+    )
     requested, _ = asked_again(helped(more, D_TOO)[0])
     assert isinstance(requested, AssistanceRequested)
     assert (requested.helper, requested.since_us) == (D, 2_500_000)
@@ -122,7 +141,7 @@ def test_a_peer_that_does_not_answer_is_nobodys_help() -> None:
     apply(state, RobotWentOff(A))
     assert ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000)) == ()
     escalated, silent = ask_peers(state, AskPeers(ACTION, 2_500_000, failure=1, is_last=True, now_us=8_000_000))[:2]
-    assert silent == AvailabilityChanged(A, None, "offline", "no answer")
+    assert silent == AvailabilityChanged(robot=A, capability=None, availability="offline", reason="no answer")
     assert isinstance(escalated, RecoveryEscalated)
     assert escalated.reason == "no trusted peer"
 

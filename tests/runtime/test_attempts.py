@@ -3,7 +3,7 @@
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, Parties, Principals, RequestSubject, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
@@ -29,20 +29,30 @@ from fsar_ledger.runtime.handlers.task import begin_step
 from tests.runtime.histories import given, types, window
 from tests.runtime.live import decided
 
-A, B, DOOR, H_F = "robot/A1", "robot/B1", "door.open.secure", "supervisor/fleet"
-ARRIVED = TaskArrived("A1-1", A, 1, (f"A {DOOR} B", "A navigate.indoor"), 60_000_000, 61_000_000)
+A, B, DOOR, H_F = Robot("robot/A1"), Robot("robot/B1"), "door.open.secure", Supervisor("supervisor/fleet")
+ARRIVED = TaskArrived(
+    task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B", "A navigate.indoor"), budget_us=60_000_000, due_us=61_000_000
+)
 FIRST, SECOND = "A1-1/1.1", "A1-1/1.2"
-ENVELOPE = ("A1-1", FIRST, FIRST, B, A, B, None, (B,))
+SUBJECT = RequestSubject("A1-1", FIRST, FIRST)
+PARTIES = Parties(requested_by=A, executed_by=B, supervised_by=None)
 
 
 def began(action_id: str, attempt: int = 1, target: str | None = "B") -> StepBegan:
-    return StepBegan("A1-1", action_id, A, 1, attempt, DOOR, target)
+    return StepBegan(
+        subject=Subject("A1-1", action_id), robot=A, step=1, attempt=attempt, capability=DOOR, target_role=target
+    )
 
 
 def asked() -> State:
     """A's first request for B's door is on its way."""
-    shown = RegistryQueried("A1-1", FIRST, A, B, None, DOOR, (B,))
-    issued = RequestIssued(*ENVELOPE[:3], A, A, B, None, (A,), DOOR, "allow")
+    shown = RegistryQueried(
+        subject=Subject("A1-1", FIRST),
+        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+        capability=DOOR,
+        candidates=(B,),
+    )
+    issued = RequestIssued(subject=SUBJECT, principals=PARTIES.decided(A), capability=DOOR, carried_policy="allow")
     return given("fsar", ARRIVED, began(FIRST), shown, issued)
 
 
@@ -116,7 +126,7 @@ def test_a_request_that_was_executed_is_not_admitted_again_before_it_is_closed(c
 
 def test_nobody_asks_in_the_service_of_a_request_that_was_refused() -> None:
     state = asked()
-    apply(state, RequestDenied(*ENVELOPE, "policy"))
+    apply(state, RequestDenied(SUBJECT, PARTIES.decided(B), "policy"))
     [refused] = decided(state, RequestCapability(B, A, "carry.package", "visit", "q1", parent=FIRST))
     assert f"the parent {FIRST} is over" in refused.reason  # type: ignore[attr-defined]
 
@@ -127,12 +137,16 @@ def test_nobody_asks_in_the_service_of_a_request_that_was_refused() -> None:
 @pytest.mark.parametrize(
     "event",
     [
-        RequestDenied(*ENVELOPE, "policy"),
-        RequestUnanswered("A1-1", FIRST, A, A, None, None, (A,), DOOR),
-        PeerSought("A1-1", FIRST, A),
-        OfferAnswered(*ENVELOPE[:3], A, A, B, None, (A,), 1, False, None),
-        RequestClosed(*ENVELOPE, "failure"),
-        RequestClosed(*ENVELOPE, "partial"),
+        RequestDenied(SUBJECT, PARTIES.decided(B), "policy"),
+        RequestUnanswered(
+            Subject("A1-1", FIRST),
+            Principals(decided_by=A, requested_by=A, executed_by=None, supervised_by=None, path=(A,)),
+            DOOR,
+        ),
+        PeerSought(Subject("A1-1", FIRST), A),
+        OfferAnswered(SUBJECT, PARTIES.decided(A), 1, False, None),
+        RequestClosed(SUBJECT, PARTIES.decided(B), "failure"),
+        RequestClosed(SUBJECT, PARTIES.decided(B), "partial"),
     ],
     ids=lambda event: type(event).__name__,
 )
@@ -142,21 +156,45 @@ def test_the_next_attempt_follows_the_one_that_came_to_nothing(event: Event) -> 
 
 def test_an_own_step_that_failed_is_followed_by_its_next_attempt() -> None:
     state = given("fsar", ARRIVED, began(FIRST, target=None))
-    assert begins(FSAR, state, ExecutionFinished("A1-1", FIRST, A, A, None, A, "failure")) == [BeginStep("A1-1", FIRST)]
+    assert begins(
+        FSAR,
+        state,
+        ExecutionFinished(
+            Subject("A1-1", FIRST), Parties(requested_by=A, executed_by=A, supervised_by=None), A, "failure"
+        ),
+    ) == [BeginStep("A1-1", FIRST)]
 
 
 def test_in_dhma_the_next_attempt_follows_the_refused_own_step_and_the_call_without_a_good_bid() -> None:
     own = given("dhma", ARRIVED, began(FIRST, target=None))
-    assert begins(DHMA, own, RequestDenied("A1-1", FIRST, None, A, A, A, None, (A,), "own step")) == [
-        BeginStep("A1-1", FIRST)
-    ]
-    called = given("dhma", ARRIVED, began(FIRST), RegistryQueried("A1-1", FIRST, A, None, None, DOOR, (B,)))
-    assert begins(DHMA, called, BidReceived("A1-1", FIRST, B, "deny")) == [BeginStep("A1-1", FIRST)]
+    assert begins(
+        DHMA,
+        own,
+        RequestDenied(
+            RequestSubject("A1-1", FIRST, None),
+            Principals(decided_by=A, requested_by=A, executed_by=A, supervised_by=None, path=(A,)),
+            "own step",
+        ),
+    ) == [BeginStep("A1-1", FIRST)]
+    called = given(
+        "dhma",
+        ARRIVED,
+        began(FIRST),
+        RegistryQueried(
+            subject=Subject("A1-1", FIRST),
+            principals=Parties(requested_by=A, executed_by=None, supervised_by=None),
+            capability=DOOR,
+            candidates=(B,),
+        ),
+    )
+    assert begins(DHMA, called, BidReceived(Subject("A1-1", FIRST), B, "deny")) == [BeginStep("A1-1", FIRST)]
 
 
 def test_a_new_task_and_a_finished_step_are_followed_by_no_attempt_in_particular() -> None:
     assert begins(FSAR, given("fsar"), ARRIVED) == [BeginStep("A1-1", "")]
-    assert begins(FSAR, given("fsar", ARRIVED, began(FIRST)), StepCompleted("A1-1", FIRST)) == [BeginStep("A1-1", "")]
+    assert begins(FSAR, given("fsar", ARRIVED, began(FIRST)), StepCompleted(Subject("A1-1", FIRST))) == [
+        BeginStep("A1-1", "")
+    ]
 
 
 # What an order to turn to a step finds
@@ -176,11 +214,13 @@ def test_a_step_does_not_begin_anew_while_a_later_attempt_is_under_way(architect
 
 
 def test_an_attempt_that_the_task_has_left_behind_neither_begins_the_next_step_nor_ends_the_task() -> None:
-    state = given("fsar", ARRIVED, began(FIRST), StepCompleted("A1-1", FIRST))
+    state = given("fsar", ARRIVED, began(FIRST), StepCompleted(Subject("A1-1", FIRST)))
     assert begin_step(state, BeginStep("A1-1", FIRST)) == ()
     assert begin_step(state, BeginStep("A1-1", FIRST, now_us=10**9)) == ()
     assert types(begin_step(state, BeginStep("A1-1"))) == ["StepBegan"]
-    apply(state, StepBegan("A1-1", "A1-1/2.1", A, 2, 1, "navigate.indoor"))
-    apply(state, StepCompleted("A1-1", "A1-1/2.1"))
+    apply(
+        state, StepBegan(subject=Subject("A1-1", "A1-1/2.1"), robot=A, step=2, attempt=1, capability="navigate.indoor")
+    )
+    apply(state, StepCompleted(Subject("A1-1", "A1-1/2.1")))
     assert begin_step(state, BeginStep("A1-1", "A1-1/2.1")) == ()
     assert begin_step(state, BeginStep("A1-1")) == (TaskCompleted("A1-1"),)

@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
@@ -34,12 +34,28 @@ from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import relayed, verdict
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 DOOR = "door.open.secure"
-H_F, H_A, H_B = FLEET_SUPERVISOR, "supervisor/A1", "supervisor/B1"
-ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
+H_F, H_A, H_B = FLEET_SUPERVISOR, Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
+ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 NEXT = msgspec.structs.replace(ASK, action_id="q2")
-GRANTED = AuthorityGranted("robot/A1", "robot/B1", DOOR, "visit", "soft-priority", H_F)
-REVOKED = AuthorityRevoked("robot/A1", "robot/B1", None, None, "human override", H_F)
+GRANTED = AuthorityGranted(
+    requested_by=A,
+    executed_by=B,
+    capability=DOOR,
+    context="visit",
+    override="soft-priority",
+    decided_by=H_F,
+)
+REVOKED = AuthorityRevoked(
+    requested_by=A,
+    executed_by=B,
+    capability=None,
+    context=None,
+    reason="human override",
+    decided_by=H_F,
+)
 
 
 def play(state: State, *commands: Command) -> tuple[Any, ...]:
@@ -64,31 +80,54 @@ def scheduled(state: State, event: Event) -> list[Command]:
 
 
 def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
-    [granted] = decided(given("fsar"), GrantAuthority(H_F, "robot/C1", None, "emergency-only"))
-    assert granted == AuthorityGranted("robot/C1", None, None, None, "emergency-only", H_F)
-    [own] = decided(given("fsar"), GrantAuthority(H_B, "robot/A1", "robot/B1", "hard-preempt", DOOR, "visit"))
-    assert own == AuthorityGranted("robot/A1", "robot/B1", DOOR, "visit", "hard-preempt", H_B)
+    [granted] = decided(given("fsar"), GrantAuthority(H_F, C, None, "emergency-only"))
+    assert granted == AuthorityGranted(
+        requested_by=C,
+        executed_by=None,
+        capability=None,
+        context=None,
+        override="emergency-only",
+        decided_by=H_F,
+    )
+    [own] = decided(given("fsar"), GrantAuthority(H_B, A, B, "hard-preempt", DOOR, "visit"))
+    assert own == AuthorityGranted(
+        requested_by=A,
+        executed_by=B,
+        capability=DOOR,
+        context="visit",
+        override="hard-preempt",
+        decided_by=H_B,
+    )
 
 
 @pytest.mark.parametrize(
     ("command", "found"),
     [
-        (GrantAuthority(H_F, "robot/Z9", None, "none"), "unknown robot robot/Z9"),
-        (GrantAuthority(H_F, "robot/A1", "robot/Z9", "none"), "unknown robot robot/Z9"),
-        (GrantAuthority("supervisor/Z9", "robot/A1", "robot/B1", "none"), "unknown supervisor supervisor/Z9"),
-        (GrantAuthority(H_A, "robot/A1", "robot/B1", "none"), "supervisor/A1 does not supervise robot/B1"),
-        (GrantAuthority(H_A, "robot/A1", None, "none"), "does not supervise every robot"),
-        (GrantAuthority(H_F, "robot/A1", "robot/A1", "none"), "to ask itself"),
-        (GrantAuthority(H_F, "robot/A1", "robot/B1", "none", "fly"), "unknown capability fly"),
-        (GrantAuthority(H_F, "robot/A1", "robot/B1", "none", DOOR, "rounds"), "rounds is over"),
-        (GrantAuthority(H_B, "robot/A1", "robot/B1", "none", DOOR), "supervisor/fleet has revoked it"),
+        (GrantAuthority(H_F, Robot("robot/Z9"), None, "none"), "unknown robot robot/Z9"),
+        (GrantAuthority(H_F, A, Robot("robot/Z9"), "none"), "unknown robot robot/Z9"),
+        (
+            GrantAuthority(Supervisor("supervisor/Z9"), A, B, "none"),
+            "unknown supervisor supervisor/Z9",
+        ),
+        (
+            GrantAuthority(H_A, A, B, "none"),
+            "supervisor/A1 does not supervise robot/B1",
+        ),
+        (GrantAuthority(H_A, A, None, "none"), "does not supervise every robot"),
+        (GrantAuthority(H_F, A, A, "none"), "to ask itself"),
+        (GrantAuthority(H_F, A, B, "none", "fly"), "unknown capability fly"),
+        (GrantAuthority(H_F, A, B, "none", DOOR, "rounds"), "rounds is over"),
+        (GrantAuthority(H_B, A, B, "none", DOOR), "supervisor/fleet has revoked it"),
         (GrantAuthority(H_F, "robot/A1", "robot/B1", "absolute"), "unknown override level absolute"),  # type: ignore[arg-type]
-        (RevokeAuthority(H_F, "robot/Z9", None), "unknown robot robot/Z9"),
-        (RevokeAuthority("supervisor/Z9", "robot/A1", None), "unknown supervisor supervisor/Z9"),
-        (RevokeAuthority("supervisor/C1", "robot/A1", "robot/B1"), "supervises neither robot"),
-        (RevokeAuthority(H_F, "robot/A1", "robot/B1", "fly"), "unknown capability fly"),
-        (RevokeAuthority(H_F, "robot/A1", "robot/B1"), "it is revoked already"),
-        (RevokeAuthority(H_B, "robot/A1", "robot/B1", DOOR), "it is revoked already"),
+        (RevokeAuthority(H_F, Robot("robot/Z9"), None), "unknown robot robot/Z9"),
+        (RevokeAuthority(Supervisor("supervisor/Z9"), A, None), "unknown supervisor supervisor/Z9"),
+        (
+            RevokeAuthority(Supervisor("supervisor/C1"), A, B),
+            "supervises neither robot",
+        ),
+        (RevokeAuthority(H_F, A, B, "fly"), "unknown capability fly"),
+        (RevokeAuthority(H_F, A, B), "it is revoked already"),
+        (RevokeAuthority(H_B, A, B, DOOR), "it is revoked already"),
         (RevokeAuthority(H_F, "robot/A1", "robot/C1", reason="boredom"), "unknown reason boredom"),  # type: ignore[arg-type]
     ],
 )
@@ -103,14 +142,21 @@ def test_a_right_that_nobody_may_give_or_take_is_rejected_and_changes_nothing(co
 
 
 @pytest.mark.parametrize("supervisor", [H_F, H_A, H_B])
-def test_either_robots_supervisor_may_revoke(supervisor: str) -> None:
-    [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, "robot/A1", "robot/B1", DOOR))
-    assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, None, "human override", supervisor)
+def test_either_robots_supervisor_may_revoke(supervisor: Supervisor) -> None:
+    [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, A, B, DOOR))
+    assert revoked == AuthorityRevoked(
+        requested_by=A,
+        executed_by=B,
+        capability=DOOR,
+        context=None,
+        reason="human override",
+        decided_by=supervisor,
+    )
 
 
 def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was_admitted() -> None:
     state = given("fsar")
-    play(state, ASK, EvaluateRequest("q1"), RevokeAuthority(H_F, "robot/A1", "robot/B1"))
+    play(state, ASK, EvaluateRequest("q1"), RevokeAuthority(H_F, A, B))
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "queued, and goes on"
     assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionStarted"]
     denied = evaluated(state)
@@ -121,10 +167,14 @@ def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was
 def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     [(began_us, _)] = of(played([(1_000_000, ASK)]), ExecutionStarted)
     run = played(
-        [(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, "robot/A1", "robot/B1")), (began_us + 2_000, NEXT)]
+        [
+            (1_000_000, ASK),
+            (began_us + 1_000, RevokeAuthority(H_F, A, B)),
+            (began_us + 2_000, NEXT),
+        ]
     )
-    assert [event.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
-    assert [(event.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
+    assert [event.subject.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
+    assert [(event.subject.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
     assert run.state == fold(run.events)
 
 
@@ -139,12 +189,24 @@ def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
         (("robot/B1", None, "rounds"), False),
     ],
 )
-def test_a_revocation_is_about_what_it_names(about: tuple[str | None, str | None, str | None], is_denied: bool) -> None:
-    state = given("fsar", AuthorityRevoked("robot/A1", *about, "human override", H_F))
+def test_a_revocation_is_about_what_it_names(
+    about: tuple[Robot | None, str | None, str | None], is_denied: bool
+) -> None:
+    state = given(
+        "fsar",
+        AuthorityRevoked(
+            requested_by=A,
+            executed_by=about[0],
+            capability=about[1],
+            context=about[2],
+            reason="human override",
+            decided_by=H_F,
+        ),
+    )
     assert isinstance(evaluated(state), RequestDenied if is_denied else RequestAdmitted)
-    assert isinstance(
-        evaluated(state, RequestCapability("robot/C1", "robot/B1", DOOR, "visit", "q3")), RequestAdmitted
-    ), "of another requester"
+    assert isinstance(evaluated(state, RequestCapability(C, B, DOOR, "visit", "q3")), RequestAdmitted), (
+        "of another requester"
+    )
 
 
 def test_a_later_grant_lifts_a_revocation() -> None:
@@ -157,21 +219,47 @@ def test_a_later_grant_lifts_a_revocation() -> None:
 
 def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() -> None:
     assert verdict(relayed(), "A1-1/2.1") == ("accept", None)
-    for robot in ("robot/D1", "robot/A1"):
-        assert verdict(relayed(AuthorityRevoked(robot, "robot/B1", None, None, "human override", H_F)), "A1-1/2.1") == (
+    for robot in (D, A):
+        assert verdict(
+            relayed(
+                AuthorityRevoked(
+                    requested_by=robot,
+                    executed_by=B,
+                    capability=None,
+                    context=None,
+                    reason="human override",
+                    decided_by=H_F,
+                )
+            ),
+            "A1-1/2.1",
+        ) == (
             "reject",
             "authority",
         )
 
 
 def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_others() -> None:
-    broad = AuthorityGranted("robot/A1", "robot/B1", None, None, "none", H_F)
+    broad = AuthorityGranted(
+        requested_by=A,
+        executed_by=B,
+        capability=None,
+        context=None,
+        override="none",
+        decided_by=H_F,
+    )
     for over in (TaskCompleted("visit"), TaskAbandoned("visit")):
         state = given("fsar", broad, GRANTED)
         [command] = [one for one in scheduled(state, over) if not isinstance(one, EndClaims)]
         assert command == ExpireContext("visit")
         [revoked] = play(state, command)
-        assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, "visit", "context expired", TRUST)
+        assert revoked == AuthorityRevoked(
+            requested_by=A,
+            executed_by=B,
+            capability=DOOR,
+            context="visit",
+            reason="context expired",
+            decided_by=TRUST,
+        )
         assert play(state, command) == ()
 
 
@@ -190,59 +278,72 @@ def test_a_context_without_rights_ends_without_a_word() -> None:
 def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_admitted() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, TrustSet("robot/B1", "robot/A1", "capability")) == [], "enough"
-    assert scheduled(state, TrustSet("robot/B1", "robot/D1", "none")) == [], "somebody else"
+    assert scheduled(state, TrustSet(robot=B, peer=A, scope="capability")) == [], "enough"
+    assert scheduled(state, TrustSet(robot=B, peer=D, scope="none")) == [], "somebody else"
     [command] = [
-        one for one in scheduled(state, TrustSet("robot/B1", "robot/A1", "none")) if isinstance(one, RevokeDistrusted)
+        one for one in scheduled(state, TrustSet(robot=B, peer=A, scope="none")) if isinstance(one, RevokeDistrusted)
     ]
     [revoked] = play(state, command)
-    assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, "visit", "trust downgrade", TRUST)
+    assert revoked == AuthorityRevoked(
+        requested_by=A,
+        executed_by=B,
+        capability=DOOR,
+        context="visit",
+        reason="trust downgrade",
+        decided_by=TRUST,
+    )
     assert play(state, command) == (), "once"
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "what was admitted goes on"
-    apply(state, TrustSet("robot/B1", "robot/A1", "task"))
+    apply(state, TrustSet(robot=B, peer=A, scope="task"))
     assert evaluated(state).reason == "authority", "trust regained does not give back what was revoked"
 
 
 def test_trust_of_the_roles_that_falls_revokes_what_their_pairs_hold_admitted() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, RoleTrustSet("B", "A", "none", "hall")) == [], "they are in no hall"
-    assert scheduled(state, RoleTrustSet("B", "D", "none")) == [], "others"
-    state = given("fsar", TrustSet("robot/B1", "robot/A1", "task"))
+    assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none", domain="hall")) == [], (
+        "they are in no hall"
+    )
+    assert scheduled(state, RoleTrustSet(role="B", peer_role="D", scope="none")) == [], "others"
+    state = given("fsar", TrustSet(robot=B, peer=A, scope="task"))
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, RoleTrustSet("B", "A", "none")) == [], "the pair is an exception"
+    assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [], "the pair is an exception"
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, RoleTrustSet("B", "A", "none")) == [RevokeDistrusted("robot/B1", "robot/A1")]
+    assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [RevokeDistrusted(B, A)]
 
 
 def test_trust_that_falls_while_nothing_is_admitted_revokes_nothing() -> None:
     state = given("fsar")
     play(state, ASK)
-    assert scheduled(state, TrustSet("robot/B1", "robot/A1", "none")) == []
+    assert scheduled(state, TrustSet(robot=B, peer=A, scope="none")) == []
 
 
 def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
-    [held] = decided(state, ReleaseAuthority("robot/B1", "q1", "execution"))
+    [held] = decided(state, ReleaseAuthority(B, "q1", "execution"))
     assert isinstance(held, CommandRejected)
     assert "has yet to finish it" in held.reason
-    [released] = play(state, ReleaseAuthority("robot/B1", "q1", "override"))
-    assert released == AuthorityReleased("visit", "q1", "override", "robot/B1", "acceptance")
+    [released] = play(state, ReleaseAuthority(B, "q1", "override"))
+    assert released == AuthorityReleased(Subject("visit", "q1"), "override", B, "acceptance")
     for command in (
-        ReleaseAuthority("robot/B1", "q1", "override"),
-        ReleaseAuthority("robot/A1", "q1", "execution"),
-        ReleaseAuthority("robot/B1", "q9", "audit"),
+        ReleaseAuthority(B, "q1", "override"),
+        ReleaseAuthority(A, "q1", "execution"),
+        ReleaseAuthority(B, "q9", "audit"),
     ):
         [rejected] = decided(state, command)
         assert isinstance(rejected, CommandRejected)
         assert "expected an open claim" in rejected.reason
-    apply(state, AuthorityClaimed("visit", "q1", "audit", H_F, "watch"))
+    apply(state, AuthorityClaimed(Subject("visit", "q1"), "audit", H_F, "watch"))
     assert types(decided(state, ReleaseAuthority(H_F, "q1", "audit"))) == ["AuthorityReleased"]
 
 
-APPROVAL = SupervisorResponded("visit", "q1", H_F, "robot/A1", "robot/B1", H_F, (H_F,), "review")
+APPROVAL = SupervisorResponded(
+    Subject("visit", "q1"),
+    Principals(decided_by=H_F, requested_by=A, executed_by=B, supervised_by=H_F, path=(H_F,)),
+    "review",
+)
 
 
 def approved(*before: Event) -> State:
@@ -254,7 +355,7 @@ def approved(*before: Event) -> State:
 
 
 def opened(name: str, outcome: Any) -> PolicyWindowOpened:
-    return PolicyWindowOpened("robot/B1", "local", name, outcome)
+    return PolicyWindowOpened(robot=B, scope="local", window=name, outcome=outcome)
 
 
 START = StartAction("q1", drawn=5)
@@ -262,11 +363,11 @@ START = StartAction("q1", drawn=5)
 
 def test_an_approval_lifts_no_rule_that_denies_by_then() -> None:
     """Whether the review was wanted by policy or by density alone, the executor does not act against a rule; a mandate against it is escalated."""
-    mandate = PolicyRuleSet("fleet", None, DOOR, None, "allow", H_F)
-    own = PolicyRuleSet("local", "robot/B1", DOOR, None, "deny", H_B)
-    fleets = PolicyRuleSet("fleet", None, DOOR, None, "deny", H_F)
-    heard = FleetRuleLearned("robot/B1", "deny", 1)
-    dense = SupervisionDensitySet("robot/B1", 1, H_B, "")
+    mandate = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)
+    own = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="deny", decided_by=H_B)
+    fleets = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=H_F)
+    heard = FleetRuleLearned(B, "deny", 1)
+    dense = SupervisionDensitySet(robot=B, review_every=1, decided_by=H_B, reason="")
     cases: list[tuple[Event, tuple[Event, ...], list[str]]] = [
         (opened("w1", "review"), (own,), ["RequestDenied"]),
         (opened("w1", "review"), (fleets,), ["RequestDenied"]),
@@ -290,7 +391,7 @@ def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_
     apply(state, opened("w2", "deny"))
     assert types(play(state, *scheduled(state, APPROVAL))) == ["RequestAdmitted", "ExecutionQueued"]
     assert types(play(state, TakeTurn("q1"), START)) == ["ExecutionHeld"]
-    [again] = scheduled(state, PolicyWindowClosed("robot/B1", "local", "w2"))
+    [again] = scheduled(state, PolicyWindowClosed(B, "local", "w2"))
     assert isinstance(again, StartAction)
     assert types(play(state, START)) == ["ExecutionStarted"]
 
@@ -298,9 +399,9 @@ def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_
 def test_what_was_approved_and_then_held_by_a_rule_starts_when_the_rule_is_lifted_although_the_approved_one_stands() -> (
     None
 ):
-    rule = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
+    rule = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="review", decided_by=H_B)
     state = approved(rule)
-    broad = PolicyRuleSet("local", "robot/B1", None, None, "deny", H_B)
+    broad = PolicyRuleSet(scope="local", robot=B, capability=None, context=None, outcome="deny", decided_by=H_B)
     apply(state, broad)
     assert types(play(state, START)) == ["ExecutionHeld"]
     assert scheduled(state, msgspec.structs.replace(broad, outcome="review")) == []
@@ -320,13 +421,13 @@ def test_a_window_of_the_executors_own_that_opens_after_the_approval_holds_the_s
     [held] = play(state, START)
     assert isinstance(held, ExecutionHeld)
     assert (held.outcome, held.reason) == (outcome, "local-policy")
-    [again] = scheduled(state, PolicyWindowClosed("robot/B1", "local", "w2"))
+    [again] = scheduled(state, PolicyWindowClosed(B, "local", "w2"))
     assert isinstance(again, StartAction), "although the first is open still"
     assert types(play(state, START)) == ["ExecutionStarted"]
 
 
 def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_before_does_not() -> None:
-    rule = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
+    rule = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="review", decided_by=H_B)
     assert types(play(approved(rule), START)) == ["ExecutionStarted"]
     state = approved(rule)
     apply(state, msgspec.structs.replace(rule, outcome="deny"))
@@ -337,8 +438,8 @@ def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_befor
 
 
 def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unless_the_robot_is_an_exception() -> None:
-    own = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
-    of_role = RolePolicyRuleSet("local", "B", "review", "", DOOR)
+    own = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="review", decided_by=H_B)
+    of_role = RolePolicyRuleSet(scope="local", role="B", outcome="review", domain="", capability=DOOR)
     assert types(play(approved(of_role), START)) == ["ExecutionStarted"], "known when it was given"
     cases: list[tuple[Event, Event, str]] = [
         (opened("w1", "review"), of_role, "ExecutionHeld"),
@@ -358,7 +459,7 @@ def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unles
 def test_what_was_approved_is_forgotten_when_it_is_done() -> None:
     state = approved(opened("w1", "review"))
     assert list(state.authority.approvals) == ["q1"]
-    play(state, START, ReportResult("robot/B1", "q1", "success"))
+    play(state, START, ReportResult(B, "q1", "success"))
     assert state.authority.approvals == {}
 
 
@@ -367,5 +468,5 @@ def test_a_start_without_a_review_waits_for_policy_as_ever() -> None:
     play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
     apply(state, opened("w1", "deny"))
     assert types(play(state, START)) == ["ExecutionHeld"]
-    apply(state, FleetRuleLearned("robot/B1", "allow", 1))
+    apply(state, FleetRuleLearned(B, "allow", 1))
     assert types(play(state, START)) == ["ExecutionHeld"]

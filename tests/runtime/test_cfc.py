@@ -1,8 +1,11 @@
 """CFC's handlers: given events, when a command, then events."""
 
+import msgspec
+
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Robot, Subject
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
+from fsar_ledger.events.recovery import RecoveryAttemptFailed
 from fsar_ledger.events.request import CommandIssued, GapDetected, RequestDenied
 from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
@@ -36,6 +39,8 @@ from fsar_ledger.runtime.handlers.commands import (
 from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 ACTION = "A1-1/2.1"
 DELEGATED = (ARRIVED, DELEGATED_STEP)
 
@@ -49,7 +54,7 @@ def commanded(*before) -> State:  # type: ignore[no-untyped-def]
 
 def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = commanded(*before)
-    for event in receive_command(state, ReceiveCommand(ACTION, "robot/B1")):
+    for event in receive_command(state, ReceiveCommand(ACTION, B)):
         apply(state, event)
     for event in approach(state, TakeTurn(ACTION)):
         apply(state, event)
@@ -61,7 +66,12 @@ def running(*before) -> State:  # type: ignore[no-untyped-def]
 def test_the_coordinator_records_a_gap_without_saying_whose() -> None:
     gap, queued = reach_coordinator(given("cfc", *DELEGATED), ReachCoordinator(ACTION, "step", now_us=1_000_000))
     assert isinstance(gap, GapDetected)
-    assert (gap.action_id, gap.requested_by, gap.executed_by, gap.supervised_by) == (None, None, None, FLEET_SUPERVISOR)
+    assert (
+        gap.subject.action_id,
+        gap.principals.requested_by,
+        gap.principals.executed_by,
+        gap.principals.supervised_by,
+    ) == (None, None, None, FLEET_SUPERVISOR)
     assert isinstance(queued, WorkQueued)
 
 
@@ -92,25 +102,25 @@ def test_a_delegation_is_decided_committed_and_claimed_by_the_coordinator() -> N
 
 
 def test_the_gate_reads_the_copied_policy_and_not_the_true_one() -> None:
-    unseen = given("cfc", *DELEGATED, window("robot/B1"))
+    unseen = given("cfc", *DELEGATED, window(B))
     assert "CommandIssued" in types(process(unseen, ProcessWork(ACTION, "step")))
-    seen = given("cfc", *DELEGATED, window("robot/B1"), CopySynced(local_deny=("robot/B1",)))
+    seen = given("cfc", *DELEGATED, window(B), CopySynced(local_deny=(B,)))
     assert types(process(seen, ProcessWork(ACTION, "step")))[-1] == "RequestDenied"
 
 
 def test_the_gate_reads_the_fleet_rule_live_and_the_requesters_policy_not_at_all() -> None:
     assert (
-        types(process(given("cfc", *DELEGATED, window("robot/B1", scope="fleet")), ProcessWork(ACTION, "step")))[-1]
+        types(process(given("cfc", *DELEGATED, window(B, scope="fleet")), ProcessWork(ACTION, "step")))[-1]
         == "RequestDenied"
     )
-    requester = given("cfc", *DELEGATED, window("robot/A1"), CopySynced(local_deny=("robot/A1",)))
+    requester = given("cfc", *DELEGATED, window(A), CopySynced(local_deny=(A,)))
     assert "CommandIssued" in types(process(requester, ProcessWork(ACTION, "step")))
 
 
 def test_an_own_step_leaves_one_decision_without_requester() -> None:
     events = process(given("cfc", ARRIVED, OWN_STEP), ProcessWork("A1-1/1.1", "step"))
     assert types(events) == ["OwnStepDecided", "AuthorityClaimed", "AuthorityClaimed"]
-    assert events[0].requested_by is None  # type: ignore[attr-defined]
+    assert events[0].principals.requested_by is None  # type: ignore[attr-defined]
 
 
 def second_delegation(state: State) -> None:
@@ -123,8 +133,8 @@ def second_delegation(state: State) -> None:
 def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action() -> None:
     state = running()
     second_delegation(state)
-    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1", "robot/B1"))
-    assert claim == AuthorityClaimed("A1-1", ACTION, "execution", "robot/A1", "assigned again: A1-2/2.1")
+    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1", B))
+    assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "execution", A, "assigned again: A1-2/2.1")
     assert called.purpose == "ordering"  # type: ignore[attr-defined]
     apply(state, claim)
     assert types(queue_ordered(state, QueueOrdered("A1-2/2.1"))) == ["AuthorityReleased", "ExecutionQueued"]
@@ -132,13 +142,13 @@ def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action(
 
 def test_a_second_command_for_a_robot_seen_busy_only_waits() -> None:
     state = running()
-    apply(state, CopySynced(busy=("robot/B1",)))
+    apply(state, CopySynced(busy=(B,)))
     second_delegation(state)
-    assert types(receive_command(state, ReceiveCommand("A1-2/2.1", "robot/B1"))) == ["ExecutionQueued"]
+    assert types(receive_command(state, ReceiveCommand("A1-2/2.1", B))) == ["ExecutionQueued"]
 
 
 def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
-    events = process(given("cfc", *DELEGATED, CopySynced(busy=("robot/B1",))), ProcessWork(ACTION, "step"))
+    events = process(given("cfc", *DELEGATED, CopySynced(busy=(B,))), ProcessWork(ACTION, "step"))
     [issued] = [event for event in events if isinstance(event, CommandIssued)]
     assert issued.seen_busy
     assert "RequestDeferred" in types(events)
@@ -146,14 +156,14 @@ def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
 
 def test_a_context_change_of_either_party_claims_override_against_the_coordinator() -> None:
     state = running()
-    for robot in ("robot/A1", "robot/B1"):
+    for robot in (A, B):
         [claim] = safe_stop(state, SafeStop(robot, None))
-        assert claim == AuthorityClaimed("A1-1", ACTION, "override", robot, "safe stop")
-    assert safe_stop(state, SafeStop("robot/C1", None)) == ()
+        assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "override", robot, "safe stop")
+    assert safe_stop(state, SafeStop(C, None)) == ()
 
 
 def test_a_window_brings_both_supervisors_to_claim_supervision() -> None:
-    claims = safe_stop(running(), SafeStop("robot/B1", "local/B1/0"))
+    claims = safe_stop(running(), SafeStop(B, "local/B1/0"))
     assert {(event.dimension, event.claimant) for event in claims} == {  # type: ignore[attr-defined]
         ("override", "robot/B1"),
         ("audit", FLEET_SUPERVISOR),
@@ -171,14 +181,14 @@ def test_the_coordinator_keeps_override_until_it_has_processed_the_completion() 
 
 
 def test_a_motion_is_withheld_by_the_copy_alone() -> None:
-    unseen = given("cfc", window("robot/A1"))
-    assert types(decide_routine(unseen, DecideRoutine("robot/A1", "motion"))) == ["RoutinePerformed"]
-    seen = given("cfc", CopySynced(fleet_deny=("robot/A1",)))
-    assert types(decide_routine(seen, DecideRoutine("robot/A1", "motion"))) == ["RoutineWithheld"]
+    unseen = given("cfc", window(A))
+    assert types(decide_routine(unseen, DecideRoutine(A, "motion"))) == ["RoutinePerformed"]
+    seen = given("cfc", CopySynced(fleet_deny=(A,)))
+    assert types(decide_routine(seen, DecideRoutine(A, "motion"))) == ["RoutineWithheld"]
 
 
 def failed(*before) -> State:  # type: ignore[no-untyped-def]
-    state = running(*before, ObstructionAppeared("robot/B1", "o"))
+    state = running(*before, ObstructionAppeared(B, "o"))
     for event in detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)):
         apply(state, event)
     return state
@@ -193,9 +203,17 @@ def test_a_failure_gets_one_ordered_retry() -> None:
     assert types(process(state, ProcessWork(ACTION, "retry-failed"))) == ["AssistanceRequested"]
 
 
+def test_a_retry_that_failed_says_of_which_failure_it_was() -> None:
+    state = failed()
+    state.recovery = {ACTION: msgspec.structs.replace(state.recovery[ACTION], failure=2)}
+    [report] = end_attempt(state, EndAttempt(ACTION, 1))
+    assert isinstance(report, RecoveryAttemptFailed)
+    assert (report.failure, report.number) == (2, 1)
+
+
 def test_a_robot_that_the_copy_shows_degraded_gets_no_retry() -> None:
-    state = failed(ActuatorDegraded("robot/B1"))
-    apply(state, CopySynced(degraded=("robot/B1",)))
+    state = failed(ActuatorDegraded(B))
+    apply(state, CopySynced(degraded=(B,)))
     assert types(process(state, ProcessWork(ACTION, "failure"))) == ["AssistanceRequested"]
 
 
@@ -211,13 +229,14 @@ def test_a_busy_helper_declines_and_the_next_is_tried() -> None:
 
 def test_without_an_idle_helper_the_fleet_supervisor_is_called() -> None:
     state = failed()
-    apply(state, CopySynced(busy=("robot/A1", "robot/D1")))
+    apply(state, CopySynced(busy=(A, D)))
     assert types(process(state, ProcessWork(ACTION, "retry-failed"))) == ["RecoveryEscalated", "SupervisorCalled"]
 
 
 def test_the_copy_shows_the_robots_as_they_are_at_the_sync() -> None:
     [copy] = sync(
-        running(window("robot/C1"), window("robot/D1", "review", "fleet"), ActuatorDegraded("robot/A1")), Sync()
+        running(window(C), window(D, "review", "fleet"), ActuatorDegraded(A)),
+        Sync(),
     )
     assert (copy.local_deny, copy.fleet_review, copy.busy, copy.degraded) == (
         ("robot/C1",),
@@ -236,11 +255,11 @@ def test_the_next_sync_is_never_now() -> None:
 
 def test_a_step_given_up_before_the_coordinator_comes_to_it_is_denied_by_the_coordinator() -> None:
     for begun in (DELEGATED_STEP, OWN_STEP):
-        state = given("cfc", ARRIVED, begun, WorkQueued("A1-9", "A1-9/1.1", "step", 900_000_000))
-        made = reach_coordinator(state, ReachCoordinator(begun.action_id, "step", now_us=2_000_000))
+        state = given("cfc", ARRIVED, begun, WorkQueued(Subject("A1-9", "A1-9/1.1"), "step", 900_000_000))
+        made = reach_coordinator(state, ReachCoordinator(begun.subject.action_id, "step", now_us=2_000_000))
         denied = [event for event in made if isinstance(event, RequestDenied)]
         assert len(denied) == 1
-        assert (denied[0].decided_by, denied[0].path, denied[0].reason) == (
+        assert (denied[0].principals.decided_by, denied[0].principals.path, denied[0].reason) == (
             "coordinator",
             ("coordinator",),
             "no time left",

@@ -5,6 +5,7 @@ from itertools import permutations
 import pytest
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied
@@ -20,10 +21,19 @@ from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from tests.runtime.histories import given, types, window
 from tests.runtime.live import decided, of, played
 
-DOOR, B = "door.open.secure", "robot/B1"
-TRUSTED = tuple(TrustSet(B, f"robot/{name}1", "session") for name in "ACD")
+DOOR, B = "door.open.secure", Robot("robot/B1")
+TRUSTED = tuple(TrustSet(robot=B, peer=Robot(f"robot/{name}1"), scope="session") for name in "ACD")
 ARRIVED = tuple(
-    TaskArrived(f"{name}-1", f"robot/{name}1", 1, (f"{name} {DOOR} B",), 600_000_000, 900_000_000, None, name == "D")
+    TaskArrived(
+        task_id=f"{name}-1",
+        robot=Robot(f"robot/{name}1"),
+        team=1,
+        steps=(f"{name} {DOOR} B",),
+        budget_us=600_000_000,
+        due_us=900_000_000,
+        checkpoints=None,
+        is_time_critical=name == "D",
+    )
     for name in "ACD"
 )
 NAMES = [f"{name}-1/1.1" for name in "ACD"]
@@ -32,8 +42,26 @@ URGENT = "D-1/1.1"
 
 def competing() -> State:
     """A, C and D have all asked B for its door; D's task is time-critical, and no request has been evaluated."""
-    began = [StepBegan(f"{name}-1", f"{name}-1/1.1", f"robot/{name}1", 1, 1, DOOR, "B") for name in "ACD"]
-    shown = [RegistryQueried(f"{name}-1", f"{name}-1/1.1", f"robot/{name}1", B, None, DOOR, (B,)) for name in "ACD"]
+    began = [
+        StepBegan(
+            subject=Subject(f"{name}-1", f"{name}-1/1.1"),
+            robot=Robot(f"robot/{name}1"),
+            step=1,
+            attempt=1,
+            capability=DOOR,
+            target_role="B",
+        )
+        for name in "ACD"
+    ]
+    shown = [
+        RegistryQueried(
+            subject=Subject(f"{name}-1", f"{name}-1/1.1"),
+            principals=Parties(requested_by=Robot(f"robot/{name}1"), executed_by=B, supervised_by=None),
+            capability=DOOR,
+            candidates=(B,),
+        )
+        for name in "ACD"
+    ]
     return given("fsar", *TRUSTED, *ARRIVED, *began, *shown)
 
 
@@ -63,7 +91,7 @@ def again(state: State, *events: Event) -> list[str]:
 
 
 def answered(state: State, action_id: str) -> list[str]:
-    [number] = [number for number, call in state.supervision.calls.items() if call.action_id == action_id]
+    [number] = [number for number, call in state.supervision.calls.items() if call.subject.action_id == action_id]
     return again(state, *decided(state, Respond(number)))
 
 
@@ -84,7 +112,7 @@ def test_a_denial_of_the_one_that_goes_first_lets_the_others_go_on() -> None:
     evaluated(state, *NAMES)
     answered(state, "A-1/1.1")
     answered(state, "C-1/1.1")
-    apply(state, TrustSet(B, "robot/D1", "none"))
+    apply(state, TrustSet(robot=B, peer=Robot("robot/D1"), scope="none"))
     denied = decided(state, EvaluateRequest(URGENT))
     assert isinstance(denied[0], RequestDenied)
     assert sorted(again(state, *denied)) == ["A-1/1.1", "C-1/1.1"]
@@ -96,15 +124,15 @@ def test_in_a_run_with_three_rivals_the_urgent_one_is_executed_before_all_that_c
     order: tuple[str, ...],
 ) -> None:
     arrived = {task.robot: task for task in ARRIVED}
-    tasks = [(number * 100_000, arrived[f"robot/{name}1"]) for number, name in enumerate(order, start=1)]
+    tasks = [(number * 100_000, arrived[Robot(f"robot/{name}1")]) for number, name in enumerate(order, start=1)]
     run = played([], *TRUSTED, facts=tasks)
     rivals = {
-        event.action_id
+        event.subject.action_id
         for _, event in of(run, SupervisorCalled)
         if isinstance(event, SupervisorCalled) and event.purpose == "ordering"
     }
     preferred = {event.preferred for _, event in of(run, SupervisorResponded) if isinstance(event, SupervisorResponded)}
-    admitted = [event.action_id for _, event in of(run, RequestAdmitted) if isinstance(event, RequestAdmitted)]
+    admitted = [event.subject.action_id for _, event in of(run, RequestAdmitted) if isinstance(event, RequestAdmitted)]
     assert preferred == {URGENT}
     assert all(admitted.index(URGENT) < admitted.index(name) for name in rivals - {URGENT})
     assert len(of(run, TaskCompleted)) == 3
@@ -117,7 +145,7 @@ def test_a_request_that_has_its_result_is_no_rival(is_closed: bool) -> None:
     """A asks by itself in the context of D's urgent task, and is served; C's step comes afterwards."""
     state = given("fsar", *TRUSTED, *ARRIVED)
     served = [
-        RequestCapability("robot/A1", B, DOOR, "D-1", "q1"),
+        RequestCapability(Robot("robot/A1"), B, DOOR, "D-1", "q1"),
         EvaluateRequest("q1"),
         TakeTurn("q1"),
         StartAction("q1", drawn=5),
@@ -127,8 +155,26 @@ def test_a_request_that_has_its_result_is_no_rival(is_closed: bool) -> None:
         assert "CommandRejected" not in types(events)
         for event in events:
             apply(state, event)
-    apply(state, StepBegan("C-1", "C-1/1.1", "robot/C1", 1, 1, DOOR, "B"))
-    apply(state, RegistryQueried("C-1", "C-1/1.1", "robot/C1", B, None, DOOR, (B,)))
+    apply(
+        state,
+        StepBegan(
+            subject=Subject("C-1", "C-1/1.1"),
+            robot=Robot("robot/C1"),
+            step=1,
+            attempt=1,
+            capability=DOOR,
+            target_role="B",
+        ),
+    )
+    apply(
+        state,
+        RegistryQueried(
+            subject=Subject("C-1", "C-1/1.1"),
+            principals=Parties(requested_by=Robot("robot/C1"), executed_by=B, supervised_by=None),
+            capability=DOOR,
+            candidates=(B,),
+        ),
+    )
     assert evaluated(state, "C-1/1.1") == ["RequestAdmitted", "ExecutionQueued"]
 
 

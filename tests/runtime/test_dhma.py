@@ -2,6 +2,7 @@
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.knowledge import BidReceived, PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.registry import RegistryQueried
@@ -57,16 +58,23 @@ from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 ACTION = "A1-1/2.1"
 CALLED = (
     ARRIVED,
     DELEGATED_STEP,
-    RegistryQueried("A1-1", ACTION, "robot/A1", None, None, "door.open.secure", ("robot/B1",)),
+    RegistryQueried(
+        subject=Subject("A1-1", ACTION),
+        principals=Parties(requested_by=A, executed_by=None, supervised_by=None),
+        capability="door.open.secure",
+        candidates=(B,),
+    ),
 )
 AWARDED = (
     *CALLED,
-    BidReceived("A1-1", ACTION, "robot/B1", "allow"),
-    AwardMade("A1-1", "robot/A1", None, None, "robot/B1"),
+    BidReceived(Subject("A1-1", ACTION), B, "allow"),
+    AwardMade("A1-1", Parties(requested_by=A, executed_by=None, supervised_by=None), B),
 )
 
 
@@ -93,24 +101,22 @@ def claimants(state: State, dimension: str) -> set[str]:
 def test_a_call_names_no_executor_before_the_award() -> None:
     events = call_for_proposals(given("dhma", ARRIVED, DELEGATED_STEP), CallForProposals(ACTION))
     assert types(events) == ["RegistryQueried", "RequestIssued"]
-    assert [event.executed_by for event in events] == [None, None]  # type: ignore[attr-defined]
+    assert [event.principals.executed_by for event in events] == [None, None]  # type: ignore[attr-defined]
 
 
 def test_a_bid_follows_the_planners_snapshot_and_not_the_true_policy() -> None:
-    unseen = given("dhma", *CALLED, window("robot/B1"))
-    assert types(evaluate_bid(unseen, EvaluateBid(ACTION, "robot/B1"))) == ["RequestAdmitted", "BidSubmitted"]
-    seen = given("dhma", *CALLED, SnapshotTaken("robot/B1", "deny"))
-    assert types(evaluate_bid(seen, EvaluateBid(ACTION, "robot/B1"))) == ["RequestDenied", "BidSubmitted"]
+    unseen = given("dhma", *CALLED, window(B))
+    assert types(evaluate_bid(unseen, EvaluateBid(ACTION, B))) == ["RequestAdmitted", "BidSubmitted"]
+    seen = given("dhma", *CALLED, SnapshotTaken(B, "deny"))
+    assert types(evaluate_bid(seen, EvaluateBid(ACTION, B))) == ["RequestDenied", "BidSubmitted"]
 
 
 def test_a_snapshot_is_the_policy_of_its_moment() -> None:
-    assert take_snapshot(given("dhma", window("robot/B1", "review")), TakeSnapshot("robot/B1")) == (
-        SnapshotTaken("robot/B1", "review"),
-    )
+    assert take_snapshot(given("dhma", window(B, "review")), TakeSnapshot(B)) == (SnapshotTaken(B, "review"),)
 
 
 def test_a_bid_under_review_goes_to_the_fleet_supervisor_first() -> None:
-    state = given("dhma", *CALLED, BidReceived("A1-1", ACTION, "robot/B1", "review"))
+    state = given("dhma", *CALLED, BidReceived(Subject("A1-1", ACTION), B, "review"))
     assert types(award(state, Award(ACTION))) == ["SupervisorCalled"]
 
 
@@ -129,7 +135,10 @@ def test_execution_goes_from_agent_to_agent_and_overlaps_until_acknowledged() ->
 def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() -> None:
     state = running()
     other = "A1-2/2.1"
-    for event in (*SECOND, AwardMade("A1-2", "robot/A1", None, None, "robot/B1")):
+    for event in (
+        *SECOND,
+        AwardMade("A1-2", Parties(requested_by=A, executed_by=None, supervised_by=None), B),
+    ):
         apply(state, event)
     booked = accept_award(state, AcceptAward(other))
     assert "RequestDeferred" in types(booked)
@@ -146,7 +155,7 @@ def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() 
 
 def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
     state = accepted()
-    questioned = engage_planner(state, EngagePlanner("robot/A1", now_us=5_000_000))
+    questioned = engage_planner(state, EngagePlanner(A, now_us=5_000_000))
     assert types(questioned) == ["PlannerEngaged", "AuthorityClaimed", "AuthorityClaimed", "ContractQuestioned"]
     assert {event.claimant for event in questioned if isinstance(event, AuthorityClaimed)} == {
         "agent/A1/planning",
@@ -159,28 +168,28 @@ def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
 
 
 def test_a_context_change_during_execution_leaves_the_contract_standing() -> None:
-    assert "ContractQuestioned" not in types(engage_planner(running(), EngagePlanner("robot/B1", now_us=9_500_000)))
+    assert "ContractQuestioned" not in types(engage_planner(running(), EngagePlanner(B, now_us=9_500_000)))
 
 
 def test_an_own_step_is_the_planners_decision() -> None:
     [decided] = plan_own_step(given("dhma", ARRIVED, OWN_STEP), PlanOwnStep("A1-1/1.1"))
-    assert decided.path == ("agent/A1/planning",)  # type: ignore[attr-defined]
+    assert decided.principals.path == ("agent/A1/planning",)  # type: ignore[attr-defined]
 
 
 def test_a_motion_is_two_half_records_and_engages_the_planner() -> None:
-    performed, reported, engaged = decide_routine(given("dhma"), DecideRoutine("robot/A1", "motion", now_us=1_000_000))
-    assert (performed.requested_by, performed.executed_by) == ("robot/A1", None)  # type: ignore[attr-defined]
-    assert (reported.requested_by, reported.executed_by) == (None, "robot/A1")  # type: ignore[attr-defined]
+    performed, reported, engaged = decide_routine(given("dhma"), DecideRoutine(A, "motion", now_us=1_000_000))
+    assert (performed.principals.requested_by, performed.principals.executed_by) == ("robot/A1", None)  # type: ignore[attr-defined]
+    assert (reported.principals.requested_by, reported.principals.executed_by) == (None, "robot/A1")  # type: ignore[attr-defined]
     assert isinstance(engaged, PlannerEngaged)
 
 
 def test_sensing_is_one_agents_and_completely_recorded() -> None:
-    [performed] = decide_routine(given("dhma"), DecideRoutine("robot/A1", "sensing"))
-    assert performed.path == ("robot/A1",)  # type: ignore[attr-defined]
+    [performed] = decide_routine(given("dhma"), DecideRoutine(A, "sensing"))
+    assert performed.principals.path == ("robot/A1",)  # type: ignore[attr-defined]
 
 
 def failed() -> State:
-    state = running(ObstructionAppeared("robot/B1", "o"))
+    state = running(ObstructionAppeared(B, "o"))
     for event in detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)):
         apply(state, event)
     for event in start_recovery(state, StartRecovery(ACTION)):
@@ -208,17 +217,20 @@ def test_a_disputed_recovery_has_one_attempt_and_then_loops() -> None:
 
 
 def test_an_outsider_runs_unchecked_and_nobody_is_on_record() -> None:
-    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
+    injected = OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone")
     events = run_outsider(given("dhma", injected), RunOutsider("injected-1-1"))
     assert types(events) == ["RequestIssued", "RequestAdmitted", "ExecutionQueued"]
-    assert all(event.executed_by is None and event.supervised_by is None for event in events)  # type: ignore[attr-defined]
+    assert all(event.principals.executed_by is None and event.principals.supervised_by is None for event in events)  # type: ignore[attr-defined]
 
 
 def test_an_outsider_has_no_contract_to_be_questioned_or_voided() -> None:
-    state = given("dhma", OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone"))
+    state = given(
+        "dhma",
+        OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone"),
+    )
     for event in run_outsider(state, RunOutsider("injected-1-1")):
         apply(state, event)
-    for robot in ("robot/C1", "robot/D1"):
+    for robot in (C, D):
         assert types(engage_planner(state, EngagePlanner(robot, now_us=5_000_000))) == ["PlannerEngaged"]
 
 
@@ -228,7 +240,10 @@ def test_every_outsider_runs_in_every_world() -> None:
         for run in range(20):
             events = simulate_run(RunSpec(seed, "dhma", "full", "mixed-trust-inspection", 4, run), Constants()).events
             injected = {event.task_id for event in events if isinstance(event, OutsiderRequestInjected)}
-            assert injected == {event.action_id for event in events if isinstance(event, ExecutionStarted)} & injected
+            assert (
+                injected
+                == {event.subject.action_id for event in events if isinstance(event, ExecutionStarted)} & injected
+            )
 
 
 def test_claims_end_with_the_execution() -> None:

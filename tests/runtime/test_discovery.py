@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
@@ -29,9 +30,18 @@ from tests.runtime.histories import given
 
 def test_the_registry_says_by_which_filter_it_left_others_out() -> None:
     spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
-    step = StepBegan("A2-1", "A2-1/1.1", "robot/A2", 1, 1, "door.open.secure", "B")
-    arrived = TaskArrived("A2-1", "robot/A2", 2, ("A door.open.secure B",), 1, 1)
-    distrust = TrustSet("robot/B1", "robot/A2", "none")
+    step = StepBegan(
+        subject=Subject("A2-1", "A2-1/1.1"),
+        robot=Robot("robot/A2"),
+        step=1,
+        attempt=1,
+        capability="door.open.secure",
+        target_role="B",
+    )
+    arrived = TaskArrived(
+        task_id="A2-1", robot=Robot("robot/A2"), team=2, steps=("A door.open.secure B",), budget_us=1, due_us=1
+    )
+    distrust = TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A2"), scope="none")
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step, distrust))
     [answer] = query_registry(state, QueryRegistry("A2-1/1.1"))
     assert isinstance(answer, RegistryQueried)
@@ -45,22 +55,36 @@ def test_the_registry_says_by_which_filter_it_left_others_out() -> None:
 
 def test_who_is_reached_through_a_peer_is_not_rejected_beside_it() -> None:
     spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
-    step = StepBegan("D2-1", "D2-1/1.1", "robot/D2", 1, 1, "door.open.secure", "B")
-    arrived = TaskArrived("D2-1", "robot/D2", 2, ("D door.open.secure B",), 1, 1)
+    step = StepBegan(
+        subject=Subject("D2-1", "D2-1/1.1"),
+        robot=Robot("robot/D2"),
+        step=1,
+        attempt=1,
+        capability="door.open.secure",
+        target_role="B",
+    )
+    arrived = TaskArrived(
+        task_id="D2-1", robot=Robot("robot/D2"), team=2, steps=("D door.open.secure B",), budget_us=1, due_us=1
+    )
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
     [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
     assert isinstance(answer, RegistryQueried)
     assert (answer.candidates, answer.rejected, answer.rejected_by) == (("robot/B2",), ("robot/B1",), ("trust",))
-    apply(state, AvailabilityChanged("robot/B2", None, "offline", "charging"))
+    apply(
+        state, AvailabilityChanged(robot=Robot("robot/B2"), capability=None, availability="offline", reason="charging")
+    )
     [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
     assert answer.candidates == ("robot/B1",)  # type: ignore[attr-defined]
 
 
 def test_an_outsider_that_asks_for_what_nobody_shows_is_refused_by_visibility() -> None:
-    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.visual")
+    injected = OutsiderRequestInjected(
+        task_id="injected-1-1", robot=Robot("robot/D1"), peer=Robot("robot/C1"), capability="inspect.visual"
+    )
     shown, _ = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
     hidden, _ = answer_outsider(
-        given("fsar", injected, CapabilityWithdrawn("robot/C1", "inspect.visual", "x")), AnswerOutsider("injected-1-1")
+        given("fsar", injected, CapabilityWithdrawn(Robot("robot/C1"), "inspect.visual", "x")),
+        AnswerOutsider("injected-1-1"),
     )
     assert (shown.rejected_by, hidden.rejected_by) == (("trust",), ("visibility",))  # type: ignore[attr-defined]
 
@@ -68,25 +92,25 @@ def test_an_outsider_that_asks_for_what_nobody_shows_is_refused_by_visibility() 
 def test_a_search_that_ends_in_its_own_domain_reads_no_other() -> None:
     """What lies in the other domain here cannot be read at all."""
     founding_of_two = (
-        RobotJoined("robot/A9", "A", 1, None, "hall"),
-        RobotJoined("robot/B9", "B", 1, None, "hall"),
-        TrustSet("robot/B9", "robot/A9", "task"),
+        RobotJoined(robot=Robot("robot/A9"), role="A", team=1, supervisor=None, domain="hall"),
+        RobotJoined(robot=Robot("robot/B9"), role="B", team=1, supervisor=None, domain="hall"),
+        TrustSet(robot=Robot("robot/B9"), peer=Robot("robot/A9"), scope="task"),
     )
     state = given(
         "fsar",
         *founding_of_two,
-        RobotJoined("robot/B8", "B", 1, None, "yard"),
-        TrustSet("robot/B8", "robot/A9", "task"),
+        RobotJoined(robot=Robot("robot/B8"), role="B", team=1, supervisor=None, domain="yard"),
+        TrustSet(robot=Robot("robot/B8"), peer=Robot("robot/A9"), scope="task"),
     )
-    for robot in ("robot/B9", "robot/B8"):
-        apply(state, CapabilityInstalled(robot, "lift", "1.0.0"))
-        apply(state, CapabilityAdvertised(robot, "lift"))
+    for robot in (Robot("robot/B9"), Robot("robot/B8")):
+        apply(state, CapabilityInstalled(robot=robot, capability="lift", version="1.0.0"))
+        apply(state, CapabilityAdvertised(robot=robot, capability="lift"))
     whole = state.registry.offers
     unreadable: Any = None
     state.registry = msgspec.structs.replace(
         state.registry, offers=Offers(whole.records, {**whole.below, "yard": unreadable}, whole.ways)
     )
-    assert candidates(state, Query("robot/A9", "lift")).candidates == ("robot/B9",)
-    apply(state, TrustSet("robot/B9", "robot/A9", "none"))
+    assert candidates(state, Query(Robot("robot/A9"), "lift")).candidates == ("robot/B9",)
+    apply(state, TrustSet(robot=Robot("robot/B9"), peer=Robot("robot/A9"), scope="none"))
     with pytest.raises(AttributeError):
-        candidates(state, Query("robot/A9", "lift"))
+        candidates(state, Query(Robot("robot/A9"), "lift"))

@@ -19,7 +19,7 @@ from hypothesis.stateful import (
 )
 
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import OverrideLevel, Result
+from fsar_ledger.events.envelope import OverrideLevel, Result, Robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestIssued
@@ -70,7 +70,7 @@ class Federation(RuleBasedStateMachine):
         assert self.bench is not None
         return self.bench
 
-    def robot(self, data: st.DataObject) -> str:
+    def robot(self, data: st.DataObject) -> Robot:
         return data.draw(st.sampled_from([name for name in self.live.state.fleet.robots if name != HELPER]))
 
     def new(self, kind: str) -> str:
@@ -102,7 +102,7 @@ class Federation(RuleBasedStateMachine):
             and isinstance(command, JoinFleet)
             and any(isinstance(event, RobotJoined) for event in events)
         ):
-            self.live.happen(TrustSet(HELPER, command.robot, "persistent"))
+            self.live.happen(TrustSet(robot=HELPER, peer=command.robot, scope="persistent"))
 
     @rule(data=st.data(), override=st.sampled_from(get_args(OverrideLevel)), urgent=st.booleans())
     def ask_whom_one_trusts(self, data: st.DataObject, override: OverrideLevel, urgent: bool) -> None:
@@ -166,7 +166,7 @@ class Federation(RuleBasedStateMachine):
         """Whoever is asked something answers: an offer, a call, a result."""
         state = self.live.state
         answers: list[Command] = [
-            RespondToCall(call.supervisor, call.action_id, approves)
+            RespondToCall(call.supervisor, call.subject.action_id, approves)
             for call in state.supervision.calls.values()
             for approves in (True, False)
         ]
@@ -194,7 +194,9 @@ class Federation(RuleBasedStateMachine):
 
     @rule(data=st.data(), scope=st.sampled_from(["local", "fleet"]), outcome=st.sampled_from(["deny", "review"]))
     def open_window(self, data: st.DataObject, scope: Any, outcome: Any) -> None:
-        self.live.happen(PolicyWindowOpened(self.robot(data), scope, self.new("window"), outcome))
+        self.live.happen(
+            PolicyWindowOpened(robot=self.robot(data), scope=scope, window=self.new("window"), outcome=outcome)
+        )
 
     @rule(data=st.data())
     def close_window(self, data: st.DataObject) -> None:
@@ -202,7 +204,8 @@ class Federation(RuleBasedStateMachine):
         opened = [(robot, "local", name) for robot, held in world.local.items() for name, _ in held]
         opened += [(robot, "fleet", name) for robot, held in world.fleet.items() for name, _ in held]
         if opened:
-            self.live.happen(PolicyWindowClosed(*data.draw(st.sampled_from(opened))))  # type: ignore[arg-type]
+            robot, scope, window = data.draw(st.sampled_from(opened))
+            self.live.happen(PolicyWindowClosed(robot, scope, window))  # type: ignore[arg-type]
 
     @rule(data=st.data())
     def change_context(self, data: st.DataObject) -> None:
@@ -220,7 +223,8 @@ class Federation(RuleBasedStateMachine):
     def clear(self, data: st.DataObject) -> None:
         inside = [(robot, name) for robot, names in self.live.state.world.obstructions.items() for name in names]
         if inside:
-            self.live.happen(ObstructionCleared(*data.draw(st.sampled_from(inside))))
+            robot, obstruction = data.draw(st.sampled_from(inside))
+            self.live.happen(ObstructionCleared(robot, obstruction))
 
     @rule(data=st.data())
     def leave(self, data: st.DataObject) -> None:
@@ -260,9 +264,9 @@ class Federation(RuleBasedStateMachine):
             unattributed = database.rows("SELECT action_id, found FROM i5_audit_attributability")
         if not self.has_helper:  # a request that finds nobody has no execution principal, and I5 says so
             asked = {
-                event.action_id
+                event.subject.action_id
                 for event in self.bench.events
-                if isinstance(event, (RequestIssued, RegistryQueried)) and event.executed_by
+                if isinstance(event, (RequestIssued, RegistryQueried)) and event.principals.executed_by
             }
             assert [
                 row

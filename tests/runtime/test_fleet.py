@@ -4,6 +4,7 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.recovery import AssistanceAdmitted, RecoveryEscalated
@@ -21,73 +22,96 @@ from fsar_ledger.runtime.handlers.fleet import DECIDES, InstallCapability, JoinF
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.histories import given, types
 
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
 
 def decided(command: Command, *events: Event) -> tuple[Event, ...]:
     return FSAR.decides[type(command)](given("fsar", *events), command)
 
 
 def test_a_robot_joins_and_neither_possesses_nor_trusts_anything_yet() -> None:
-    [joined] = decided(JoinFleet("robot/E1", "E", 1, "supervisor/E1", "hall/cell"))
-    assert joined == RobotJoined("robot/E1", "E", 1, "supervisor/E1", "hall/cell")
+    [joined] = decided(JoinFleet(Robot("robot/E1"), "E", 1, Supervisor("supervisor/E1"), "hall/cell"))
+    assert joined == RobotJoined(
+        robot=Robot("robot/E1"), role="E", team=1, supervisor=Supervisor("supervisor/E1"), domain="hall/cell"
+    )
     state = given("fsar", joined)
-    assert state.fleet.robots["robot/E1"].domain == "hall/cell"
-    assert (list(surface(state.registry, "robot/E1")), execution_state(state, "robot/E1")) == ([], "idle")
+    assert state.fleet.robots[Robot("robot/E1")].domain == "hall/cell"
+    assert (list(surface(state.registry, Robot("robot/E1"))), execution_state(state, Robot("robot/E1"))) == ([], "idle")
 
 
 def test_the_teams_of_robots_that_join_later_are_as_far_away_as_their_numbers_say() -> None:
-    state = given("fsar", *(RobotJoined(f"robot/E{team}", "E", team, None) for team in (2, 3, 4)))
-    near = ["robot/B1", "robot/E2", "robot/E3", "robot/E4"]
-    assert nearest_first(state, near, "robot/E3") == ("robot/E3", "robot/E4", "robot/B1", "robot/E2")
+    state = given(
+        "fsar",
+        *(RobotJoined(robot=Robot(f"robot/E{team}"), role="E", team=team, supervisor=None) for team in (2, 3, 4)),
+    )
+    near = [Robot(f"robot/{name}") for name in ("B1", "E2", "E3", "E4")]
+    assert nearest_first(state, near, Robot("robot/E3")) == ("robot/E3", "robot/E4", "robot/B1", "robot/E2")
 
 
 def test_a_robot_without_a_supervisor_of_its_own_may_join() -> None:
-    assert types(decided(JoinFleet("robot/E1", "E", 1))) == ["RobotJoined"]
+    assert types(decided(JoinFleet(Robot("robot/E1"), "E", 1))) == ["RobotJoined"]
 
 
 def test_an_installed_capability_is_possessed_and_advertised_to_nobody() -> None:
-    [installed] = decided(InstallCapability("robot/B1", "lift", "0.1.0", ("seen",), ("held",), ("arm",)))
-    assert installed == CapabilityInstalled("robot/B1", "lift", "0.1.0", ("seen",), ("held",), ("arm",))
+    [installed] = decided(InstallCapability(B, "lift", "0.1.0", ("seen",), ("held",), ("arm",)))
+    assert installed == CapabilityInstalled(
+        robot=B,
+        capability="lift",
+        version="0.1.0",
+        preconditions=("seen",),
+        postconditions=("held",),
+        resources=("arm",),
+    )
     state = given("fsar", installed)
-    assert possesses(state.registry, "robot/B1", "lift")
-    assert advertisement(state.registry, "robot/B1", "lift") is None
+    assert possesses(state.registry, B, "lift")
+    assert advertisement(state.registry, B, "lift") is None
 
 
 def test_a_removed_capability_is_neither_possessed_nor_advertised() -> None:
-    [removed] = decided(RemoveCapability("robot/B1", "door.open.secure"))
-    assert removed == CapabilityRemoved("robot/B1", "door.open.secure")
+    [removed] = decided(RemoveCapability(B, "door.open.secure"))
+    assert removed == CapabilityRemoved(B, "door.open.secure")
     state = given("fsar", removed)
-    assert not possesses(state.registry, "robot/B1", "door.open.secure")
-    assert advertisement(state.registry, "robot/B1", "door.open.secure") is None
+    assert not possesses(state.registry, B, "door.open.secure")
+    assert advertisement(state.registry, B, "door.open.secure") is None
 
 
 QUEUED = ExecutionQueued(
-    "t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True
+    subject=Subject("t", "t/1"),
+    principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+    robot=B,
+    on_behalf_of=A,
+    capability="door.open.secure",
+    step=1,
+    attempt=1,
+    is_delegated=True,
+    has_approach=True,
+    is_supervised=True,
 )
 
 
 @pytest.mark.parametrize(
     ("events", "command", "reason"),
     [
-        ((), JoinFleet("robot/A1", "A", 1), "member already"),
-        ((), JoinFleet("A9", "A", 1), "no robot's name"),
-        ((), JoinFleet("robot/", "A", 1), "no robot's name"),
-        ((), JoinFleet("robot/E/1", "A", 1), "no robot's name"),
-        ((), JoinFleet("robot/ E", "A", 1), "no robot's name"),
-        ((), JoinFleet("robot/E 1", "A", 1), "no robot's name"),
-        ((), JoinFleet("robot/E1", "", 1), "expected a role"),
-        ((), JoinFleet("robot/E1", "E", 0), "team from 1"),
-        ((), JoinFleet("robot/E1", "E", 1, "supervisor/A1"), "expected supervisor/E1 or none"),
-        ((), JoinFleet("robot/E1", "E", 1, None, "hall//cell"), "no path"),
-        ((), JoinFleet("robot/E1", "E", 1, None, "/hall"), "no path"),
-        ((), InstallCapability("robot/Z9", "lift", "1.0.0"), "unknown robot"),
-        ((), InstallCapability("robot/B1", "door.open.secure", "2.0.0"), "possesses version 1.0.0 already"),
-        ((), InstallCapability("robot/B1", "lift", "one"), "no version"),
-        ((), InstallCapability("robot/B1", "lift.*", "1.0.0"), "no name"),
-        ((), InstallCapability("robot/B1", " ", "1.0.0"), "no name"),
-        ((), InstallCapability("robot/B1", "lift", "1.0.0", ("lit", "not lit")), "contradict"),
-        ((), RemoveCapability("robot/Z9", "lift"), "unknown robot"),
-        ((), RemoveCapability("robot/B1", "lift"), "does not possess lift"),
-        ((QUEUED,), RemoveCapability("robot/B1", "door.open.secure"), "in use by t/1"),
+        ((), JoinFleet(A, "A", 1), "member already"),
+        ((), JoinFleet(Robot("A9"), "A", 1), "no robot's name"),
+        ((), JoinFleet(Robot("robot/"), "A", 1), "no robot's name"),
+        ((), JoinFleet(Robot("robot/E/1"), "A", 1), "no robot's name"),
+        ((), JoinFleet(Robot("robot/ E"), "A", 1), "no robot's name"),
+        ((), JoinFleet(Robot("robot/E 1"), "A", 1), "no robot's name"),
+        ((), JoinFleet(Robot("robot/E1"), "", 1), "expected a role"),
+        ((), JoinFleet(Robot("robot/E1"), "E", 0), "team from 1"),
+        ((), JoinFleet(Robot("robot/E1"), "E", 1, Supervisor("supervisor/A1")), "expected supervisor/E1 or none"),
+        ((), JoinFleet(Robot("robot/E1"), "E", 1, None, "hall//cell"), "no path"),
+        ((), JoinFleet(Robot("robot/E1"), "E", 1, None, "/hall"), "no path"),
+        ((), InstallCapability(Robot("robot/Z9"), "lift", "1.0.0"), "unknown robot"),
+        ((), InstallCapability(B, "door.open.secure", "2.0.0"), "possesses version 1.0.0 already"),
+        ((), InstallCapability(B, "lift", "one"), "no version"),
+        ((), InstallCapability(B, "lift.*", "1.0.0"), "no name"),
+        ((), InstallCapability(B, " ", "1.0.0"), "no name"),
+        ((), InstallCapability(B, "lift", "1.0.0", ("lit", "not lit")), "contradict"),
+        ((), RemoveCapability(Robot("robot/Z9"), "lift"), "unknown robot"),
+        ((), RemoveCapability(B, "lift"), "does not possess lift"),
+        ((QUEUED,), RemoveCapability(B, "door.open.secure"), "in use by t/1"),
     ],
 )
 def test_what_is_unknown_doubled_or_impossible_is_rejected(
@@ -98,11 +122,30 @@ def test_what_is_unknown_doubled_or_impossible_is_rejected(
     assert reason in rejection.reason  # type: ignore[attr-defined]
 
 
-STARTED = ExecutionStarted("t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", "door.open.secure", 9)
-FAILED = ExecutionFailed("t", "t/1", "robot/B1", 1, "obstruction", 4, 5)
-WEAK = ExecutionFailed("t", "t/1", "robot/B1", 1, "degradation", 4, 5)
-OUTWARD = RecoveryEscalated("t", "t/1", None, None, None, None, (), "robot/B1", 1, "local", "peer", "t/1")
-RESUMED = ExecutionResumed("t", "t/1", "robot/B1", 12)
+STARTED = ExecutionStarted(
+    subject=Subject("t", "t/1"),
+    principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+    robot=B,
+    on_behalf_of=A,
+    capability="door.open.secure",
+    ends_us=9,
+)
+FAILED = ExecutionFailed(
+    subject=Subject("t", "t/1"), robot=B, failure=1, cause="obstruction", remaining_us=4, detected_us=5
+)
+WEAK = ExecutionFailed(
+    subject=Subject("t", "t/1"), robot=B, failure=1, cause="degradation", remaining_us=4, detected_us=5
+)
+OUTWARD = RecoveryEscalated(
+    subject=Subject("t", "t/1"),
+    principals=Principals(decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=()),
+    robot=B,
+    failure=1,
+    level="local",
+    to_level="peer",
+    failed_action="t/1",
+)
+RESUMED = ExecutionResumed(Subject("t", "t/1"), B, 12)
 
 
 @pytest.mark.parametrize(
@@ -115,54 +158,76 @@ RESUMED = ExecutionResumed("t", "t/1", "robot/B1", 12)
         ((QUEUED, STARTED, FAILED, OUTWARD), "failed"),
         ((QUEUED, STARTED, FAILED, RESUMED), "executing"),
         ((QUEUED, STARTED, FAILED, OUTWARD, RESUMED), "failed"),
-        ((ActuatorDegraded("robot/B1"),), "degraded"),
-        ((ActuatorDegraded("robot/B1"), QUEUED, STARTED), "degraded"),
-        ((ActuatorDegraded("robot/B1"), QUEUED, STARTED, WEAK), "failed"),
-        ((ActuatorDegraded("robot/B1"), ActuatorServiced("robot/B1")), "idle"),
-        ((AvailabilityChanged("robot/B1", "door.open.basic", "degraded", "worn"),), "degraded"),
-        ((AvailabilityChanged("robot/B1", None, "offline", "charging"),), "idle"),
-        ((AssistanceAdmitted("t", "t/9", None, None, None, None, (), "robot/A1", "robot/B1", 1, "peer"),), "executing"),
+        ((ActuatorDegraded(B),), "degraded"),
+        ((ActuatorDegraded(B), QUEUED, STARTED), "degraded"),
+        ((ActuatorDegraded(B), QUEUED, STARTED, WEAK), "failed"),
+        ((ActuatorDegraded(B), ActuatorServiced(B)), "idle"),
+        (
+            (AvailabilityChanged(robot=B, capability="door.open.basic", availability="degraded", reason="worn"),),
+            "degraded",
+        ),
+        (
+            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),),
+            "idle",
+        ),
+        (
+            (
+                AssistanceAdmitted(
+                    subject=Subject("t", "t/9"),
+                    principals=Principals(
+                        decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=()
+                    ),
+                    robot=A,
+                    helper=B,
+                    failure=1,
+                    level="peer",
+                ),
+            ),
+            "executing",
+        ),
     ],
 )
 def test_a_robot_is_failed_before_degraded_before_executing_before_idle(events: tuple[Event, ...], state: str) -> None:
-    assert execution_state(given("fsar", *events), "robot/B1") == state
+    assert execution_state(given("fsar", *events), B) == state
 
 
 def test_a_failure_of_the_actuator_is_reported_and_an_obstruction_is_not() -> None:
-    state = given("fsar", ActuatorDegraded("robot/B1"), QUEUED, STARTED, WEAK)
+    state = given("fsar", ActuatorDegraded(B), QUEUED, STARTED, WEAK)
     [word] = REPORTS[ExecutionFailed](state, WEAK, 5)
-    assert word.command == ReportActuator("robot/B1", True)
-    assert report_actuator(state, ReportActuator("robot/B1", True)) == (
-        AvailabilityChanged("robot/B1", None, "degraded", "actuator"),
+    assert word.command == ReportActuator(B, True)
+    assert report_actuator(state, ReportActuator(B, True)) == (
+        AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="actuator"),
     )
     assert REPORTS[ExecutionFailed](state, FAILED, 5) == ()
 
 
 def test_what_was_reported_is_not_reported_again_and_a_serviced_robot_is_ready() -> None:
-    state = given("fsar", ActuatorDegraded("robot/B1"))
-    for event in report_actuator(state, ReportActuator("robot/B1", True)):
+    state = given("fsar", ActuatorDegraded(B))
+    for event in report_actuator(state, ReportActuator(B, True)):
         apply(state, event)
-    assert report_actuator(state, ReportActuator("robot/B1", True)) == ()
-    assert report_actuator(state, ReportActuator("robot/B1", False)) == (), "it is not in order yet"
-    serviced = ActuatorServiced("robot/B1")
+    assert report_actuator(state, ReportActuator(B, True)) == ()
+    assert report_actuator(state, ReportActuator(B, False)) == (), "it is not in order yet"
+    serviced = ActuatorServiced(B)
     apply(state, serviced)
     [word] = REPORTS[ActuatorServiced](state, serviced, 5)
     assert FSAR.decides[ReportActuator](state, word.command) == (
-        AvailabilityChanged("robot/B1", None, "ready", "actuator"),
+        AvailabilityChanged(robot=B, capability=None, availability="ready", reason="actuator"),
     )
 
 
 def test_word_of_the_actuator_lifts_no_restriction() -> None:
-    held_back = AvailabilityChanged("robot/B1", "door.open.secure", "restricted", "inspection")
-    state = given("fsar", held_back, ActuatorDegraded("robot/B1"))
-    words = report_actuator(state, ReportActuator("robot/B1", True))
+    held_back = AvailabilityChanged(
+        robot=B, capability="door.open.secure", availability="restricted", reason="inspection"
+    )
+    state = given("fsar", held_back, ActuatorDegraded(B))
+    words = report_actuator(state, ReportActuator(B, True))
     assert [event.capability for event in words] == ["navigate.indoor", "door.open.basic"]  # type: ignore[attr-defined]
 
 
 def test_without_a_registry_there_is_nobody_to_tell() -> None:
-    state = given("fsar", ActuatorDegraded("robot/B1"), QUEUED, STARTED, WEAK, configuration="without-shared-registry")
+    state = given("fsar", ActuatorDegraded(B), QUEUED, STARTED, WEAK, configuration="without-shared-registry")
     assert REPORTS[ExecutionFailed](state, WEAK, 5) == ()
-    assert REPORTS[ActuatorServiced](state, ActuatorServiced("robot/B1"), 5) == ()
+    assert REPORTS[ActuatorServiced](state, ActuatorServiced(B), 5) == ()
 
 
 def test_in_whole_runs_every_degradation_failure_is_reported_and_every_service_after_it_lifts_it() -> None:

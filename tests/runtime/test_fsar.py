@@ -4,6 +4,7 @@ import msgspec
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ApproachStarted, ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
@@ -56,10 +57,17 @@ from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world.founding import founding
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 REQUESTED = (
     ARRIVED,
     DELEGATED_STEP,
-    RegistryQueried("A1-1", "A1-1/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)),
+    RegistryQueried(
+        subject=Subject("A1-1", "A1-1/2.1"),
+        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+        capability="door.open.secure",
+        candidates=(B,),
+    ),
 )
 
 
@@ -84,12 +92,14 @@ def executing(*before, own: bool = False):  # type: ignore[no-untyped-def]
 
 def test_a_gap_is_on_record_with_its_requester_and_supervisor() -> None:
     [gap] = detect_gap(given("fsar", ARRIVED, DELEGATED_STEP), DetectGap("A1-1/2.1"))
-    assert (gap.requested_by, gap.supervised_by) == ("robot/A1", "supervisor/A1")  # type: ignore[attr-defined]
+    assert (gap.principals.requested_by, gap.principals.supervised_by) == ("robot/A1", "supervisor/A1")  # type: ignore[attr-defined]
 
 
 def test_a_supervisor_who_is_off_shift_is_not_named() -> None:
-    [gap] = detect_gap(given("fsar", ARRIVED, DELEGATED_STEP, SupervisorLeft("supervisor/A1")), DetectGap("A1-1/2.1"))
-    assert gap.supervised_by is None  # type: ignore[attr-defined]
+    [gap] = detect_gap(
+        given("fsar", ARRIVED, DELEGATED_STEP, SupervisorLeft(Supervisor("supervisor/A1"))), DetectGap("A1-1/2.1")
+    )
+    assert gap.principals.supervised_by is None  # type: ignore[attr-defined]
 
 
 def test_the_registry_shows_only_trusted_robots() -> None:
@@ -99,14 +109,28 @@ def test_the_registry_shows_only_trusted_robots() -> None:
 
 
 def test_a_robot_without_direct_trust_is_reached_through_a_doubly_trusted_peer() -> None:
-    step = DELEGATED_STEP.__class__("A1-1", "A1-1/2.1", "robot/D1", 2, 1, "door.open.secure", "B")
+    step = StepBegan(
+        subject=DELEGATED_STEP.subject,
+        robot=D,
+        step=2,
+        attempt=1,
+        capability="door.open.secure",
+        target_role="B",
+    )
     [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
     assert isinstance(answer, RegistryQueried)
     assert (answer.candidates, answer.relay) == (("robot/B1",), "robot/A1")
 
 
 def test_a_private_zone_is_hidden_from_those_who_may_not_see_it() -> None:
-    step = DELEGATED_STEP.__class__("A1-1", "A1-1/2.1", "robot/D1", 2, 1, "inspect.private_zone", "C")
+    step = StepBegan(
+        subject=DELEGATED_STEP.subject,
+        robot=D,
+        step=2,
+        attempt=1,
+        capability="inspect.private_zone",
+        target_role="C",
+    )
     [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
     assert isinstance(answer, RegistryQueried)
     assert answer.candidates == ()
@@ -118,7 +142,7 @@ def test_an_empty_answer_leads_to_no_request() -> None:
 
 
 def test_the_request_carries_the_requesters_policy() -> None:
-    [issued] = issue_request(given("fsar", *REQUESTED, window("robot/A1", "review")), IssueRequest("A1-1/2.1"))
+    [issued] = issue_request(given("fsar", *REQUESTED, window(A, "review")), IssueRequest("A1-1/2.1"))
     assert isinstance(issued, RequestIssued)
     assert issued.carried_policy == "review"
 
@@ -131,30 +155,28 @@ def test_an_admissible_request_is_admitted_and_queued() -> None:
 
 
 def test_the_executors_own_denial_rejects_the_request() -> None:
-    [denied] = evaluate_request(given("fsar", *REQUESTED, window("robot/B1")), EvaluateRequest("A1-1/2.1"))
+    [denied] = evaluate_request(given("fsar", *REQUESTED, window(B)), EvaluateRequest("A1-1/2.1"))
     assert isinstance(denied, RequestDenied)
-    assert (denied.decided_by, denied.path) == ("robot/B1", ("robot/B1",))
+    assert (denied.principals.decided_by, denied.principals.path) == ("robot/B1", ("robot/B1",))
 
 
 def test_the_fleet_rule_counts_as_it_was_heard() -> None:
-    open_rule = given("fsar", *REQUESTED, window("robot/B1", scope="fleet"))
+    open_rule = given("fsar", *REQUESTED, window(B, scope="fleet"))
     assert isinstance(evaluate_request(open_rule, EvaluateRequest("A1-1/2.1"))[0], RequestAdmitted)
-    heard = given("fsar", *REQUESTED, window("robot/B1", scope="fleet"), FleetRuleLearned("robot/B1", "deny", 1))
+    heard = given("fsar", *REQUESTED, window(B, scope="fleet"), FleetRuleLearned(B, "deny", 1))
     assert isinstance(evaluate_request(heard, EvaluateRequest("A1-1/2.1"))[0], RequestDenied)
 
 
 def test_without_policy_composition_only_the_executors_policy_counts() -> None:
-    state = given(
-        "fsar", *REQUESTED, FleetRuleLearned("robot/B1", "deny", 1), configuration="without-policy-composition"
-    )
+    state = given("fsar", *REQUESTED, FleetRuleLearned(B, "deny", 1), configuration="without-policy-composition")
     assert isinstance(evaluate_request(state, EvaluateRequest("A1-1/2.1"))[0], RequestAdmitted)
 
 
 def test_without_policy_composition_a_robots_own_steps_and_routine_keep_the_fleet_rule() -> None:
-    heard = (ARRIVED, OWN_STEP, FleetRuleLearned("robot/A1", "deny", 1))
+    heard = (ARRIVED, OWN_STEP, FleetRuleLearned(A, "deny", 1))
     for configuration in ("full", "without-policy-composition"):
         state = given("fsar", *heard, configuration=configuration)
-        assert types(decide_routine(state, DecideRoutine("robot/A1", "motion"))) == ["RoutineWithheld"]
+        assert types(decide_routine(state, DecideRoutine(A, "motion"))) == ["RoutineWithheld"]
         for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
             apply(state, event)
         [held] = start(state, StartAction("A1-1/1.1", now_us=5, drawn=7))
@@ -163,16 +185,21 @@ def test_without_policy_composition_a_robots_own_steps_and_routine_keep_the_flee
 
 
 def test_a_review_goes_to_the_fleet_supervisor() -> None:
-    assert types(
-        evaluate_request(given("fsar", *REQUESTED, window("robot/B1", "review")), EvaluateRequest("A1-1/2.1"))
-    ) == ["SupervisorCalled"]
+    assert types(evaluate_request(given("fsar", *REQUESTED, window(B, "review")), EvaluateRequest("A1-1/2.1"))) == [
+        "SupervisorCalled"
+    ]
 
 
 def test_a_busy_executor_defers() -> None:
     state, _ = executing()
     for event in (
         *SECOND,
-        RegistryQueried("A1-2", "A1-2/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)),
+        RegistryQueried(
+            subject=Subject("A1-2", "A1-2/2.1"),
+            principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+            capability="door.open.secure",
+            candidates=(B,),
+        ),
     ):
         apply(state, event)
     assert types(evaluate_request(state, EvaluateRequest("A1-2/2.1"))) == [
@@ -199,10 +226,10 @@ def test_acceptance_claims_execution_and_override_for_the_executor() -> None:
 
 def test_a_revocation_claims_override_once_until_the_boundary() -> None:
     state, action_id = executing()
-    [claim] = revoke(state, Revoke("robot/A1"))
-    assert claim == AuthorityClaimed("A1-1", action_id, "override", "robot/A1", "revocation")
+    [claim] = revoke(state, Revoke(A))
+    assert claim == AuthorityClaimed(Subject("A1-1", action_id), "override", A, "revocation")
     apply(state, claim)
-    assert revoke(state, Revoke("robot/A1")) == ()
+    assert revoke(state, Revoke(A)) == ()
     assert {
         event.claimant
         for event in close_execution(state, CloseExecution(action_id))
@@ -212,7 +239,7 @@ def test_a_revocation_claims_override_once_until_the_boundary() -> None:
 
 def test_an_own_step_is_the_robots_own_decision() -> None:
     [decided, queued] = decide_own_step(given("fsar", ARRIVED, OWN_STEP), DecideOwnStep("A1-1/1.1"))
-    assert decided.path == ("robot/A1",)  # type: ignore[attr-defined]
+    assert decided.principals.path == ("robot/A1",)  # type: ignore[attr-defined]
     assert not queued.is_delegated  # type: ignore[attr-defined]
 
 
@@ -221,13 +248,13 @@ def test_a_start_waits_for_the_robots_own_policy() -> None:
     queued = given("fsar", ARRIVED, OWN_STEP)
     for event in decide_own_step(queued, DecideOwnStep("A1-1/1.1")):
         apply(queued, event)
-    apply(queued, window("robot/A1"))
+    apply(queued, window(A))
     [held] = start(queued, StartAction("A1-1/1.1", now_us=5, drawn=7))
     assert isinstance(held, ExecutionHeld)
-    assert held.path == ("robot/A1",)
+    assert held.principals.path == ("robot/A1",)
     apply(queued, held)
     [again] = start(queued, StartAction("A1-1/1.1", now_us=9, drawn=7))
-    assert again.path == ()  # type: ignore[attr-defined]
+    assert again.principals.path == ()  # type: ignore[attr-defined]
     assert state.execution.actions["A1-1/1.1"].stage == "running"
 
 
@@ -241,13 +268,13 @@ def test_a_start_takes_as_long_as_the_world_says() -> None:
 
 
 def test_a_motion_is_withheld_while_policy_forbids_it_and_sensing_is_not() -> None:
-    state = given("fsar", window("robot/A1"))
-    assert types(decide_routine(state, DecideRoutine("robot/A1", "motion"))) == ["RoutineWithheld"]
-    assert types(decide_routine(state, DecideRoutine("robot/A1", "sensing"))) == ["RoutinePerformed"]
+    state = given("fsar", window(A))
+    assert types(decide_routine(state, DecideRoutine(A, "motion"))) == ["RoutineWithheld"]
+    assert types(decide_routine(state, DecideRoutine(A, "sensing"))) == ["RoutinePerformed"]
 
 
 def failed(own: bool = False):  # type: ignore[no-untyped-def]
-    state, action_id = executing(ObstructionAppeared("robot/A1" if own else "robot/B1", "o"), own=own)
+    state, action_id = executing(ObstructionAppeared(A if own else B, "o"), own=own)
     for event in detect_obstruction(state, DetectObstruction(action_id, now_us=9_500_000)):
         apply(state, event)
     return state, action_id
@@ -265,7 +292,7 @@ def test_recovery_begins_at_the_robot_and_goes_outward_without_skipping() -> Non
     levels.append((outward.level, outward.to_level))  # type: ignore[attr-defined]
     apply(state, outward)
     assert types(ask_peers(state, AskPeers(action_id))) == ["AssistanceRequested", "AssistanceAdmitted"]
-    apply(state, window("robot/A1"))
+    apply(state, window(A))
     [onward] = ask_peers(state, AskPeers(action_id))
     levels.append((onward.level, onward.to_level))  # type: ignore[attr-defined]
     apply(state, onward)
@@ -284,8 +311,8 @@ def test_a_spent_time_budget_ends_local_recovery() -> None:
 
 
 def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
-    step = OWN_STEP.__class__("A1-1", "A1-1/1.1", "robot/A1", 1, 1, "carry.package")
-    state = given("fsar", ARRIVED, step, ObstructionAppeared("robot/A1", "o"))
+    step = StepBegan(subject=OWN_STEP.subject, robot=A, step=1, attempt=1, capability="carry.package")
+    state = given("fsar", ARRIVED, step, ObstructionAppeared(A, "o"))
     for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
         apply(state, event)
     for event in start(state, StartAction("A1-1/1.1", now_us=5, drawn=7_000_000)):
@@ -311,20 +338,20 @@ def test_without_layered_recovery_the_fleet_supervisor_is_called_at_once() -> No
 
 
 def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
-    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
+    injected = OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone")
     query, denied = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
     assert isinstance(query, RegistryQueried)
-    assert (query.candidates, query.executed_by, query.rejected, query.rejected_by) == (
+    assert (query.candidates, query.principals.executed_by, query.rejected, query.rejected_by) == (
         (),
         "robot/C1",
         ("robot/C1",),
         ("visibility",),
     )
-    assert denied.decided_by == "service/registry"  # type: ignore[attr-defined]
+    assert denied.principals.decided_by == "service/registry"  # type: ignore[attr-defined]
 
 
 def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> None:
-    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
+    injected = OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone")
     events = answer_outsider(
         given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1")
     )
@@ -334,32 +361,46 @@ def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> N
 
 
 def test_an_execution_that_starts_in_the_way_of_something_finishes_if_that_goes_at_once() -> None:
-    state, action_id = executing(ObstructionAppeared("robot/B1", "o"))
+    state, action_id = executing(ObstructionAppeared(B, "o"))
     started = ExecutionStarted(
-        "A1-1", action_id, None, None, None, "robot/B1", "robot/A1", "door.open.secure", 11_000_000
+        subject=Subject("A1-1", action_id),
+        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
+        robot=B,
+        on_behalf_of=A,
+        capability="door.open.secure",
+        ends_us=11_000_000,
     )
     scheduled = [type(one.command).__name__ for one in _on_running(state, started, 9_000_000)]
     assert scheduled == ["DetectObstruction", "FinishAttempt"]
-    apply(state, ObstructionCleared("robot/B1", "o"))
+    apply(state, ObstructionCleared(B, "o"))
     assert detect_obstruction(state, DetectObstruction(action_id, now_us=9_000_001)) == ()
 
 
 def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
-    resolved = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "local")
-    taken_over = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "fleet")
-    helped = AssistanceEnded("A1-1", "A1-1/1.1", "robot/A1", "robot/B1", 1)
-    cleared_by_hand = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "human")
-    in_the_way = ObstructionAppeared("robot/A1", "o")
-    assert given("fsar", in_the_way, resolved).world.obstructions["robot/A1"] == ("o",)
-    assert given("fsar", in_the_way, taken_over).world.obstructions["robot/A1"] == ("o",)
-    assert given("fsar", in_the_way, helped).world.obstructions["robot/A1"] == ()
-    assert given("fsar", in_the_way, cleared_by_hand).world.obstructions["robot/A1"] == ()
+    resolved = FailureResolved(Subject("A1-1", "A1-1/1.1"), A, 1, "local")
+    taken_over = FailureResolved(Subject("A1-1", "A1-1/1.1"), A, 1, "fleet")
+    helped = AssistanceEnded(Subject("A1-1", "A1-1/1.1"), A, B, 1)
+    cleared_by_hand = FailureResolved(Subject("A1-1", "A1-1/1.1"), A, 1, "human")
+    in_the_way = ObstructionAppeared(A, "o")
+    assert given("fsar", in_the_way, resolved).world.obstructions[A] == ("o",)
+    assert given("fsar", in_the_way, taken_over).world.obstructions[A] == ("o",)
+    assert given("fsar", in_the_way, helped).world.obstructions[A] == ()
+    assert given("fsar", in_the_way, cleared_by_hand).world.obstructions[A] == ()
 
 
 def test_the_relay_is_the_nearest_teams() -> None:
     spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
-    step = StepBegan("D2-1", "D2-1/1.1", "robot/D2", 1, 1, "door.open.secure", "B")
-    arrived = TaskArrived("D2-1", "robot/D2", 2, ("D door.open.secure B",), 1, 1)
+    step = StepBegan(
+        subject=Subject("D2-1", "D2-1/1.1"),
+        robot=Robot("robot/D2"),
+        step=1,
+        attempt=1,
+        capability="door.open.secure",
+        target_role="B",
+    )
+    arrived = TaskArrived(
+        task_id="D2-1", robot=Robot("robot/D2"), team=2, steps=("D door.open.secure B",), budget_us=1, due_us=1
+    )
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
     [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
     assert (answer.candidates, answer.relay) == (("robot/B2",), "robot/A2")  # type: ignore[attr-defined]
@@ -367,7 +408,7 @@ def test_the_relay_is_the_nearest_teams() -> None:
 
 def test_a_second_approach_for_an_action_is_another_way() -> None:
     state, action_id = failed()
-    way = ApproachStarted("A1-1", action_id, "robot/B1")
+    way = ApproachStarted(Subject("A1-1", action_id), B)
     again = start_after_approach(state, way, 0)[0].draws[0].key
     first = start_after_approach(executing()[0], way, 0)[0].draws[0].key
     assert (first, again) == (action_id, f"{action_id}/1")

@@ -10,7 +10,7 @@ from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS
-from fsar_ledger.events.envelope import Architecture, Scenario
+from fsar_ledger.events.envelope import Architecture, Robot, Scenario, flat
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import TaskAbandoned
@@ -52,12 +52,7 @@ def made(
 
 
 def list_values(record: RunRecord) -> int:
-    return sum(
-        len(value)
-        for event in record.events
-        for name in event.__struct_fields__
-        if isinstance(value := getattr(event, name), tuple)
-    )
+    return sum(len(value) for event in record.events for value in flat(event).values() if isinstance(value, tuple))
 
 
 # --- places ---
@@ -99,12 +94,15 @@ def test_robots_of_other_teams_on_the_floor_are_in_the_way_as_often_as_there_are
 
 def test_candidates_are_of_the_own_team_then_of_the_floor_then_of_other_floors() -> None:
     state = fold(founding(32))
-    doors = [f"robot/B{team}" for team in range(1, 9)]
-    order = [int(name[7:]) for name in nearest_first(state, doors, "robot/A3")]
+    doors = [Robot(f"robot/B{team}") for team in range(1, 9)]
+    order = [int(name[7:]) for name in nearest_first(state, doors, Robot("robot/A3"))]
     assert order == [3, 4, 1, 2, 5, 6, 7, 8]
-    assert [int(name[7:]) for name in nearest_first(fold(founding(16)), doors[:4], "robot/A3")] == [3, 4, 1, 2], (
-        "one floor: cyclic"
-    )
+    assert [int(name[7:]) for name in nearest_first(fold(founding(16)), doors[:4], Robot("robot/A3"))] == [
+        3,
+        4,
+        1,
+        2,
+    ], "one floor: cyclic"
 
 
 # --- load ---
@@ -168,8 +166,10 @@ def test_the_founding_of_a_thousand_robots_grows_with_the_robots_and_not_with_th
 
 
 def test_the_rules_of_a_thousand_robots_are_as_many_as_its_roles_and_exceptions() -> None:
-    exception = PolicyRuleSet("fleet", "robot/B7", None, None, "allow", None)
-    state = fold((RolePolicyRuleSet("fleet", "B", "deny"), *founding(1024), exception))
+    exception = PolicyRuleSet(
+        scope="fleet", robot=Robot("robot/B7"), capability=None, context=None, outcome="allow", decided_by=None
+    )
+    state = fold((RolePolicyRuleSet(scope="fleet", role="B", outcome="deny"), *founding(1024), exception))
     assert (len(state.policy.of_roles), len(state.policy.rules)) == (1, 1)
     outcomes = Counter(ruled(state.policy, "fleet", robot, "door.open.secure", None) for robot in state.fleet.robots)
     assert outcomes == {None: 768, "deny": 255, "allow": 1}

@@ -10,6 +10,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.request import InternalHandoff
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.runtime.architectures.dhma import talk
@@ -81,7 +82,7 @@ def kinds(event: InternalHandoff) -> tuple[str, str]:
 
 def drawn(events: list[Event], hops: set[str]) -> Iterator[tuple[str, str, str]]:
     """Each hop that was drawn: its phase, and which agent talks to which in it."""
-    own = {event.action_id for event in events if isinstance(event, StepBegan) and event.target_role is None}
+    own = {event.subject.action_id for event in events if isinstance(event, StepBegan) and event.target_role is None}
     for key in hops:
         match = HOP.match(key)
         assert match is not None
@@ -110,10 +111,10 @@ def test_in_every_phase_each_hop_is_on_record_between_the_agents_that_it_went_be
 def test_a_handoff_names_no_origin_and_stays_in_one_robot() -> None:
     for spec in SPECS:
         for event in handoffs(played(spec)[0].events):
-            assert event.requested_by is None
-            assert event.executed_by is not None
+            assert event.principals.requested_by is None
+            assert event.principals.executed_by is not None
             assert {name.rpartition("/")[0] for name in (event.sender, event.receiver)} == {
-                event.executed_by.replace("robot/", "agent/")
+                event.principals.executed_by.replace("robot/", "agent/")
             }
 
 
@@ -128,7 +129,7 @@ def test_every_agent_on_a_path_but_the_last_has_handed_the_work_on() -> None:
             if isinstance(event, InternalHandoff)
         )
         for time, event in zip(one.times_us, one.events, strict=True):
-            path = getattr(event, "path", ())
+            path = flat(event).get("path", ())
             for sender, receiver in pairwise(path):
                 seen += 1
                 assert any(hops[sender, receiver, time + later] for later in range(2)) or _injected(event), (
@@ -140,4 +141,4 @@ def test_every_agent_on_a_path_but_the_last_has_handed_the_work_on() -> None:
 
 def _injected(event: Event) -> bool:
     """An outsider's request, whose way to the other robot comes after the hop."""
-    return str(getattr(event, "task_id", "")).startswith("injected")
+    return str(flat(event).get("task_id", "")).startswith("injected")

@@ -58,10 +58,10 @@ def test_nine_hold_where_robots_and_links_fail_and_i5_names_the_requests_that_fo
         for run in range(8)
     ]
     unanswered = {
-        event.action_id
+        event.subject.action_id
         for run in runs
         for event in run.events
-        if isinstance(event, RequestUnanswered) and event.executed_by is None
+        if isinstance(event, RequestUnanswered) and event.principals.executed_by is None
     }
     with from_table(encode(runs)) as database:
         assert {row.invariant.partition("_")[0] for row in audit_rows(database, chosen(())) if row.events} == {"i5"}

@@ -25,7 +25,7 @@ from fsar_ledger.constants import (
     write_constants,
 )
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import (
     ActuatorDegraded,
@@ -154,7 +154,7 @@ INVENTED: dict[str, Invent] = {
     "tasks have more time": patient,
     "an obstruction more": lambda facts: [
         *facts,
-        (facts[-1][0] + 1, ObstructionAppeared("robot/A1", "obstruction/A1/99")),
+        (facts[-1][0] + 1, ObstructionAppeared(Robot("robot/A1"), "obstruction/A1/99")),
     ],
     "the last fact is missing": lambda facts: facts[:-1],
     "the last fact comes later": lambda facts: [*facts[:-1], (facts[-1][0] + 1, facts[-1][1])],
@@ -198,7 +198,7 @@ def test_a_difference_says_which_fact_was_found_and_which_was_expected() -> None
     spec = RunSpec(9, "fsar", "full", "fleet-contention", 4, 1)
     facts = world_of(spec)
     at = next(at for at, (_, event) in enumerate(facts) if isinstance(event, ObstructionAppeared))
-    missing, invented = facts[at], (facts[at][0], ObstructionCleared("robot/A1", "obstruction/A1/0"))
+    missing, invented = facts[at], (facts[at][0], ObstructionCleared(Robot("robot/A1"), "obstruction/A1/0"))
     difference = replay_run(simulated_in([*facts[:at], invented, *facts[at + 1 :]], spec))
     assert difference is not None
     assert isinstance(missing[1], ObstructionAppeared)
@@ -224,8 +224,8 @@ def altered(draw: random.Random, record: RunRecord, seq: int) -> RunRecord:
             return dropped(record, seq)
         case 1:
             return changed(record, seq, time_us=record.times_us[seq] + draw.choice((-1, 1)))
-    name = draw.choice(event.__struct_fields__)
-    return changed(record, seq, msgspec.structs.replace(event, **{name: OTHERS[type(getattr(event, name))]}))
+    name, value = draw.choice(list(flat(event).items()))
+    return changed(record, seq, with_columns(event, **{name: OTHERS[type(value)]}))
 
 
 def test_any_single_fact_of_any_run_that_is_missing_or_another_is_found_at_its_place() -> None:

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State, apply
@@ -16,9 +17,11 @@ from fsar_ledger.runtime.handlers.task import SubmitTask
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided
 
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
 DOOR = "door.open.secure"
-ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
-TASK = SubmitTask("robot/A1", "T9", ("A carry.package", "A door.open.secure B"), 60_000_000)
+ASK = RequestCapability(A, B, DOOR, "visit", "q1")
+TASK = SubmitTask(A, "T9", ("A carry.package", "A door.open.secure B"), 60_000_000)
 
 
 def after(*commands: Command) -> State:
@@ -38,10 +41,20 @@ def refusal(state: State, command: Command) -> str:
 
 def test_a_result_that_is_none_is_rejected() -> None:
     state = after(ASK, EvaluateRequest("q1"), TakeTurn("q1"))
-    apply(state, ExecutionStarted("visit", "q1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", DOOR, 9_000_000))
+    apply(
+        state,
+        ExecutionStarted(
+            subject=Subject("visit", "q1"),
+            principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+            robot=B,
+            on_behalf_of=A,
+            capability=DOOR,
+            ends_us=9_000_000,
+        ),
+    )
     wrong: Any = "weird"
     assert (
-        refusal(state, ReportResult("robot/B1", "q1", wrong))
+        refusal(state, ReportResult(B, "q1", wrong))
         == "unknown result weird, expected one of success, partial, failure"
     )
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel, Parties, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -44,15 +44,24 @@ from tests.recycled import from_table
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 DOOR = "door.open.secure"
-OPEN = msgspec.structs.replace(CapabilityAdvertised("robot/B1", DOOR), override_allowed="emergency-only")
-ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
-GRANT = AuthorityGranted("robot/C1", None, None, None, "emergency-only", FLEET_SUPERVISOR)
+OPEN = msgspec.structs.replace(CapabilityAdvertised(robot=B, capability=DOOR), override_allowed="emergency-only")
+ASK = RequestCapability(A, B, DOOR, "visit", "q1")
+GRANT = AuthorityGranted(
+    requested_by=C,
+    executed_by=None,
+    capability=None,
+    context=None,
+    override="emergency-only",
+    decided_by=FLEET_SUPERVISOR,
+)
 
 
 def urgent(level: OverrideLevel, name: str = "q2") -> RequestCapability:
     """C1 asks the same robot, with this override level."""
-    return RequestCapability("robot/C1", "robot/B1", DOOR, "rounds", name, level)
+    return RequestCapability(C, B, DOOR, "rounds", name, level)
 
 
 def busy(*before: Any, stage: str = "running", level: OverrideLevel = "none") -> State:
@@ -89,7 +98,10 @@ def test_soft_priority_goes_ahead_of_what_waits_without_it() -> None:
     state = busy()
     for level, name in (("none", "q2"), ("soft-priority", "q3"), ("soft-priority", "q4"), ("none", "q5")):
         play(state, urgent(level, name), EvaluateRequest(name))  # type: ignore[arg-type]
-    assert (state.execution.current["robot/B1"], state.execution.queues["robot/B1"]) == ("q1", ("q3", "q4", "q2", "q5"))
+    assert (state.execution.current[B], state.execution.queues[B]) == (
+        "q1",
+        ("q3", "q4", "q2", "q5"),
+    )
 
 
 def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_its_claims_and_its_place() -> None:
@@ -97,9 +109,12 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     play(state, urgent("none", "q0"), EvaluateRequest("q0"))
     admitted, preempted, queued = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_500_000))
     assert isinstance(admitted, RequestAdmitted)
-    assert preempted == ExecutionPreempted("visit", "q1", "robot/B1", "q2", 1_500_000)
+    assert preempted == ExecutionPreempted(Subject("visit", "q1"), B, "q2", 1_500_000)
     assert isinstance(queued, ExecutionQueued)
-    assert (state.execution.current["robot/B1"], state.execution.queues["robot/B1"]) == ("q2", ("q1", "q0"))
+    assert (state.execution.current[B], state.execution.queues[B]) == (
+        "q2",
+        ("q1", "q0"),
+    )
     kept = state.authority.claims["q1"]
     claimed = [event for event in play(state, TakeTurn("q2")) if isinstance(event, AuthorityClaimed)]
     assert [(claim.dimension, claim.claimant) for claim in claimed] == [
@@ -108,9 +123,16 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     ]
     assert state.authority.claims["q1"] == kept != ()
     assert play(state, ResumeAction("q1")) == (), "not before the robot is free"
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
+        ),
+    )
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
-    assert resumed == ExecutionResumed("visit", "q1", "robot/B1", 5_500_000)
+    assert resumed == ExecutionResumed(Subject("visit", "q1"), B, 5_500_000)
 
 
 def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once() -> None:
@@ -118,7 +140,14 @@ def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once(
     _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert preempted.remaining_us is None
     assert play(state, StartAction("q1", drawn=5)) == (), "it is not there"
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
+        ),
+    )
     assert play(state, StartAction("q1", drawn=5)) == (), "the way back comes first"
     assert types(play(state, TakeTurn("q1"))) == ["ApproachStarted"]
     assert len(state.authority.claims["q1"]) == 2
@@ -129,7 +158,14 @@ def test_what_was_preempted_before_its_turn_is_accepted_at_its_turn() -> None:
     state = busy(stage="queued")
     play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert play(state, TakeTurn("q1")) == ()
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
+        ),
+    )
     assert types(play(state, TakeTurn("q1"))) == [
         "RequestAccepted",
         "AuthorityClaimed",
@@ -142,7 +178,10 @@ def test_equals_do_not_interrupt_each_other_and_emergency_interrupts_all() -> No
     state = busy(GRANT, level="hard-preempt")
     assert "ExecutionPreempted" not in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     assert "ExecutionPreempted" in types(play(state, urgent("emergency-only", "q3"), EvaluateRequest("q3")))
-    assert (state.execution.current["robot/B1"], state.execution.queues["robot/B1"]) == ("q3", ("q1", "q2"))
+    assert (state.execution.current[B], state.execution.queues[B]) == (
+        "q3",
+        ("q1", "q2"),
+    )
 
 
 def test_emergency_without_a_supervisors_grant_is_no_override_at_all() -> None:
@@ -156,7 +195,18 @@ def test_emergency_without_a_supervisors_grant_is_no_override_at_all() -> None:
 
 def test_a_robot_that_helps_another_is_not_interrupted() -> None:
     help_given = AssistanceAdmitted(
-        "t", "t/1", "robot/B1", "robot/A1", "robot/A1", None, ("robot/B1",), "robot/A1", "robot/B1", 1, "peer"
+        subject=Subject("t", "t/1"),
+        principals=Principals(
+            decided_by=B,
+            requested_by=A,
+            executed_by=A,
+            supervised_by=None,
+            path=(B,),
+        ),
+        robot=A,
+        helper=B,
+        failure=1,
+        level="peer",
     )
     state = given("fsar", OPEN, help_given)
     events = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
@@ -165,18 +215,25 @@ def test_a_robot_that_helps_another_is_not_interrupted() -> None:
 
 def test_what_was_replanning_keeps_its_rest_and_no_early_plan_takes_the_robot_back() -> None:
     state = busy()
-    apply(state, ExecutionPaused("visit", "q1", "robot/B1", 700_000))
+    apply(state, ExecutionPaused(Subject("visit", "q1"), B, 700_000))
     _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_900_000))
     assert preempted.remaining_us == 700_000
     assert play(state, ResumeAction("q1", now_us=2_300_000)) == ()
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
+        ),
+    )
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
     assert resumed.ends_us == 4_700_000
 
 
 def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
     state = busy()
-    apply(state, ObstructionAppeared("robot/B1", "o"))
+    apply(state, ObstructionAppeared(B, "o"))
     assert types(play(state, DetectObstruction("q1", now_us=1_500_000))) == ["ExecutionFailed"]
     assert types(play(state, urgent("hard-preempt"), EvaluateRequest("q2"))) == [
         "RequestAdmitted",
@@ -186,21 +243,52 @@ def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
 
 
 def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behind_the_other() -> None:
-    own = StepBegan("B1-1", "B1-1/1.1", "robot/B1", 1, 1, "navigate.indoor")
-    arrived = TaskArrived("B1-1", "robot/B1", 1, ("B navigate.indoor",), 60_000_000, 65_000_000)
-    rule = PolicyRuleSet("local", "robot/B1", "navigate.indoor", None, "deny", "supervisor/B1")
+    own = StepBegan(subject=Subject("B1-1", "B1-1/1.1"), robot=B, step=1, attempt=1, capability="navigate.indoor")
+    arrived = TaskArrived(
+        task_id="B1-1",
+        robot=B,
+        team=1,
+        steps=("B navigate.indoor",),
+        budget_us=60_000_000,
+        due_us=65_000_000,
+    )
+    rule = PolicyRuleSet(
+        scope="local",
+        robot=B,
+        capability="navigate.indoor",
+        context=None,
+        outcome="deny",
+        decided_by=Supervisor("supervisor/B1"),
+    )
     state = given("fsar", OPEN, rule, arrived, own)
     assert types(play(state, DecideOwnStep("B1-1/1.1"), StartAction("B1-1/1.1", drawn=5))) == ["ExecutionHeld"]
     assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     apply(state, msgspec.structs.replace(rule, outcome="allow"))
     assert play(state, StartAction("B1-1/1.1", drawn=5)) == ()
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
+        ),
+    )
     assert types(play(state, StartAction("B1-1/1.1", drawn=5))) == ["ExecutionStarted"]
 
 
 def entry(name: str, level: OverrideLevel) -> ExecutionQueued:
     return ExecutionQueued(
-        "t", name, "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", DOOR, 1, 1, True, True, True, level
+        subject=Subject("t", name),
+        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+        robot=B,
+        on_behalf_of=A,
+        capability=DOOR,
+        step=1,
+        attempt=1,
+        is_delegated=True,
+        has_approach=True,
+        is_supervised=True,
+        override=level,
     )
 
 
@@ -247,20 +335,27 @@ def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(
             name = f"q{ordinal}"
             gone = model.arrives(name, level)
             if gone is not None:
-                state = execution.evolve(state, ExecutionPreempted("t", gone, "robot/B1", name, None))
+                state = execution.evolve(state, ExecutionPreempted(Subject("t", gone), B, name, None))
             state = execution.evolve(state, entry(name, level))
             alive.add(name)
         elif move == 4 or not model.waiting:
             name = model.serving
             model.ends()
-            state = execution.evolve(state, ExecutionFinished("t", name, None, None, None, "robot/B1"))
+            state = execution.evolve(
+                state,
+                ExecutionFinished(
+                    Subject("t", name),
+                    Parties(requested_by=None, executed_by=None, supervised_by=None),
+                    B,
+                ),
+            )
             alive.discard(name)
         else:
             name = model.leaves(ordinal % len(model.waiting))
-            state = execution.evolve(state, ExecutionWithdrawn("t", name, "robot/B1"))
+            state = execution.evolve(state, ExecutionWithdrawn(Subject("t", name), B))
             alive.discard(name)
-        assert state.current.get("robot/B1") == model.serving
-        assert state.queues.get("robot/B1", ()) == tuple(name for name, _, _ in model.waiting)
+        assert state.current.get(B) == model.serving
+        assert state.queues.get(B, ()) == tuple(name for name, _, _ in model.waiting)
         assert {model.serving, *(name for name, _, _ in model.waiting)} - {None} == alive
 
 
@@ -268,7 +363,7 @@ def lifetimes(events: list[tuple[int, Any]], action_id: str) -> tuple[list[int],
     """When the action was planned to take how long, and how long it executed. Units: microseconds."""
     planned, executed, since = [], 0, None
     for time_us, event in events:
-        if event.action_id != action_id:
+        if event.subject.action_id != action_id:
             continue
         if isinstance(event, ExecutionStarted | ExecutionResumed):
             if isinstance(event, ExecutionStarted):
@@ -288,7 +383,7 @@ def test_in_a_whole_run_the_preempted_action_goes_on_for_exactly_its_rest() -> N
     [(began_us, began)] = of(alone, ExecutionStarted)
     assert isinstance(began, ExecutionStarted)
     run = played([(1_000_000, ASK), (began_us, urgent("hard-preempt"))], OPEN)
-    kinds = [(type(event).__name__, event.action_id) for _, event in of(run, *STAGES)]  # type: ignore[attr-defined]
+    kinds = [(type(event).__name__, event.subject.action_id) for _, event in of(run, *STAGES)]  # type: ignore[attr-defined]
     assert kinds == [
         ("ExecutionStarted", "q1"),
         ("ExecutionPreempted", "q1"),
@@ -306,7 +401,7 @@ def test_in_a_whole_run_the_preempted_action_goes_on_for_exactly_its_rest() -> N
 def test_in_a_whole_run_what_was_interrupted_on_its_way_begins_once() -> None:
     [(on_the_way_us, _)] = of(played([(1_000_000, ASK)], OPEN), ApproachStarted)
     run = played([(1_000_000, ASK), (on_the_way_us, urgent("hard-preempt"))], OPEN)
-    assert [type(event).__name__ for _, event in of(run, *STAGES) if event.action_id == "q1"] == [  # type: ignore[attr-defined]
+    assert [type(event).__name__ for _, event in of(run, *STAGES) if event.subject.action_id == "q1"] == [  # type: ignore[attr-defined]
         "ExecutionPreempted",
         "ExecutionStarted",
         "ExecutionFinished",
@@ -315,10 +410,27 @@ def test_in_a_whole_run_what_was_interrupted_on_its_way_begins_once() -> None:
 
 def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_back() -> None:
     state = busy(stage="approaching")
-    apply(state, PolicyRuleSet("local", "robot/B1", DOOR, "visit", "deny", "supervisor/B1"))
+    apply(
+        state,
+        PolicyRuleSet(
+            scope="local",
+            robot=B,
+            capability=DOOR,
+            context="visit",
+            outcome="deny",
+            decided_by=Supervisor("supervisor/B1"),
+        ),
+    )
     assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionHeld"]
     assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
+        ),
+    )
     assert types(play(state, TakeTurn("q1"), StartAction("q1", drawn=5))) == ["ExecutionHeld"]
 
 
@@ -328,7 +440,7 @@ def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tu
     commands = [
         (
             1_000_000 + time_us,
-            RequestCapability("robot/C1" if of_c else "robot/A1", "robot/B1", DOOR, "visit", f"q{number}", level),
+            RequestCapability(C if of_c else A, B, DOOR, "visit", f"q{number}", level),
         )
         for number, (time_us, level, of_c) in enumerate(wanted)
     ]
@@ -337,29 +449,33 @@ def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tu
     for _, command in commands:
         planned, executed = lifetimes(history, command.action_id)
         assert [executed] == planned
-    assert sorted(event.action_id for _, event in of(run, RequestClosed)) == sorted(  # type: ignore[attr-defined]
+    assert sorted(event.subject.action_id for _, event in of(run, RequestClosed)) == sorted(  # type: ignore[attr-defined]
         command.action_id for _, command in commands
     )
     running: str | None = None
     for _, event in history:
         if isinstance(event, ExecutionStarted | ExecutionResumed):
             assert running is None, "two at once"
-            running = event.action_id
-        elif event.action_id == running:
+            running = event.subject.action_id
+        elif event.subject.action_id == running:
             running = None
     assert (run.state.execution.current, run.state.authority.claims) == ({}, {})
     assert run.state == fold(run.events)
 
 
 OFFERS = [
-    msgspec.structs.replace(CapabilityAdvertised(robot, capability), override_allowed="emergency-only")
-    for robot, capability in (("robot/A1", "carry.package"), ("robot/B1", DOOR), ("robot/D1", "carry.heavy"))
+    msgspec.structs.replace(CapabilityAdvertised(robot=robot, capability=capability), override_allowed="emergency-only")
+    for robot, capability in (
+        (A, "carry.package"),
+        (B, DOOR),
+        (D, "carry.heavy"),
+    )
 ]
 PAIRS = (
-    ("robot/C1", "robot/B1", DOOR),
-    ("robot/A1", "robot/B1", DOOR),
-    ("robot/D1", "robot/A1", "carry.package"),
-    ("robot/A1", "robot/D1", "carry.heavy"),
+    (C, B, DOOR),
+    (A, B, DOOR),
+    (D, A, "carry.package"),
+    (A, D, "carry.heavy"),
 )
 
 
@@ -390,21 +506,21 @@ def test_the_ten_invariants_hold_amid_urgent_requests() -> None:
 @pytest.mark.parametrize("seed", range(12))
 def test_amid_tasks_failures_and_changing_policy_nothing_is_lost_or_doubled(seed: int) -> None:
     run = amid(seed)
-    preempted = [event.action_id for _, event in of(run, ExecutionPreempted)]  # type: ignore[attr-defined]
+    preempted = [event.subject.action_id for _, event in of(run, ExecutionPreempted)]  # type: ignore[attr-defined]
     assert preempted
-    admitted = [event.action_id for _, event in of(run, RequestAdmitted)]  # type: ignore[attr-defined]
-    finished = [event.action_id for _, event in of(run, ExecutionFinished)]  # type: ignore[attr-defined]
+    admitted = [event.subject.action_id for _, event in of(run, RequestAdmitted)]  # type: ignore[attr-defined]
+    finished = [event.subject.action_id for _, event in of(run, ExecutionFinished)]  # type: ignore[attr-defined]
     assert len(finished) == len(set(finished))
     withdrawn = {
-        event.action_id  # type: ignore[attr-defined]
+        event.subject.action_id  # type: ignore[attr-defined]
         for _, event in of(run, ExecutionWithdrawn)
-        if run.state.execution.actions[event.action_id].stage == "withdrawn"  # type: ignore[attr-defined]
+        if run.state.execution.actions[event.subject.action_id].stage == "withdrawn"  # type: ignore[attr-defined]
     }
     assert set(admitted) | set(preempted) <= set(finished) | withdrawn
     given_up = {event.task_id for _, event in of(run, TaskAbandoned)}  # type: ignore[attr-defined]
     assert {run.state.execution.actions[name].task_id for name in withdrawn} <= given_up
     assert {f"q{number}" for number in range(24)} <= {
-        event.action_id  # type: ignore[attr-defined]
+        event.subject.action_id  # type: ignore[attr-defined]
         for _, event in of(run, RequestClosed, RequestDenied)
     }
     assert (
@@ -425,7 +541,7 @@ def test_amid_tasks_failures_and_changing_policy_nothing_is_lost_or_doubled(seed
         ExecutionFinished,
         ExecutionWithdrawn,
     ):
-        robot, action_id = event.robot, event.action_id  # type: ignore[attr-defined]
+        robot, action_id = event.robot, event.subject.action_id  # type: ignore[attr-defined]
         if isinstance(event, ExecutionStarted | ExecutionResumed):
             assert robot not in moving, f"{robot} executes {moving.get(robot)} and {action_id}"
             moving[robot] = action_id

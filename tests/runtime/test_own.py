@@ -25,7 +25,7 @@ from fsar_ledger.designs import (
     registered,
 )
 from fsar_ledger.errors import InvalidExperiment, UsageError
-from fsar_ledger.events.envelope import TrustScope
+from fsar_ledger.events.envelope import Supervisor, TrustScope
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.world import SupervisorLeft, SupervisorReturned
@@ -99,7 +99,7 @@ def test_at_night_nobody_supervises_but_the_fleets_supervisor_where_a_robot_has_
             record = simulate_run(msgspec.structs.replace(SPEC, run=run), own)
             for _, event in of(ExecutionStarted, record):
                 assert isinstance(event, ExecutionStarted)
-                found[bool(off_shift)].add(event.supervised_by)
+                found[bool(off_shift)].add(event.principals.supervised_by)
     assert {"supervisor/porter1", "supervisor/east-door1"} <= found[False]
     assert found[True] <= {None, "supervisor/fleet"}
     assert None in found[True]
@@ -111,7 +111,7 @@ def test_spells_off_shift_that_overlap_are_one_and_a_robot_without_a_supervisor_
         one for one in schedule(constants, 7, "night", 0, 3) if isinstance(one[1], SupervisorLeft | SupervisorReturned)
     ]
     at_night = [(round(time_us / 1e6), event) for time_us, event in facts if time_us in range(29_999_999, 90_000_100)]
-    porter, door = "supervisor/porter1", "supervisor/east-door1"
+    porter, door = Supervisor("supervisor/porter1"), Supervisor("supervisor/east-door1")
     about = [one for one in at_night if one[0] in (30, 60, 90)]
     assert (30, SupervisorLeft(porter)) in about
     assert (90, SupervisorReturned(porter)) in about

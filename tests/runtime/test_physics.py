@@ -6,7 +6,7 @@ Rates of 0 and probabilities of 0 and 1 are legal constants of the world, and th
 import pytest
 
 from fsar_ledger.constants import Constants, Outages, Range
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, flat
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -212,15 +212,17 @@ def test_what_a_robot_was_at_goes_on_after_it_is_back_and_takes_no_less_time(arc
         for time_us, event in zip(record.times_us, record.events, strict=True):
             match event:
                 case ExecutionStarted() | ExecutionResumed():
-                    since[event.action_id] = time_us
-                    left[event.action_id] = (
-                        event.ends_us - time_us if isinstance(event, ExecutionStarted) else left[event.action_id]
+                    since[event.subject.action_id] = time_us
+                    left[event.subject.action_id] = (
+                        event.ends_us - time_us
+                        if isinstance(event, ExecutionStarted)
+                        else left[event.subject.action_id]
                     )
-                case ExecutionHalted() | ExecutionPaused() | ExecutionFinished() if event.action_id in left:
-                    left[event.action_id] -= time_us - since.pop(event.action_id)
+                case ExecutionHalted() | ExecutionPaused() | ExecutionFinished() if event.subject.action_id in left:
+                    left[event.subject.action_id] -= time_us - since.pop(event.subject.action_id)
                     halted += isinstance(event, ExecutionHalted)
                     if isinstance(event, ExecutionFinished):
-                        assert left[event.action_id] == 0
+                        assert left[event.subject.action_id] == 0
     assert halted
 
 
@@ -257,7 +259,7 @@ def test_no_message_reaches_or_leaves_a_robot_whose_link_is_down(architecture: A
             event, "is_delegated", True
         ):
             robot = (
-                robot_of(event.decided_by)
+                robot_of(event.principals.decided_by)
                 if isinstance(event, RequestAdmitted)
                 else event.helper
                 if isinstance(event, AssistanceAdmitted)
@@ -323,15 +325,18 @@ def test_nothing_of_a_task_begins_where_it_is_known_to_be_given_up_and_nobody_cl
             for name in told_us:
                 if not _is_reached(state, name):
                     told_us[name] = time_us + message_us
-            withdrawn += isinstance(event, ExecutionWithdrawn) and event.task_id in over
-            assert not (isinstance(event, begins) and event.task_id in over), event
-            if isinstance(event, goes_on) and event.task_id in over:
-                action = state.execution.actions[str(event.action_id)]
+            withdrawn += isinstance(event, ExecutionWithdrawn) and event.subject.task_id in over
+            assert not (isinstance(event, begins) and flat(event)["task_id"] in over), event
+            if isinstance(event, goes_on) and event.subject.task_id in over:
+                action = state.execution.actions[str(event.subject.action_id)]
                 assert action.robot != action.requested_by, event
                 assert time_us <= told_us[action.action_id], event
             apply(state, event)
         for name in (
-            claim.action_id for claims in state.authority.claims.values() for claim in claims if claim.task_id in over
+            claim.subject.action_id
+            for claims in state.authority.claims.values()
+            for claim in claims
+            if claim.subject.task_id in over
         ):
             assert state.execution.actions[name].stage in ("running", "paused", "halted", "failed") or not _is_reached(
                 state, name
@@ -356,7 +361,7 @@ def test_nothing_that_needs_a_lost_actuator_succeeds_before_it_is_serviced(archi
     tried = 0
     for state, _, event in runs.told():
         if isinstance(event, ExecutionFinished | FailureResolved) and state.world.degraded.get(event.robot) == "lost":
-            action = state.execution.actions[event.action_id]
+            action = state.execution.actions[event.subject.action_id]
             assert action.capability == "navigate.indoor" or (
                 isinstance(event, FailureResolved) and event.level == "fleet"
             ), event
@@ -424,15 +429,15 @@ def test_a_helper_that_could_not_help_is_free_and_recovery_goes_on_elsewhere(arc
             match event:
                 case AssistanceAdmitted():
                     assert event.helper not in helping
-                    helping[event.helper] = event.action_id
+                    helping[event.helper] = event.subject.action_id
                 case AssistanceEnded() | AssistanceFailed():
-                    assert helping.pop(event.helper) == event.action_id
+                    assert helping.pop(event.helper) == event.subject.action_id
                     if isinstance(event, AssistanceFailed):
-                        failed[event.action_id, event.failure] = event.helper
+                        failed[event.subject.action_id, event.failure] = event.helper
                 case AssistanceRequested() | RecoveryEscalated() if (event.failed_action, event.failure) in failed:
                     assert getattr(event, "helper", None) != failed.pop((event.failed_action, event.failure))
                 case FailureResolved():
-                    assert (event.action_id, event.failure) not in failed
+                    assert (event.subject.action_id, event.failure) not in failed
         assert helping == {}
 
 
@@ -471,8 +476,8 @@ def test_a_robot_is_at_one_thing_at_a_time(architecture: Architecture) -> None:
     """Whoever helps executes nothing meanwhile, and is contended for."""
     for state, _, event in failing(architecture, MIXED, obstruction_rate_per_s=0.2).told():
         if isinstance(event, ExecutionStarted | ExecutionResumed):
-            assert state.execution.current[event.robot] == event.action_id
+            assert state.execution.current[event.robot] == event.subject.action_id
         if isinstance(event, AssistanceAdmitted):
             assert event.helper not in state.execution.current
         if isinstance(event, AssistanceEnded):
-            assert state.execution.current[event.helper] == HELPING + event.action_id
+            assert state.execution.current[event.helper] == HELPING + event.subject.action_id

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import POLICY
+from fsar_ledger.events.envelope import POLICY, Parties, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.knowledge import FleetRuleLearned
@@ -35,26 +35,46 @@ from fsar_ledger.runtime.handlers.policy import (
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
 
-A, B, C = "robot/A1", "robot/B1", "robot/C1"
+A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
 DOOR = "door.open.secure"
-H_B = "supervisor/B1"
-REQUESTED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", "A1-1/2.1", A, B, None, DOOR, (B,)))
+H_B = Supervisor("supervisor/B1")
+REQUESTED = (
+    ARRIVED,
+    DELEGATED_STEP,
+    RegistryQueried(
+        subject=Subject("A1-1", "A1-1/2.1"),
+        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+        capability=DOOR,
+        candidates=(B,),
+    ),
+)
 OUTCOME = st.sampled_from(["allow", "deny", "review"])
 RULE = st.builds(
     PolicyRuleSet,
-    st.sampled_from(["local", "fleet"]),
-    st.sampled_from([None, A, B]),
-    st.sampled_from([None, DOOR, "carry.package"]),
-    st.sampled_from([None, "A1-1", "A1-2"]),
-    OUTCOME,
-    st.just(H_F),
+    scope=st.sampled_from(["local", "fleet"]),
+    robot=st.sampled_from([None, A, B]),
+    capability=st.sampled_from([None, DOOR, "carry.package"]),
+    context=st.sampled_from([None, "A1-1", "A1-2"]),
+    outcome=OUTCOME,
+    decided_by=st.just(H_F),
 )
 
 
 def rule(
-    outcome: str, robot: str | None = B, capability: str | None = None, context: str | None = None, scope: str = "local"
+    outcome: str,
+    robot: Robot | None = B,
+    capability: str | None = None,
+    context: str | None = None,
+    scope: str = "local",
 ) -> PolicyRuleSet:
-    return PolicyRuleSet(scope, robot, capability, context, outcome, H_F)  # type: ignore[arg-type]
+    return PolicyRuleSet(
+        scope=scope,  # type: ignore[arg-type]
+        robot=robot,
+        capability=capability,
+        context=context,
+        outcome=outcome,  # type: ignore[arg-type]
+        decided_by=H_F,
+    )
 
 
 def refusal(events: tuple[Event, ...]) -> str:
@@ -65,24 +85,34 @@ def refusal(events: tuple[Event, ...]) -> str:
 
 def test_a_robots_own_policy_is_set_by_its_own_supervisor() -> None:
     [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_B, "local", B, DOOR, "A1-1", "deny"))
-    assert event == PolicyRuleSet("local", B, DOOR, "A1-1", "deny", H_B)
+    assert event == PolicyRuleSet(
+        scope="local", robot=B, capability=DOOR, context="A1-1", outcome="deny", decided_by=H_B
+    )
 
 
 @pytest.mark.parametrize("robot", [None, B])
-def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: str | None) -> None:
+def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: Robot | None) -> None:
     [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_F, "fleet", robot, None, None, "review"))
-    assert event == PolicyRuleSet("fleet", robot, None, None, "review", H_F)
+    assert event == PolicyRuleSet(
+        scope="fleet", robot=robot, capability=None, context=None, outcome="review", decided_by=H_F
+    )
 
 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
         (SetPolicyRule(H_F, "local", B, None, None, "allow"), "supervisor/fleet does not set robot/B1's own policy"),
-        (SetPolicyRule("supervisor/A1", "local", B, None, None, "deny"), "supervisor/A1 does not supervise robot/B1"),
+        (
+            SetPolicyRule(Supervisor("supervisor/A1"), "local", B, None, None, "deny"),
+            "supervisor/A1 does not supervise robot/B1",
+        ),
         (SetPolicyRule(H_B, "fleet", B, None, None, "deny"), "supervisor/B1 supervises one robot"),
-        (SetPolicyRule("supervisor/X9", "local", B, None, None, "deny"), "unknown supervisor supervisor/X9"),
+        (
+            SetPolicyRule(Supervisor("supervisor/X9"), "local", B, None, None, "deny"),
+            "unknown supervisor supervisor/X9",
+        ),
         (SetPolicyRule(H_B, "local", None, None, None, "deny"), "a local rule of no robot"),
-        (SetPolicyRule(H_F, "fleet", "robot/X9", None, None, "deny"), "unknown robot robot/X9"),
+        (SetPolicyRule(H_F, "fleet", Robot("robot/X9"), None, None, "deny"), "unknown robot robot/X9"),
         (SetPolicyRule(H_F, "fleet", None, "fly", None, "deny"), "unknown capability fly"),
         (SetPolicyRule(H_F, "fleet", None, None, "A1-1", "deny"), "task A1-1 is over"),
         (SetPolicyRule(H_F, "fleet", None, None, None, "maybe"), "found fleet maybe"),  # type: ignore[arg-type]
@@ -94,13 +124,18 @@ def test_a_rule_that_cannot_be_set_is_rejected(command: SetPolicyRule, reason: s
 
 
 def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> None:
-    yard = (RobotJoined("robot/B8", "B", 8, None, "yard"), RobotJoined("robot/B9", "B", 9, None, "yard/gate"))
+    yard = (
+        RobotJoined(robot=Robot("robot/B8"), role="B", team=8, supervisor=None, domain="yard"),
+        RobotJoined(robot=Robot("robot/B9"), role="B", team=9, supervisor=None, domain="yard/gate"),
+    )
     state = given("fsar", rule("allow", capability=DOOR, scope="fleet"), *yard)
     [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR))
-    assert event == RolePolicyRuleSet("fleet", "B", "deny", "", DOOR, None, H_F)
+    assert event == RolePolicyRuleSet(
+        scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
+    )
     apply(state, event)
-    apply(state, RobotJoined("robot/B7", "B", 7, None, "hall"))
-    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", A)] == [
+    apply(state, RobotJoined(robot=Robot("robot/B7"), role="B", team=7, supervisor=None, domain="hall"))
+    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, Robot("robot/B7"), Robot("robot/B8"), A)] == [
         "allow",
         "deny",
         "deny",
@@ -108,20 +143,22 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
     ]
     [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
     apply(state, event)
-    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", "robot/B9")] == [
+    assert [
+        fleet_policy(state, robot, DOOR, None) for robot in (B, *(Robot(f"robot/B{team}") for team in (7, 8, 9)))
+    ] == [
         "allow",
         "deny",
         "review",
         "review",
     ]
-    assert compose(state, "allow", "robot/B9", DOOR, None) == "review"
+    assert compose(state, "allow", Robot("robot/B9"), DOOR, None) == "review"
 
 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
         (SetRolePolicyRule(H_B, "B", "deny"), "supervisor/B1 supervises one robot"),
-        (SetRolePolicyRule("supervisor/X9", "B", "deny"), "unknown supervisor supervisor/X9"),
+        (SetRolePolicyRule(Supervisor("supervisor/X9"), "B", "deny"), "unknown supervisor supervisor/X9"),
         (SetRolePolicyRule(H_F, "b", "deny"), "unknown role b, expected one of A, B, C, D"),
         (SetRolePolicyRule(H_F, "B", "deny", "hall"), "unknown domain hall"),
         (SetRolePolicyRule(H_F, "B", "deny", capability="fly"), "unknown capability fly"),
@@ -141,7 +178,7 @@ def test_a_rule_of_a_role_that_cannot_be_set_is_rejected(command: SetRolePolicyR
 )
 @settings(max_examples=80)
 def test_the_strictest_rule_that_applies_holds_and_of_one_rule_the_last_word(
-    rules: list[PolicyRuleSet], robot: str, capability: str, context: str
+    rules: list[PolicyRuleSet], robot: Robot, capability: str, context: str
 ) -> None:
     state = INITIAL
     for one in rules:
@@ -179,7 +216,13 @@ def test_a_rule_about_a_capability_or_a_task_leaves_others_alone() -> None:
 def test_a_mandate_against_the_executors_own_denial_is_denied_and_escalated() -> None:
     state = given("fsar", *REQUESTED, rule("deny"), rule("allow", robot=None, capability=DOOR, scope="fleet"))
     escalated, denied = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
-    assert escalated == PolicyConflictEscalated("A1-1", "A1-1/2.1", POLICY, A, B, H_F, (POLICY,), DOOR, "deny", "allow")
+    assert escalated == PolicyConflictEscalated(
+        Subject("A1-1", "A1-1/2.1"),
+        Principals(decided_by=POLICY, requested_by=A, executed_by=B, supervised_by=H_F, path=(POLICY,)),
+        DOOR,
+        "deny",
+        "allow",
+    )
     assert isinstance(denied, RequestDenied)
     assert denied.reason == "policy"
 
@@ -187,7 +230,7 @@ def test_a_mandate_against_the_executors_own_denial_is_denied_and_escalated() ->
 def test_a_matter_of_one_robot_alone_is_escalated_to_its_own_supervisor() -> None:
     state = given("fsar", window(B), rule("allow", scope="fleet"))
     [escalated] = conflict(state, None, None, B, B, DOOR)
-    assert escalated.supervised_by == H_B
+    assert escalated.principals.supervised_by == H_B
 
 
 def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_hold() -> None:
@@ -197,7 +240,13 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
     for event in take_turn(state, TakeTurn("A1-1/2.1")):
         apply(state, event)
     escalated, held = start(state, StartAction("A1-1/2.1", now_us=5, drawn=7))
-    assert escalated == PolicyConflictEscalated("A1-1", "A1-1/2.1", POLICY, A, B, H_F, (POLICY,), DOOR, "deny", "allow")
+    assert escalated == PolicyConflictEscalated(
+        Subject("A1-1", "A1-1/2.1"),
+        Principals(decided_by=POLICY, requested_by=A, executed_by=B, supervised_by=H_F, path=(POLICY,)),
+        DOOR,
+        "deny",
+        "allow",
+    )
     assert isinstance(held, ExecutionHeld)
     assert held.outcome == "deny"
     for event in (escalated, held):
@@ -257,16 +306,19 @@ def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
         return [one.command for react in FSAR.reacts[type(event)] for one in react(state, event, 6)]
 
     assert woken(rule("review", robot=A)) == []
-    assert woken(RolePolicyRuleSet("local", "A", "allow")) == [], "the robot's own stands"
+    assert woken(RolePolicyRuleSet(scope="local", role="A", outcome="allow")) == [], "the robot's own stands"
     assert woken(rule("allow", robot=B)) == []
     assert woken(rule("allow", robot=A)) == [StartAction("A1-1/1.1")]
     assert types(start(state, StartAction("A1-1/1.1", now_us=9, drawn=7))) == ["ExecutionStarted"]
 
 
 def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_allows() -> None:
-    for lifted in (RolePolicyRuleSet("local", "A", "allow"), rule("allow", robot=A)):
+    for lifted in (RolePolicyRuleSet(scope="local", role="A", outcome="allow"), rule("allow", robot=A)):
         state = given("fsar", ARRIVED, OWN_STEP)
-        for event in (*decide_own_step(state, DecideOwnStep("A1-1/1.1")), RolePolicyRuleSet("local", "A", "deny")):
+        for event in (
+            *decide_own_step(state, DecideOwnStep("A1-1/1.1")),
+            RolePolicyRuleSet(scope="local", role="A", outcome="deny"),
+        ):
             apply(state, event)
         [held] = start(state, StartAction("A1-1/1.1", now_us=5, drawn=7))
         assert isinstance(held, ExecutionHeld)
@@ -279,7 +331,7 @@ def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_
 
 
 def test_a_rule_of_the_role_is_a_mandate_for_each_of_its_robots_without_an_exception() -> None:
-    mandate = RolePolicyRuleSet("fleet", "B", "allow", "", DOOR)
+    mandate = RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="", capability=DOOR)
     assert types(conflict(given("fsar", rule("deny"), mandate), "A1-1", "A1-1/2.1", A, B, DOOR)) == [
         "PolicyConflictEscalated"
     ]
@@ -295,7 +347,14 @@ def test_a_rule_of_the_role_is_a_mandate_for_each_of_its_robots_without_an_excep
         == ()
     )
     assert (
-        conflict(given("fsar", rule("deny"), RolePolicyRuleSet("fleet", "A", "allow")), "A1-1", "A1-1/2.1", A, B, DOOR)
+        conflict(
+            given("fsar", rule("deny"), RolePolicyRuleSet(scope="fleet", role="A", outcome="allow")),
+            "A1-1",
+            "A1-1/2.1",
+            A,
+            B,
+            DOOR,
+        )
         == ()
     )
 
@@ -317,8 +376,10 @@ def test_in_a_run_a_mandate_is_escalated_with_denials_and_nothing_is_overridden(
     one = governed(
         "door-relay", (1_500_000, rule("deny", capability=DOOR)), (1_600_000, rule("allow", robot=None, scope="fleet"))
     )
-    denied = {event.action_id for event in one.events if isinstance(event, RequestDenied) and event.reason == "policy"}
-    escalated = {event.action_id for event in one.events if isinstance(event, PolicyConflictEscalated)}
+    denied = {
+        event.subject.action_id for event in one.events if isinstance(event, RequestDenied) and event.reason == "policy"
+    }
+    escalated = {event.subject.action_id for event in one.events if isinstance(event, PolicyConflictEscalated)}
     assert escalated
     assert escalated < denied, "while the fleet denies as well there is no conflict"
     assert not any(isinstance(event, ExecutionStarted) and event.capability == DOOR for event in one.events)

@@ -5,7 +5,8 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
+from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
+from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -13,7 +14,6 @@ from fsar_ledger.events.recovery import (
     FailureResolved,
     ReassignmentDecided,
     RecoveryAttempted,
-    RecoveryAttemptFailed,
     RecoveryBudgetSet,
     RecoveryEscalated,
     TaskStateTransferred,
@@ -25,9 +25,9 @@ from fsar_ledger.events.registry import (
     CapabilityWithdrawn,
     RegistryQueried,
 )
-from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
+from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, SupervisorLeft, SupervisorReturned
+from fsar_ledger.events.world import ObstructionAppeared, SupervisorLeft, SupervisorReturned
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.fsar.recovery import (
     AskPeers,
@@ -40,8 +40,7 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
     end_attempt,
     start_recovery,
 )
-from fsar_ledger.runtime.handlers.commands import Command, EndAttempt, FinishAttempt
-from fsar_ledger.runtime.handlers.execution import finish_attempt
+from fsar_ledger.runtime.handlers.commands import Command, EndAttempt
 from fsar_ledger.runtime.handlers.recovery import budget
 from fsar_ledger.runtime.handlers.trust import trusts
 from fsar_ledger.runtime.simulation import wiring
@@ -86,7 +85,9 @@ def test_a_robots_own_budget_replaces_the_fleets() -> None:
             A,
             "carry.package",
             ObstructionAppeared(A, "o"),
-            RecoveryBudgetSet(A, "local", 30_000_000, 1, "supervisor/A1"),
+            RecoveryBudgetSet(
+                robot=A, level="local", t_max_us=30_000_000, n_max=1, decided_by=Supervisor("supervisor/A1")
+            ),
         )
     )
     taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
@@ -101,7 +102,15 @@ def test_a_robots_own_budget_replaces_the_fleets() -> None:
 
 @pytest.mark.parametrize("spent", [(0, 2), (30_000_000, 0)])
 def test_a_level_without_budget_is_recorded_and_left_at_once(spent: tuple[int, int]) -> None:
-    state = failed(executing(A, "carry.package", RecoveryBudgetSet(A, "local", *spent, "supervisor/A1")))
+    state = failed(
+        executing(
+            A,
+            "carry.package",
+            RecoveryBudgetSet(
+                robot=A, level="local", t_max_us=spent[0], n_max=spent[1], decided_by=Supervisor("supervisor/A1")
+            ),
+        )
+    )
     outward = start_recovery(state, StartRecovery(ACTION, now_us=2_000_001))
     assert types(outward) == ["RecoveryEscalated"]
     assert escalation(outward) == ("local", "peer", "budget exhausted")
@@ -125,7 +134,7 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
     requested, admitted = asked(failed(executing(B, "door.open.basic"), "peer"))
     assert isinstance(requested, AssistanceRequested)
     assert isinstance(admitted, AssistanceAdmitted)
-    assert (requested.decided_by, admitted.decided_by, admitted.helper) == (B, A, A)
+    assert (requested.principals.decided_by, admitted.principals.decided_by, admitted.helper) == (B, A, A)
 
 
 @pytest.mark.parametrize(
@@ -135,7 +144,16 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
         (
             B,
             "door.open.basic",
-            (AuthorityRevoked(B, None, None, None, "human override", "supervisor/B1"),),
+            (
+                AuthorityRevoked(
+                    requested_by=B,
+                    executed_by=None,
+                    capability=None,
+                    context=None,
+                    reason="human override",
+                    decided_by=Supervisor("supervisor/B1"),
+                ),
+            ),
             "authority",
         ),
         (B, "door.open.basic", (window(A),), "policy"),
@@ -143,14 +161,25 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
     ],
 )
 def test_a_peer_level_that_has_nothing_to_try_says_why(
-    robot: str, capability: str, before: tuple[Event, ...], reason: str
+    robot: Robot, capability: str, before: tuple[Event, ...], reason: str
 ) -> None:
     assert escalation(asked(failed(executing(robot, capability, *before), "peer"))) == ("peer", "fleet", reason)
 
 
 def test_a_busy_peer_does_not_help() -> None:
     state = failed(executing(B, "door.open.basic"), "peer")
-    busy = ExecutionQueued("A1-2", "A1-2/1.1", A, A, None, A, A, "carry.package", 1, 1, False, False, True)
+    busy = ExecutionQueued(
+        subject=Subject("A1-2", "A1-2/1.1"),
+        principals=Parties(requested_by=A, executed_by=A, supervised_by=None),
+        robot=A,
+        on_behalf_of=A,
+        capability="carry.package",
+        step=1,
+        attempt=1,
+        is_delegated=False,
+        has_approach=False,
+        is_supervised=True,
+    )
     apply(state, busy)
     assert escalation(asked(state)) == ("peer", "fleet", "peer busy")
 
@@ -158,7 +187,7 @@ def test_a_busy_peer_does_not_help() -> None:
 def test_a_degraded_robot_asks_the_registry_for_the_family_of_its_capability() -> None:
     query, outward = asked(failed(executing(D, "grasp.robust"), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
-    assert (query.requested_by, query.capability, query.candidates, query.rejected) == (D, "grasp.*", (), ())
+    assert (query.principals.requested_by, query.capability, query.candidates, query.rejected) == (D, "grasp.*", (), ())
     assert escalation((outward,)) == ("peer", "fleet", "no capable peer")
 
 
@@ -166,7 +195,10 @@ def test_the_answer_says_why_a_peer_of_the_family_is_no_help() -> None:
     query, _ = asked(failed(executing(D, "carry.heavy"), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((A,), ("contract",))
-    untrusting = (CapabilityInstalled(C, "carry.heavy", "1.0.0"), CapabilityAdvertised(C, "carry.heavy"))
+    untrusting = (
+        CapabilityInstalled(robot=C, capability="carry.heavy", version="1.0.0"),
+        CapabilityAdvertised(robot=C, capability="carry.heavy"),
+    )
     query, outward = asked(failed(executing(D, "carry.heavy", *untrusting), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((A, C), ("contract", "trust"))
@@ -174,7 +206,7 @@ def test_the_answer_says_why_a_peer_of_the_family_is_no_help() -> None:
 
 
 def test_a_robot_that_is_offline_neither_helps_nor_takes_over() -> None:
-    offline = AvailabilityChanged(D, None, "offline", "charging")
+    offline = AvailabilityChanged(robot=D, capability=None, availability="offline", reason="charging")
     query, outward = asked(failed(executing(A, "carry.package", offline), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((D,), ("availability",))
@@ -208,7 +240,9 @@ def test_a_spent_peer_budget_ends_the_peer_level() -> None:
         "fleet",
         "budget exhausted",
     )
-    closed = RecoveryBudgetSet(B, "peer", 30_000_000, 0, "supervisor/B1")
+    closed = RecoveryBudgetSet(
+        robot=B, level="peer", t_max_us=30_000_000, n_max=0, decided_by=Supervisor("supervisor/B1")
+    )
     assert escalation(asked(failed(executing(B, "door.open.basic", closed), "peer"))) == (
         "peer",
         "fleet",
@@ -242,9 +276,11 @@ def test_a_step_is_handed_over_at_its_checkpoint_with_the_state_of_the_task() ->
     decided, _, _, transferred, queued = events
     assert isinstance(decided, ReassignmentDecided)
     assert (decided.helper, decided.checkpoint, decided.reason) == (D, "A1-1/2", None)
-    assert transferred == TaskStateTransferred("A1-1", ACTION, A, D, "A1-1/2", ("A navigate.indoor",))
+    assert transferred == TaskStateTransferred(
+        subject=Subject("A1-1", ACTION), robot=A, helper=D, checkpoint="A1-1/2", completed=("A navigate.indoor",)
+    )
     assert isinstance(queued, ExecutionQueued)
-    assert (queued.robot, queued.on_behalf_of, queued.requested_by) == (D, A, A)
+    assert (queued.robot, queued.on_behalf_of, queued.principals.requested_by) == (D, A, A)
 
 
 def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
@@ -259,12 +295,35 @@ def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
     [
         (D, "grasp.robust", (), "no capable robot"),
         (A, "navigate.indoor", (), "the robot's own way"),
-        (A, "carry.package", (TrustSet(D, A, "none"),), "no trusted robot"),
-        (A, "carry.package", (AuthorityRevoked(A, D, None, None, "human override", "supervisor/fleet"),), "authority"),
+        (A, "carry.package", (TrustSet(robot=D, peer=A, scope="none"),), "no trusted robot"),
         (
             A,
             "carry.package",
-            (AuthorityRevoked(D, A, None, None, "human override", "supervisor/fleet"),),
+            (
+                AuthorityRevoked(
+                    requested_by=A,
+                    executed_by=D,
+                    capability=None,
+                    context=None,
+                    reason="human override",
+                    decided_by=Supervisor("supervisor/fleet"),
+                ),
+            ),
+            "authority",
+        ),
+        (
+            A,
+            "carry.package",
+            (
+                AuthorityRevoked(
+                    requested_by=D,
+                    executed_by=A,
+                    capability=None,
+                    context=None,
+                    reason="human override",
+                    decided_by=Supervisor("supervisor/fleet"),
+                ),
+            ),
             "",
         ),  # the other way round
         (A, "carry.package", (window(D),), "policy"),
@@ -273,7 +332,7 @@ def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
     ],
 )
 def test_a_robot_takes_over_nothing_that_it_may_not_do(
-    robot: str, capability: str, before: tuple[Event, ...], reason: str
+    robot: Robot, capability: str, before: tuple[Event, ...], reason: str
 ) -> None:
     decided, *_ = considered(failed(executing(robot, capability, *before), "fleet"))
     assert isinstance(decided, ReassignmentDecided)
@@ -282,12 +341,28 @@ def test_a_robot_takes_over_nothing_that_it_may_not_do(
 
 def test_a_busy_robot_takes_nothing_over() -> None:
     state = failed(executing(), "fleet")
-    apply(state, ExecutionQueued("D1-2", "D1-2/1.1", D, D, None, D, D, "carry.heavy", 1, 1, False, False, True))
+    apply(
+        state,
+        ExecutionQueued(
+            subject=Subject("D1-2", "D1-2/1.1"),
+            principals=Parties(requested_by=D, executed_by=D, supervised_by=None),
+            robot=D,
+            on_behalf_of=D,
+            capability="carry.heavy",
+            step=1,
+            attempt=1,
+            is_delegated=False,
+            has_approach=False,
+            is_supervised=True,
+        ),
+    )
     assert escalation(considered(state)) == ("fleet", "human", "no feasible reassignment: robot busy")
 
 
 def test_a_spent_fleet_budget_ends_the_fleet_level() -> None:
-    closed = RecoveryBudgetSet(A, "fleet", 30_000_000, 0, "supervisor/A1")
+    closed = RecoveryBudgetSet(
+        robot=A, level="fleet", t_max_us=30_000_000, n_max=0, decided_by=Supervisor("supervisor/A1")
+    )
     events = considered(failed(executing(A, "carry.package", closed), "fleet"))
     assert types(events) == ["RecoveryEscalated", "SupervisorCalled"]
     assert escalation(events) == ("fleet", "human", "budget exhausted")
@@ -300,19 +375,67 @@ HEAVY = (D, "carry.heavy")
 @pytest.mark.parametrize(
     ("before", "reason", "left_out_by"),
     [
-        (CapabilityAdvertised(*HEAVY, trust_required="persistent"), "no trusted", "trust"),
-        (CapabilityAdvertised(*HEAVY, visible_to=("Z",)), "no capable", "visibility"),
-        (CapabilityAdvertised(*HEAVY, visibility="trust-gated"), "", None),
-        (CapabilityAdvertised(*HEAVY, policy_required=("other",)), "policy", "policy"),
-        (CapabilityAdvertised(*HEAVY, policy_required=("A1-1",)), "", None),
-        (CapabilityWithdrawn(*HEAVY, "jammed"), "no capable", None),
-        (AvailabilityChanged(*HEAVY, "restricted", "inspection"), "no capable", "availability"),
-        (TrustSet(D, A, "none", "carry.heavy"), "no trusted", "trust"),
-        (TrustSet(D, A, "none", "carry.package"), "no trusted", "trust"),
-        (PolicyRuleSet("local", D, "carry.heavy", None, "deny", "supervisor/D1"), "policy", "policy"),
-        (PolicyRuleSet("local", A, "carry.heavy", None, "review", "supervisor/A1"), "policy", None),
-        (PolicyRuleSet("fleet", None, "carry.heavy", None, "deny", "supervisor/fleet"), "policy", None),
-        (AuthorityRevoked(A, D, "carry.heavy", None, "human override", "supervisor/fleet"), "authority", None),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", trust_required="persistent"), "no trusted", "trust"),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", visible_to=("Z",)), "no capable", "visibility"),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", visibility="trust-gated"), "", None),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", policy_required=("other",)), "policy", "policy"),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", policy_required=("A1-1",)), "", None),
+        (CapabilityWithdrawn(D, "carry.heavy", "jammed"), "no capable", None),
+        (
+            AvailabilityChanged(robot=D, capability="carry.heavy", availability="restricted", reason="inspection"),
+            "no capable",
+            "availability",
+        ),
+        (TrustSet(robot=D, peer=A, scope="none", capability="carry.heavy"), "no trusted", "trust"),
+        (TrustSet(robot=D, peer=A, scope="none", capability="carry.package"), "no trusted", "trust"),
+        (
+            PolicyRuleSet(
+                scope="local",
+                robot=D,
+                capability="carry.heavy",
+                context=None,
+                outcome="deny",
+                decided_by=Supervisor("supervisor/D1"),
+            ),
+            "policy",
+            "policy",
+        ),
+        (
+            PolicyRuleSet(
+                scope="local",
+                robot=A,
+                capability="carry.heavy",
+                context=None,
+                outcome="review",
+                decided_by=Supervisor("supervisor/A1"),
+            ),
+            "policy",
+            None,
+        ),
+        (
+            PolicyRuleSet(
+                scope="fleet",
+                robot=None,
+                capability="carry.heavy",
+                context=None,
+                outcome="deny",
+                decided_by=Supervisor("supervisor/fleet"),
+            ),
+            "policy",
+            None,
+        ),
+        (
+            AuthorityRevoked(
+                requested_by=A,
+                executed_by=D,
+                capability="carry.heavy",
+                context=None,
+                reason="human override",
+                decided_by=Supervisor("supervisor/fleet"),
+            ),
+            "authority",
+            None,
+        ),
     ],
 )
 def test_a_substitute_is_asked_for_its_own_capability_on_its_own_terms(
@@ -336,17 +459,17 @@ def test_a_robot_with_the_same_capability_is_asked_on_the_terms_of_its_advertise
         ({"policy_required": ("other",)}, "policy"),
     ):
         owned = (
-            CapabilityInstalled(B, "carry.heavy", "1.0.0"),
-            CapabilityAdvertised(B, "carry.heavy", **terms),
-            TrustSet(B, D, "session"),
+            CapabilityInstalled(robot=B, capability="carry.heavy", version="1.0.0"),
+            CapabilityAdvertised(robot=B, capability="carry.heavy", **terms),
+            TrustSet(robot=B, peer=D, scope="session"),
         )
         assert escalation(asked(failed(executing(D, "carry.heavy", *owned), "peer", "degradation")))[2] == reason
 
 
 def test_where_one_capability_does_not_suit_another_of_the_same_robot_may() -> None:
     owned = (
-        CapabilityInstalled(D, "carry.package", "1.0.0"),
-        CapabilityAdvertised(D, "carry.package", trust_required="persistent"),
+        CapabilityInstalled(robot=D, capability="carry.package", version="1.0.0"),
+        CapabilityAdvertised(robot=D, capability="carry.package", trust_required="persistent"),
     )
     query, *helped = asked(failed(executing(A, "carry.package", *owned), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
@@ -368,18 +491,23 @@ def test_a_failure_that_concerns_others_goes_to_the_fleet_supervisor() -> None:
 
 
 def test_a_supervisor_who_is_off_shift_is_not_called() -> None:
-    left, back = SupervisorLeft("supervisor/D1"), SupervisorReturned("supervisor/D1")
+    left, back = SupervisorLeft(Supervisor("supervisor/D1")), SupervisorReturned(Supervisor("supervisor/D1"))
     assert called(considered(failed(executing(D, "grasp.robust", left, owner=D), "fleet"))) == "supervisor/fleet"
     assert called(considered(failed(executing(D, "grasp.robust", left, back, owner=D), "fleet"))) == "supervisor/D1"
 
 
 def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once() -> None:
     state = failed(executing(D, "grasp.robust", owner=D), "human")
-    apply(state, SupervisorCalled("A1-1", ACTION, "supervisor/D1", "recovery"))
+    apply(
+        state,
+        SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=Supervisor("supervisor/D1"), purpose="recovery"),
+    )
     late = [
         one
         for react in wiring("fsar").reacts[SupervisorCalled]
-        for one in react(state, SupervisorCalled("A1-1", ACTION, "", "recovery"), 0)
+        for one in react(
+            state, SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=Supervisor(""), purpose="recovery"), 0
+        )
     ]
     assert [(one.command, one.after_us) for one in late if isinstance(one.command, CallNext)] == [
         (CallNext(ACTION, 1, 1), 120_000_000)
@@ -387,14 +515,17 @@ def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once
     assert called(taken(state, call_next(state, CallNext(ACTION, 1, 1)))) == "supervisor/fleet"
     assert call_next(state, CallNext(ACTION, 1, 1)) == ()
     assert call_next(state, CallNext(ACTION, 1, 2)) == ()
-    apply(state, FailureResolved("A1-1", ACTION, D, 1, "human"))
+    apply(state, FailureResolved(Subject("A1-1", ACTION), D, 1, "human"))
     assert call_next(state, CallNext(ACTION, 1, 2)) == ()
 
 
 def test_a_failure_creates_no_authority() -> None:
     state = failed(
         executing(
-            D, "carry.heavy", CapabilityInstalled(C, "carry.heavy", "1.0.0"), CapabilityAdvertised(C, "carry.heavy")
+            D,
+            "carry.heavy",
+            CapabilityInstalled(robot=C, capability="carry.heavy", version="1.0.0"),
+            CapabilityAdvertised(robot=C, capability="carry.heavy"),
         )
     )
     trust, rights = state.trust, state.authority
@@ -414,38 +545,6 @@ def test_a_failure_creates_no_authority() -> None:
 
 
 # Actuators
-
-
-@pytest.mark.parametrize(
-    ("grade", "drawn", "holds"),
-    [(None, 0, True), ("unreliable", 1, True), ("unreliable", 0, False), ("slipping", 1, False), ("lost", 1, False)],
-)
-def test_an_actuator_holds_as_far_as_it_is_sound(grade: Grade | None, drawn: int, holds: bool) -> None:
-    worn = () if grade is None else (ActuatorDegraded(D, grade),)
-    [ended] = finish_attempt(
-        executing(D, "grasp.robust", *worn), FinishAttempt(ACTION, 3_000_000, now_us=3_000_000, drawn=drawn)
-    )
-    assert isinstance(ended, ExecutionFailed) is not holds
-
-
-def test_a_slipping_grip_achieves_part_of_its_contract_and_is_lost_after_it() -> None:
-    state = failed(executing(D, "grasp.robust", ActuatorDegraded(D, "slipping")), cause="degradation")
-    taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
-    first, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000, drawn=1)))
-    assert first == RecoveryAttemptFailed("A1-1", ACTION, D, 1, 1, "partial", ("load.gripped",))
-    assert state.world.degraded == {D: "lost"}
-    second, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 2, now_us=6_000_000, drawn=1)))
-    assert second == RecoveryAttemptFailed("A1-1", ACTION, D, 1, 2, "failure", ())
-    apply(state, ActuatorServiced(D))
-    assert state.world.degraded == {}
-
-
-def test_an_unreliable_actuator_that_fails_is_not_worn_by_it() -> None:
-    state = failed(executing(D, "grasp.robust", ActuatorDegraded(D)), cause="degradation")
-    taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
-    ended, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000, drawn=0)))
-    assert ended == RecoveryAttemptFailed("A1-1", ACTION, D, 1, 1)
-    assert state.world.degraded == {D: "unreliable"}
 
 
 def test_stale_commands_do_nothing() -> None:

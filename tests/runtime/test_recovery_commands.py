@@ -3,6 +3,7 @@
 import pytest
 
 from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryBudgetSet
 from fsar_ledger.runtime.architectures.fsar.recovery import StartRecovery
@@ -13,24 +14,24 @@ from tests.runtime.histories import given
 
 
 @pytest.mark.parametrize("issued_by", ["supervisor/A1", "supervisor/fleet"])
-def test_a_supervisor_in_charge_sets_a_recovery_budget(issued_by: str) -> None:
+def test_a_supervisor_in_charge_sets_a_recovery_budget(issued_by: Supervisor) -> None:
     assert set_recovery_budget(given("fsar"), SetRecoveryBudget(issued_by, A, "peer", 5_000_000, 0)) == (
-        RecoveryBudgetSet(A, "peer", 5_000_000, 0, issued_by),
+        RecoveryBudgetSet(robot=A, level="peer", t_max_us=5_000_000, n_max=0, decided_by=issued_by),
     )
 
 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (SetRecoveryBudget("supervisor/fleet", "robot/Z9", "peer", 1, 1), "unknown robot robot/Z9"),
-        (SetRecoveryBudget("supervisor/Z9", A, "peer", 1, 1), "unknown supervisor supervisor/Z9"),
-        (SetRecoveryBudget("supervisor/B1", A, "peer", 1, 1), "supervisor/B1 does not supervise robot/A1"),
-        (SetRecoveryBudget(A, A, "peer", 1, 1), "unknown supervisor robot/A1"),
-        (SetRecoveryBudget("supervisor/A1", A, "cosmic", 1, 1), "level cosmic"),
-        (SetRecoveryBudget("supervisor/A1", A, "local", -1, 1), "at least 0"),
-        (SetRecoveryBudget("supervisor/A1", A, "local", 1, -1), "at least 0"),
-        (SetRecoveryBudget("supervisor/A1", A, "human", 0, 1), "at least 1"),
-        (SetRecoveryBudget("supervisor/A1", A, "human", 1, 0), "at least 1"),
+        (SetRecoveryBudget(Supervisor("supervisor/fleet"), Robot("robot/Z9"), "peer", 1, 1), "unknown robot robot/Z9"),
+        (SetRecoveryBudget(Supervisor("supervisor/Z9"), A, "peer", 1, 1), "unknown supervisor supervisor/Z9"),
+        (SetRecoveryBudget(Supervisor("supervisor/B1"), A, "peer", 1, 1), "supervisor/B1 does not supervise robot/A1"),
+        (SetRecoveryBudget(Supervisor(A), A, "peer", 1, 1), "unknown supervisor robot/A1"),
+        (SetRecoveryBudget(Supervisor("supervisor/A1"), A, "cosmic", 1, 1), "level cosmic"),
+        (SetRecoveryBudget(Supervisor("supervisor/A1"), A, "local", -1, 1), "at least 0"),
+        (SetRecoveryBudget(Supervisor("supervisor/A1"), A, "local", 1, -1), "at least 0"),
+        (SetRecoveryBudget(Supervisor("supervisor/A1"), A, "human", 0, 1), "at least 1"),
+        (SetRecoveryBudget(Supervisor("supervisor/A1"), A, "human", 1, 0), "at least 1"),
     ],
 )
 def test_an_impossible_budget_is_rejected(command: SetRecoveryBudget, reason: str) -> None:
@@ -43,7 +44,14 @@ def test_an_impossible_budget_is_rejected(command: SetRecoveryBudget, reason: st
 def test_a_reported_failure_is_recovered_like_any_other() -> None:
     state = executing(B, "door.open.basic")
     [event] = taken(state, report_failure(state, ReportFailure(B, ACTION, "obstruction", now_us=2_000_000)))
-    assert event == ExecutionFailed("A1-1", ACTION, B, 1, "obstruction", 1_000_000, 2_000_000)
+    assert event == ExecutionFailed(
+        subject=Subject("A1-1", ACTION),
+        robot=B,
+        failure=1,
+        cause="obstruction",
+        remaining_us=1_000_000,
+        detected_us=2_000_000,
+    )
     [scheduled] = [
         one.command for react in wiring("fsar").reacts[ExecutionFailed] for one in react(state, event, 2_000_000)
     ]
@@ -53,7 +61,7 @@ def test_a_reported_failure_is_recovered_like_any_other() -> None:
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (ReportFailure("robot/Z9", ACTION, "obstruction"), "unknown robot robot/Z9"),
+        (ReportFailure(Robot("robot/Z9"), ACTION, "obstruction"), "unknown robot robot/Z9"),
         (ReportFailure(A, "A1-9/1.1", "obstruction"), "unknown or finished action A1-9/1.1"),
         (ReportFailure(B, ACTION, "obstruction"), "executed by robot/A1"),
         (ReportFailure(A, ACTION, "boredom"), "cause boredom"),

@@ -8,6 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet
@@ -35,17 +36,20 @@ from fsar_ledger.runtime.handlers.registry import (
 )
 from tests.runtime.histories import given, started, types, window
 
-ASKING = Query("robot/A1", "door.open.secure", "A1-1")
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
+B1, E1 = B, Robot("robot/E1")
+ASKING = Query(A, "door.open.secure", "A1-1")
 
 
-def offered(robot: str = "robot/B1", capability: str = "door.open.secure", **fields: Any) -> CapabilityAdvertised:
+def offered(robot: Robot = B1, capability: str = "door.open.secure", **fields: Any) -> CapabilityAdvertised:
     """Another advertisement of what the robot offers."""
-    return CapabilityAdvertised(robot, capability, **fields)
+    return CapabilityAdvertised(robot=robot, capability=capability, **fields)
 
 
 def why_not(*events: Event, **fields: Any) -> tuple[str, ...]:
     """The filters that leave robot B1 out of the answer to A1 after these events; none when it is the candidate."""
-    query = Query("robot/A1", "door.open.secure", fields.pop("context", "A1-1"), **fields)
+    query = Query(A, "door.open.secure", fields.pop("context", "A1-1"), **fields)
     answer = candidates(given("fsar", *events), query)
     assert set(answer.rejected) | set(answer.candidates) == {"robot/B1"}
     return answer.rejected_by
@@ -63,7 +67,7 @@ def test_the_candidate_is_who_offers_it_and_trusts_the_requester() -> None:
 
 
 def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
-    answer = candidates(given("fsar"), Query("robot/B1", "door.open.secure"))
+    answer = candidates(given("fsar"), Query(B, "door.open.secure"))
     assert (answer.candidates, answer.rejected) == ((), ())
 
 
@@ -71,18 +75,50 @@ def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
     ("events", "asked", "by"),
     [
         ((offered(visible_to=("C",)),), {}, "visibility"),
-        ((offered(visibility="trust-gated"), TrustSet("robot/B1", "robot/A1", "none")), {}, "visibility"),
+        (
+            (
+                offered(visibility="trust-gated"),
+                TrustSet(robot=B, peer=A, scope="none"),
+            ),
+            {},
+            "visibility",
+        ),
         ((), {"version": "^2.0"}, "version"),
         ((offered(preconditions=("badge.shown",)),), {"provides": ()}, "contract"),
         ((offered(resources=("arm",)),), {"resources": ("gripper",)}, "contract"),
         ((), {"needs": ("door.opened",)}, "contract"),
-        ((TrustSet("robot/B1", "robot/A1", "none"),), {}, "trust"),
+        ((TrustSet(robot=B, peer=A, scope="none"),), {}, "trust"),
         ((offered(trust_required="session"),), {}, "trust"),
         ((offered(policy_required=("delivery",)),), {}, "policy"),
-        ((PolicyRuleSet("local", "robot/B1", "door.open.secure", None, "deny", "supervisor/B1"),), {}, "policy"),
+        (
+            (
+                PolicyRuleSet(
+                    scope="local",
+                    robot=B,
+                    capability="door.open.secure",
+                    context=None,
+                    outcome="deny",
+                    decided_by=Supervisor("supervisor/B1"),
+                ),
+            ),
+            {},
+            "policy",
+        ),
         ((), {"override": "emergency-only"}, "authority"),
-        ((AvailabilityChanged("robot/B1", None, "offline", "charging"),), {}, "availability"),
-        ((AvailabilityChanged("robot/B1", "door.open.secure", "restricted", "roll-out"),), {}, "availability"),
+        (
+            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),),
+            {},
+            "availability",
+        ),
+        (
+            (
+                AvailabilityChanged(
+                    robot=B, capability="door.open.secure", availability="restricted", reason="roll-out"
+                ),
+            ),
+            {},
+            "availability",
+        ),
         ((), {"embodiment": ("arm",)}, "embodiment"),
     ],
 )
@@ -102,12 +138,39 @@ def test_each_filter_rejects_and_is_named(events: tuple[Event, ...], asked: dict
         ((offered(postconditions=("door.opened", "door.logged")),), {"needs": ("door.opened",)}),
         ((offered(trust_required="task"),), {}),
         ((offered(policy_required=("delivery",)),), {"context": "delivery"}),
-        ((PolicyRuleSet("local", "robot/B1", "door.open.secure", None, "review", "supervisor/B1"),), {}),
-        ((PolicyRuleSet("local", "robot/B1", "door.open.basic", None, "deny", "supervisor/B1"),), {}),
-        ((window("robot/B1"),), {}),
+        (
+            (
+                PolicyRuleSet(
+                    scope="local",
+                    robot=B,
+                    capability="door.open.secure",
+                    context=None,
+                    outcome="review",
+                    decided_by=Supervisor("supervisor/B1"),
+                ),
+            ),
+            {},
+        ),
+        (
+            (
+                PolicyRuleSet(
+                    scope="local",
+                    robot=B,
+                    capability="door.open.basic",
+                    context=None,
+                    outcome="deny",
+                    decided_by=Supervisor("supervisor/B1"),
+                ),
+            ),
+            {},
+        ),
+        ((window(B),), {}),
         ((), {"override": "hard-preempt"}),
         ((offered(override_allowed="soft-priority"),), {"override": "emergency-only"}),
-        ((AvailabilityChanged("robot/B1", "door.open.basic", "offline", "jammed"),), {}),
+        (
+            (AvailabilityChanged(robot=B, capability="door.open.basic", availability="offline", reason="jammed"),),
+            {},
+        ),
         ((offered(embodiment=("arm", "wheels")),), {"embodiment": ("arm",)}),
     ],
 )
@@ -116,106 +179,126 @@ def test_what_no_filter_rejects_is_a_candidate(events: tuple[Event, ...], asked:
 
 
 def test_of_several_filters_the_first_in_their_order_is_named() -> None:
-    distrust = TrustSet("robot/B1", "robot/A1", "none")
-    offline = AvailabilityChanged("robot/B1", None, "offline", "charging")
+    distrust = TrustSet(robot=B, peer=A, scope="none")
+    offline = AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging")
     assert why_not(distrust, offline, version="^2") == ("version",)
     assert why_not(distrust, offline) == ("trust",)
     assert why_not(offline) == ("availability",)
 
 
 def test_without_trust_evaluation_nobody_hides_and_nobody_distrusts() -> None:
-    events = (offered(visible_to=("C",)), TrustSet("robot/B1", "robot/A1", "none"))
+    events = (offered(visible_to=("C",)), TrustSet(robot=B, peer=A, scope="none"))
     assert candidates(given("fsar", *events, configuration="without-trust-evaluation"), ASKING).candidates == (
         "robot/B1",
     )
 
 
-def second(robot: str = "robot/E1", version: str = "1.0.0", domain: str = "", **fields: Any) -> tuple[Event, ...]:
+def second(robot: Robot = E1, version: str = "1.0.0", domain: str = "", **fields: Any) -> tuple[Event, ...]:
     """Another robot that can open the door and trusts A1."""
     return (
-        RobotJoined(robot, "B", 1, None, domain),
-        CapabilityInstalled(robot, "door.open.secure", version),
+        RobotJoined(robot=robot, role="B", team=1, supervisor=None, domain=domain),
+        CapabilityInstalled(robot=robot, capability="door.open.secure", version=version),
         offered(robot, version=version, **fields),
-        TrustSet(robot, "robot/A1", "task"),
+        TrustSet(robot=robot, peer=A, scope="task"),
     )
 
 
-def busy(robot: str) -> ExecutionQueued:
-    return ExecutionQueued("t", "t/1", None, None, None, robot, robot, "navigate.indoor", 1, 1, False, False, True)
+def busy(robot: Robot) -> ExecutionQueued:
+    return ExecutionQueued(
+        subject=Subject("t", "t/1"),
+        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
+        robot=robot,
+        on_behalf_of=robot,
+        capability="navigate.indoor",
+        step=1,
+        attempt=1,
+        is_delegated=False,
+        has_approach=False,
+        is_supervised=True,
+    )
 
 
 def test_ready_robots_come_before_busy_ones_before_degraded_ones() -> None:
     both = second()
     assert candidates(given("fsar", *both), ASKING).candidates == ("robot/B1", "robot/E1")
-    assert candidates(given("fsar", *both, busy("robot/B1")), ASKING).candidates == ("robot/E1", "robot/B1")
+    assert candidates(given("fsar", *both, busy(B)), ASKING).candidates == ("robot/E1", "robot/B1")
     assert candidates(
-        given("fsar", *both, AvailabilityChanged("robot/B1", None, "busy", "charging")), ASKING
+        given(
+            "fsar",
+            *both,
+            AvailabilityChanged(robot=B, capability=None, availability="busy", reason="charging"),
+        ),
+        ASKING,
     ).candidates == ("robot/E1", "robot/B1")
-    degraded = AvailabilityChanged("robot/E1", None, "degraded", "actuator")
-    assert candidates(given("fsar", *both, busy("robot/B1"), degraded), ASKING).candidates == ("robot/B1", "robot/E1")
+    degraded = AvailabilityChanged(robot=Robot("robot/E1"), capability=None, availability="degraded", reason="actuator")
+    assert candidates(given("fsar", *both, busy(B), degraded), ASKING).candidates == (
+        "robot/B1",
+        "robot/E1",
+    )
 
 
 def test_a_deprecated_version_is_shown_only_when_no_other_satisfies_the_query() -> None:
-    deprecated = CapabilityDeprecated("robot/B1", "door.open.secure", "1.0.0", "2.0.0")
+    deprecated = CapabilityDeprecated(robot=B, capability="door.open.secure", version="1.0.0", successor="2.0.0")
     alone = candidates(given("fsar", deprecated), ASKING)
     assert alone.candidates == ("robot/B1",)
     beside = candidates(given("fsar", *second(version="2.0.0"), deprecated), ASKING)
     assert (beside.candidates, beside.rejected, beside.rejected_by) == (("robot/E1",), ("robot/B1",), ("version",))
-    wanted = Query("robot/A1", "door.open.secure", version="1.0.0")
+    wanted = Query(A, "door.open.secure", version="1.0.0")
     assert candidates(given("fsar", *second(version="2.0.0"), deprecated), wanted).candidates == ("robot/B1",)
 
 
 def test_a_group_of_capabilities_matches_each_name_in_it_once_per_robot() -> None:
-    answer = candidates(given("fsar"), Query("robot/A1", "door.*"))
+    answer = candidates(given("fsar"), Query(A, "door.*"))
     assert (answer.candidates, answer.capabilities) == (("robot/B1",), ("door.open.basic",))
-    assert candidates(given("fsar"), Query("robot/A1", "doo.*")).candidates == ()
-    refusing = CapabilityWithdrawn("robot/B1", "door.open.basic", "jammed"), offered(visible_to=("C",))
-    assert candidates(given("fsar", *refusing), Query("robot/A1", "door.*")).rejected_by == ("visibility",)
+    assert candidates(given("fsar"), Query(A, "doo.*")).candidates == ()
+    refusing = CapabilityWithdrawn(B, "door.open.basic", "jammed"), offered(visible_to=("C",))
+    assert candidates(given("fsar", *refusing), Query(A, "door.*")).rejected_by == ("visibility",)
 
 
 def test_a_robot_that_matches_twice_is_rejected_by_the_filter_that_its_best_record_came_to() -> None:
     answer = candidates(
         given("fsar", offered(capability="door.open.basic", visible_to=("C",)), offered(availability="offline")),
-        Query("robot/A1", "door.*"),
+        Query(A, "door.*"),
     )
     assert (answer.candidates, answer.rejected, answer.rejected_by) == ((), ("robot/B1",), ("availability",))
 
 
 def test_a_robot_that_one_filter_leaves_out_for_one_capability_may_be_a_candidate_for_another() -> None:
-    answer = candidates(
-        given("fsar", offered(capability="door.open.basic", visible_to=("C",))), Query("robot/A1", "door.*")
-    )
+    answer = candidates(given("fsar", offered(capability="door.open.basic", visible_to=("C",))), Query(A, "door.*"))
     assert (answer.candidates, answer.capabilities, answer.rejected) == (("robot/B1",), ("door.open.secure",), ())
 
 
 def test_of_a_group_what_is_deprecated_gives_way_and_comes_last() -> None:
-    ageing = CapabilityDeprecated("robot/B1", "door.open.basic", "1.0.0")
-    assert candidates(given("fsar", ageing), Query("robot/A1", "door.*")).capabilities == ("door.open.secure",)
-    events = (ageing, CapabilityWithdrawn("robot/B1", "door.open.secure", "jammed"), *second())
-    assert candidates(given("fsar", *events), Query("robot/A1", "door.*")).candidates == ("robot/E1", "robot/B1")
+    ageing = CapabilityDeprecated(robot=B, capability="door.open.basic", version="1.0.0")
+    assert candidates(given("fsar", ageing), Query(A, "door.*")).capabilities == ("door.open.secure",)
+    events = (ageing, CapabilityWithdrawn(B, "door.open.secure", "jammed"), *second())
+    assert candidates(given("fsar", *events), Query(A, "door.*")).candidates == ("robot/E1", "robot/B1")
 
 
 def test_a_limited_search_goes_on_past_what_is_deprecated() -> None:
-    events = (*second(), CapabilityDeprecated("robot/B1", "door.open.secure", "1.0.0"))
-    answer = candidates(given("fsar", *events), Query("robot/A1", "door.open.secure", limit=1))
+    events = (*second(), CapabilityDeprecated(robot=B, capability="door.open.secure", version="1.0.0"))
+    answer = candidates(given("fsar", *events), Query(A, "door.open.secure", limit=1))
     assert (answer.candidates, answer.rejected_by) == (("robot/E1",), ("version",))
 
 
 HALL = (
-    *second("robot/E1", domain="hall/north"),
-    *second("robot/F1", domain="hall/north/cell"),
-    *second("robot/G1", domain="hall/south"),
+    *second(Robot("robot/E1"), domain="hall/north"),
+    *second(Robot("robot/F1"), domain="hall/north/cell"),
+    *second(Robot("robot/G1"), domain="hall/south"),
 )
 
 
-MEMBER = RobotJoined("robot/A1", "A", 1, "supervisor/A1")
+MEMBER = RobotJoined(robot=A, role="A", team=1, supervisor=Supervisor("supervisor/A1"))
 
 
 def from_domain(domain: str, *events: Event) -> State:
     """The fleet of four and the hall, where A1 is in this domain."""
     founding = started("fsar")
     moved = [
-        RobotJoined("robot/A1", "A", 1, "supervisor/A1", domain) if event == MEMBER else event for event in founding
+        RobotJoined(robot=A, role="A", team=1, supervisor=Supervisor("supervisor/A1"), domain=domain)
+        if event == MEMBER
+        else event
+        for event in founding
     ]
     assert moved.count(MEMBER) == (not domain)
     return fold((*moved, *HALL, *events))
@@ -240,7 +323,7 @@ def test_the_nearest_registry_around_the_requester_that_has_a_candidate_answers(
 
 
 def test_a_registry_without_a_candidate_hands_the_query_on_with_its_rejections() -> None:
-    distrust = TrustSet("robot/F1", "robot/A1", "none")
+    distrust = TrustSet(robot=Robot("robot/F1"), peer=A, scope="none")
     answer = candidates(from_domain("hall/north/cell", distrust), ASKING)
     assert (answer.domain, answer.candidates, answer.rejected, answer.rejected_by) == (
         "hall/north",
@@ -251,7 +334,7 @@ def test_a_registry_without_a_candidate_hands_the_query_on_with_its_rejections()
 
 
 def test_what_is_scoped_to_a_domain_is_visible_there_and_below_only() -> None:
-    scoped = offered("robot/E1", visibility="domain")
+    scoped = offered(Robot("robot/E1"), visibility="domain")
     for domain, is_seen in (
         ("hall/north", True),
         ("hall/north/cell", True),
@@ -260,7 +343,7 @@ def test_what_is_scoped_to_a_domain_is_visible_there_and_below_only() -> None:
         ("", False),
     ):
         state = from_domain(domain, scoped)
-        record = advertisement(state.registry, "robot/E1", "door.open.secure")
+        record = advertisement(state.registry, Robot("robot/E1"), "door.open.secure")
         assert record is not None
         assert (rejecting_filter(state, ASKING, record) is None) == is_seen, domain
     fleetwide = given("fsar", offered(visibility="domain"))
@@ -269,31 +352,38 @@ def test_what_is_scoped_to_a_domain_is_visible_there_and_below_only() -> None:
 
 def test_a_limited_search_ends_at_so_many_that_are_ready() -> None:
     def limited(limit: int, *events: Event) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        answer = candidates(from_domain("hall", *events), Query("robot/A1", "door.open.secure", limit=limit))
+        answer = candidates(from_domain("hall", *events), Query(A, "door.open.secure", limit=limit))
         return answer.candidates, answer.rejected
 
     assert limited(1) == (("robot/E1",), ())
     assert limited(2) == (("robot/E1", "robot/F1"), ())
     assert limited(9) == (("robot/E1", "robot/F1", "robot/G1"), ())
-    assert limited(1, busy("robot/E1")) == (("robot/F1",), ())
-    assert limited(1, TrustSet("robot/E1", "robot/A1", "none")) == (("robot/F1",), ("robot/E1",))
-    assert limited(1, TrustSet("robot/G1", "robot/A1", "none")) == (("robot/E1",), ()), "G1 was not looked at"
+    assert limited(1, busy(Robot("robot/E1"))) == (("robot/F1",), ())
+    assert limited(1, TrustSet(robot=Robot("robot/E1"), peer=A, scope="none")) == (
+        ("robot/F1",),
+        ("robot/E1",),
+    )
+    assert limited(1, TrustSet(robot=Robot("robot/G1"), peer=A, scope="none")) == (("robot/E1",), ()), (
+        "G1 was not looked at"
+    )
 
 
 def test_a_copy_answers_with_the_offers_of_its_time_and_says_how_old_it_is() -> None:
     state = given(
-        "fsar", RegistryCached("robot/A1", 5_000_000), CapabilityWithdrawn("robot/B1", "door.open.secure", "jammed")
+        "fsar",
+        RegistryCached(A, 5_000_000),
+        CapabilityWithdrawn(B, "door.open.secure", "jammed"),
     )
     assert candidates(state, ASKING).candidates == ()
-    copied = candidates(state, ASKING, "robot/A1")
+    copied = candidates(state, ASKING, A)
     assert (copied.candidates, copied.as_of_us) == (("robot/B1",), 5_000_000)
-    apply(state, TrustSet("robot/B1", "robot/A1", "none"))
-    assert candidates(state, ASKING, "robot/A1").rejected_by == ("trust",), "trust is that of now"
+    apply(state, TrustSet(robot=B, peer=A, scope="none"))
+    assert candidates(state, ASKING, A).rejected_by == ("trust",), "trust is that of now"
 
 
 def test_that_a_robot_executes_just_now_is_in_no_copy() -> None:
-    state = given("fsar", *second(), RegistryCached("robot/A1", 5), busy("robot/B1"))
-    assert candidates(state, ASKING, "robot/A1").candidates == ("robot/B1", "robot/E1")
+    state = given("fsar", *second(), RegistryCached(A, 5), busy(B))
+    assert candidates(state, ASKING, A).candidates == ("robot/B1", "robot/E1")
     assert candidates(state, ASKING).candidates == ("robot/E1", "robot/B1")
 
 
@@ -301,36 +391,44 @@ def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> 
     state = given("fsar", *second(trust_required="persistent"))
     [answer] = consult_registry(state, ConsultRegistry(ASKING))
     assert answer == RegistryConsulted(
-        "robot/A1", "door.open.secure", ("robot/B1",), ("robot/E1",), ("trust",), "", None
+        requested_by=A,
+        capability="door.open.secure",
+        candidates=(B,),
+        rejected=(Robot("robot/E1"),),
+        rejected_by=("trust",),
+        domain="",
+        as_of_us=None,
     )
 
 
 def test_that_nobody_offers_it_is_an_answer() -> None:
-    [answer] = consult_registry(given("fsar"), ConsultRegistry(Query("robot/A1", "teleport")))
-    assert answer == RegistryConsulted("robot/A1", "teleport", (), (), ())
+    [answer] = consult_registry(given("fsar"), ConsultRegistry(Query(A, "teleport")))
+    assert answer == RegistryConsulted(
+        requested_by=A, capability="teleport", candidates=(), rejected=(), rejected_by=()
+    )
 
 
 def test_a_copy_is_taken_and_asked() -> None:
     state = given("fsar")
-    [cached] = cache_registry(state, CacheRegistry("robot/A1", now_us=7))
-    assert cached == RegistryCached("robot/A1", 7)
+    [cached] = cache_registry(state, CacheRegistry(A, now_us=7))
+    assert cached == RegistryCached(A, 7)
     apply(state, cached)
-    [answer] = consult_registry(state, ConsultRegistry(ASKING, "robot/A1", now_us=9))
+    [answer] = consult_registry(state, ConsultRegistry(ASKING, A, now_us=9))
     assert (answer.candidates, answer.as_of_us) == (("robot/B1",), 7)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (ConsultRegistry(Query("robot/Z9", "door.open.secure")), "unknown robot robot/Z9"),
-        (ConsultRegistry(ASKING, "robot/Z9"), "unknown robot robot/Z9"),
-        (ConsultRegistry(ASKING, "robot/A1"), "no copy"),
-        (ConsultRegistry(Query("robot/A1", "")), "no name"),
-        (ConsultRegistry(Query("robot/A1", ".*")), "no name"),
-        (ConsultRegistry(Query("robot/A1", "door*")), "no name"),
-        (ConsultRegistry(Query("robot/A1", "door.open.secure", version="~1")), "no range"),
+        (ConsultRegistry(Query(Robot("robot/Z9"), "door.open.secure")), "unknown robot robot/Z9"),
+        (ConsultRegistry(ASKING, Robot("robot/Z9")), "unknown robot robot/Z9"),
+        (ConsultRegistry(ASKING, A), "no copy"),
+        (ConsultRegistry(Query(A, "")), "no name"),
+        (ConsultRegistry(Query(A, ".*")), "no name"),
+        (ConsultRegistry(Query(A, "door*")), "no name"),
+        (ConsultRegistry(Query(A, "door.open.secure", version="~1")), "no range"),
         (ConsultRegistry(Query("robot/A1", "door.open.secure", override="total")), "unknown"),  # type: ignore[arg-type]
-        (ConsultRegistry(Query("robot/A1", "door.open.secure", limit=0)), "limit 0"),
+        (ConsultRegistry(Query(A, "door.open.secure", limit=0)), "limit 0"),
     ],
 )
 def test_a_query_that_cannot_be_asked_is_rejected(command: ConsultRegistry, reason: str) -> None:
@@ -340,10 +438,10 @@ def test_a_query_that_cannot_be_asked_is_rejected(command: ConsultRegistry, reas
 
 
 def test_a_copy_for_nobody_is_rejected() -> None:
-    assert types(cache_registry(given("fsar"), CacheRegistry("robot/Z9"))) == ["CommandRejected"]
+    assert types(cache_registry(given("fsar"), CacheRegistry(Robot("robot/Z9")))) == ["CommandRejected"]
 
 
-ROBOTS = tuple(f"robot/{letter}{team}" for letter in "EFGHK" for team in (1, 2))
+ROBOTS = tuple(Robot(f"robot/{letter}{team}") for letter in "EFGHK" for team in (1, 2))
 RECORDS = st.builds(
     offered,
     st.sampled_from(ROBOTS),
@@ -361,10 +459,16 @@ RECORDS = st.builds(
 CHANGES = st.one_of(
     RECORDS,
     st.builds(
-        TrustSet, st.sampled_from(ROBOTS), st.just("robot/A1"), st.sampled_from(("none", "capability", "persistent"))
+        TrustSet,
+        robot=st.sampled_from(ROBOTS),
+        peer=st.just("robot/A1"),
+        scope=st.sampled_from(("none", "capability", "persistent")),
     ),
     st.builds(
-        CapabilityDeprecated, st.sampled_from(ROBOTS), st.just("door.open.secure"), st.sampled_from(("1.0.0", "1.4.0"))
+        CapabilityDeprecated,
+        robot=st.sampled_from(ROBOTS),
+        capability=st.just("door.open.secure"),
+        version=st.sampled_from(("1.0.0", "1.4.0")),
     ),
     st.builds(CapabilityWithdrawn, st.sampled_from(ROBOTS), st.just("door.open.secure"), st.just("jammed")),
     st.sampled_from(ROBOTS).map(busy),
@@ -385,14 +489,15 @@ DOMAINS = st.dictionaries(st.sampled_from(ROBOTS), st.sampled_from(("", "hall", 
 def populated(changes: list[Event], domains: dict[str, str]) -> State:
     """A1 and ten more robots, each in its domain, after these changes."""
     joined = [
-        RobotJoined(robot, robot[6], int(robot[7]), None, domains.get(robot, "")) for robot in ("robot/A1", *ROBOTS)
+        RobotJoined(robot=robot, role=robot[6], team=int(robot[7]), supervisor=None, domain=domains.get(robot, ""))
+        for robot in (A, *ROBOTS)
     ]
     modules = [
-        CapabilityInstalled(robot, name, "1.0.0")
+        CapabilityInstalled(robot=robot, capability=name, version="1.0.0")
         for robot in ROBOTS
         for name in ("door.open.secure", "door.open.wide", "lift")
     ]
-    trusted = [TrustSet(robot, "robot/A1", "task") for robot in ROBOTS]
+    trusted = [TrustSet(robot=robot, peer=A, scope="task") for robot in ROBOTS]
     return fold((started("fsar")[0], *joined, *modules, *trusted, *changes))
 
 

@@ -17,7 +17,7 @@ from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, RoutineDue, TaskArrived, WorldEvent
 from fsar_ledger.ledger.rows.codec import RunRecord
@@ -129,10 +129,10 @@ def test_every_field_of_every_decision_counts() -> None:
     tried = set()
     for seq in DECIDED:
         event = HONEST.events[seq]
-        for name in event.__struct_fields__:
+        for name, value in flat(event).items():
             if (type(event), name) not in tried:
                 tried.add((type(event), name))
-                other = msgspec.structs.replace(event, **{name: others[type(getattr(event, name))]})
+                other = with_columns(event, **{name: others[type(value)]})
                 difference = replay_run(changed(HONEST, seq, other))
                 assert difference is not None
                 assert (difference.seq, difference.field) == (seq, name)
@@ -155,7 +155,7 @@ def test_a_fact_of_the_world_that_is_left_out_with_all_that_follows_from_it_is_m
 
 
 def test_facts_of_the_world_out_of_their_order_in_time_are_found() -> None:
-    forged = added(HONEST, len(HONEST.events), ContextChanged("robot/A1"), 5, 0)
+    forged = added(HONEST, len(HONEST.events), ContextChanged(Robot("robot/A1")), 5, 0)
     difference = replay_run(forged)
     assert difference is not None
     assert (difference.seq, difference.field, difference.expected) == (len(HONEST.events), "type", "the end of the run")
@@ -245,7 +245,9 @@ def test_a_handler_that_was_changed_since_decides_otherwise(monkeypatch: pytest.
 
 
 def test_a_decision_from_outside_is_not_a_fact_of_the_world() -> None:
-    one = governed.governed("door-relay", (30_000_000, TrustSet("robot/A1", "robot/C1", "task")))
+    one = governed.governed(
+        "door-relay", (30_000_000, TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/C1"), scope="task"))
+    )
     difference = replay_run(governed.record(one))
     assert difference is not None
     assert (difference.seq, difference.field, difference.actual) == (
@@ -307,10 +309,16 @@ def test_a_run_that_cannot_be_replayed_is_a_doubt_and_says_why(tmp_path: Path, n
 
 
 ODD_FACTS: dict[str, Event] = {
-    "an unknown robot": RoutineDue("robot/Z9", "sensing"),
-    "a step that is none": TaskArrived("odd", "robot/A1", 1, ("nonsense",), 10, 10),
-    "a step of an unknown robot": TaskArrived("odd", "robot/A1", 1, ("Z navigate.indoor",), 10, 10),
-    "a capability without a duration": TaskArrived("odd", "robot/A1", 1, ("A fly",), 10**9, LATE + 10**9),
+    "an unknown robot": RoutineDue(Robot("robot/Z9"), "sensing"),
+    "a step that is none": TaskArrived(
+        task_id="odd", robot=Robot("robot/A1"), team=1, steps=("nonsense",), budget_us=10, due_us=10
+    ),
+    "a step of an unknown robot": TaskArrived(
+        task_id="odd", robot=Robot("robot/A1"), team=1, steps=("Z navigate.indoor",), budget_us=10, due_us=10
+    ),
+    "a capability without a duration": TaskArrived(
+        task_id="odd", robot=Robot("robot/A1"), team=1, steps=("A fly",), budget_us=10**9, due_us=LATE + 10**9
+    ),
 }
 
 

@@ -13,7 +13,7 @@ import pytest
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
-from fsar_ledger.events.envelope import Architecture, Scenario
+from fsar_ledger.events.envelope import Architecture, Robot, Scenario
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode
 from fsar_ledger.projections.fold import State, fold
@@ -133,5 +133,5 @@ def test_an_architecture_with_a_memory_of_its_own_does_not_resume() -> None:
 def _shifted() -> Wiring:
     """The same memory, one call further on: at one of two phases the rest must differ."""
     structure = with_memory()
-    structure.decides[DecideRoutine](fold(()), DecideRoutine("robot/A1", "sensing"))
+    structure.decides[DecideRoutine](fold(()), DecideRoutine(Robot("robot/A1"), "sensing"))
     return structure

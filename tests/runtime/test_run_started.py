@@ -103,8 +103,8 @@ def test_a_retired_start_keeps_all_that_it_said() -> None:
 
 def test_a_run_from_outside_is_stored_with_what_it_has(tmp_path: Path) -> None:
     started = RunStarted(
-        "foreign",
-        ("fleet", "execution"),
+        kind="foreign",
+        observes=("fleet", "execution"),
         architecture="open-rmf",
         scenario="Ward 3, night",
         source="traffic log of a hospital",

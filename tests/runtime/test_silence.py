@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.constants import Constants, Outages, Range
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityReleased
-from fsar_ledger.events.envelope import Architecture, Availability
+from fsar_ledger.events.envelope import Architecture, Availability, Robot
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.knowledge import BidReceived, WorkQueued
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryEscalated
@@ -36,8 +36,8 @@ ANSWER_US = round(Outages().answer_s * S)
 CALM = msgspec.structs.replace(
     OURS, **QUIET, **LAWLESS, context_rate_per_s=0.0, routine_rate_per_s=0.0, encounter_mean_s=5.0
 )
-A, B, B2, DOOR = "robot/A1", "robot/B1", "robot/B2", "door.open.secure"
-TASK = TaskArrived("A1-1", A, 1, (f"A {DOOR} B",), 90 * S, 91 * S)
+A, B, B2, DOOR = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/B2"), "door.open.secure"
+TASK = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=90 * S, due_us=91 * S)
 
 
 def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
@@ -86,7 +86,7 @@ def test_where_another_robot_could_serve_nobody_waits_for_ever_for_one_that_is_s
 
 def helped(architecture: Architecture) -> Kernel:
     """Something stays in the way of A while B, the first that could help, is off."""
-    own = TaskArrived("A1-1", A, 1, ("A navigate.indoor",), 90 * S, 91 * S)
+    own = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
     return ran(architecture, [(1, RobotWentOff(B)), (S, own), (S + 100, ObstructionAppeared(A, "o"))])
 
 
@@ -118,22 +118,22 @@ def test_the_registry_has_a_silent_robot_offline_until_it_has_reported_back() ->
     for ends, begins in ((RobotWentOff, RobotCameBack), (LinkWentDown, LinkCameUp)):
         run = ran("fsar", [(1, ends(B)), (S, TASK), (30 * S, later), (60 * S, begins(B)), (61 * S, last)])
         asked = [
-            (event.action_id, event.executed_by)
+            (event.subject.action_id, event.principals.executed_by)
             for _, event in of(run, RequestIssued)
             if isinstance(event, RequestIssued)
         ]
         assert asked == [("A1-1/1.1", B), ("A1-1/1.2", B2), ("A1-2/1.1", B2), ("A1-3/1.1", B)]
         (gone_us, gone), (back_us, back) = of(run, AvailabilityChanged)
         assert (gone, back) == (
-            AvailabilityChanged(B, None, "offline", "no answer"),
-            AvailabilityChanged(B, None, "ready", "answers again"),
+            AvailabilityChanged(robot=B, capability=None, availability="offline", reason="no answer"),
+            AvailabilityChanged(robot=B, capability=None, availability="ready", reason="answers again"),
         )
         assert gone_us - of(run, RequestIssued)[0][0] == ANSWER_US
         assert 60 * S < back_us < 61 * S
 
 
 def test_what_a_robot_has_said_of_itself_since_stands_when_it_reports_back() -> None:
-    before = AvailabilityChanged(B, "door.open.basic", "restricted", "inspection")
+    before = AvailabilityChanged(robot=B, capability="door.open.basic", availability="restricted", reason="inspection")
     run = ran("fsar", [(1, before), (2, RobotWentOff(B)), (S, TASK), (60 * S, RobotCameBack(B))])
     back = {
         event.capability: event.availability
@@ -157,7 +157,11 @@ def test_a_command_that_nobody_confirmed_is_taken_back_and_not_carried_out_later
     assert commanded == [B, B2]
     [(late_us, late)] = of(run, RequestUnanswered)
     assert isinstance(late, RequestUnanswered)
-    assert (late.decided_by, late.executed_by, late.requested_by) == ("coordinator", B, None)
+    assert (late.principals.decided_by, late.principals.executed_by, late.principals.requested_by) == (
+        "coordinator",
+        B,
+        None,
+    )
     assert late_us - of(run, CommandIssued)[0][0] == ANSWER_US
     assert [
         event.dimension
@@ -187,7 +191,7 @@ def test_a_contract_whose_award_is_not_accepted_is_awarded_anew() -> None:
     run = ran("dhma", [(S, TASK), (awarded_us + 1, RobotWentOff(first.robot)), (60 * S, RobotCameBack(first.robot))])
     [(late_us, late)] = of(run, RequestUnanswered)
     assert isinstance(late, RequestUnanswered)
-    assert (late_us, late.executed_by) == (awarded_us + ANSWER_US, first.robot)
+    assert (late_us, late.principals.executed_by) == (awarded_us + ANSWER_US, first.robot)
     assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [
         first.robot,
         ({B, B2} - {first.robot}).pop(),
@@ -244,7 +248,7 @@ def test_a_relayed_request_is_two_messages_and_each_has_its_time() -> None:
 @EVERY
 def test_a_robot_that_nobody_can_reach_does_not_know_that_a_task_was_given_up(architecture: Architecture) -> None:
     """Of three robots that are still on their way one is linked, one without a link for long, and one until before it would begin."""
-    short = TaskArrived("A1-1", A, 1, (f"A {DOOR} B",), 2 * S, 2 * S)
+    short = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=2 * S, due_us=2 * S)
     [(queued_us, queued)] = of(ran(architecture, [(S, short)]), ExecutionQueued)
     assert isinstance(queued, ExecutionQueued)
     down = (queued_us + 1000, LinkWentDown(queued.robot))
@@ -267,8 +271,8 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(
 ) -> None:
     """Whichever of its two words, that it is back and that it was serviced, comes in first."""
     worn = ActuatorDegraded(B)
-    said = AvailabilityChanged(B, None, "degraded", "actuator")
-    own_word = AvailabilityChanged(B, None, "degraded", "dusty lens")
+    said = AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="actuator")
+    own_word = AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="dusty lens")
     first = set()
     cases: tuple[tuple[list[Fact], list[Fact], Availability], ...] = (
         ([(1, worn), (2, said)], [(30 * S, ActuatorServiced(B))], "ready"),
@@ -288,18 +292,20 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(
             if isinstance(event, AvailabilityChanged) and 60 * S < time_us < 61 * S
         ]
         first.add(tuple(word.reason for word in words))
-        assert words[-1] == AvailabilityChanged(B, None, after, words[-1].reason), (start, since, words)
+        assert words[-1] == AvailabilityChanged(
+            robot=B, capability=None, availability=after, reason=words[-1].reason
+        ), (start, since, words)
         assert run.state.registry.silent == {}
     assert first == {("answers again",), ("answers again", "actuator")}
 
 
 def test_a_silent_robot_that_nobody_would_choose_is_not_waited_for() -> None:
     """B is the nearest that may help, and those that are off are farther."""
-    own = TaskArrived("A1-1", A, 1, ("A navigate.indoor",), 90 * S, 91 * S)
+    own = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=90 * S, due_us=91 * S)
     facts: list[Fact] = [(S, own), (S + 100, ObstructionAppeared(A, "o"))]
     calm = of(ran("fsar", facts), AssistanceAdmitted)
     assert [event.helper for _, event in calm if isinstance(event, AssistanceAdmitted)] == [B]
-    for far in ("robot/D1", "robot/D2", B2):
+    for far in (Robot("robot/D1"), Robot("robot/D2"), B2):
         off = ran("fsar", [(1, RobotWentOff(far)), *facts])
         assert of(off, AssistanceAdmitted) == calm, far
         assert of(off, AvailabilityChanged) == []
@@ -309,7 +315,9 @@ def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
     """The run of one team in which D asks B through A, with messages of this length."""
     slow = msgspec.structs.replace(CALM, message=Range(low_s, high_s))
     spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
-    task = TaskArrived("D1-1", "robot/D1", 1, (f"D {DOOR} B",), 90 * S, 91 * S)
+    task = TaskArrived(
+        task_id="D1-1", robot=Robot("robot/D1"), team=1, steps=(f"D {DOOR} B",), budget_us=90 * S, due_us=91 * S
+    )
     run = Kernel(
         wiring("fsar"), [*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants)
     )
@@ -323,7 +331,7 @@ def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_co
         (late_us, late), *_ = of(run, RequestUnanswered)
         assert isinstance(asked, RequestIssued)
         assert isinstance(late, RequestUnanswered)
-        assert (asked.relay, asked.executed_by, late.executed_by) == (A, B, A)
+        assert (asked.relay, asked.principals.executed_by, late.principals.executed_by) == (A, B, A)
         assert late_us - asked_us == ANSWER_US
     words = [
         (event.robot, event.availability)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.recovery import FailureResolved
@@ -41,14 +42,25 @@ from fsar_ledger.runtime.handlers.supervision import (
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, types, window
 
-A, B = "robot/A1", "robot/B1"
-H_A, H_B = "supervisor/A1", "supervisor/B1"
+A, B = Robot("robot/A1"), Robot("robot/B1")
+H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
 ACTION = "A1-1/2.1"
-REQUESTED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", ACTION, A, B, None, "door.open.secure", (B,)))
-REVIEW = SupervisorCalled("A1-1", ACTION, H_F, "review")
-ORDERING = SupervisorCalled("A1-1", ACTION, H_F, "ordering", B, "A1-2/2.1")
-LOCAL = SupervisorCalled("A1-1", ACTION, H_B, "recovery")
-FLEETS = SupervisorCalled("A1-1", ACTION, H_F, "recovery")
+REQUESTED = (
+    ARRIVED,
+    DELEGATED_STEP,
+    RegistryQueried(
+        subject=Subject("A1-1", ACTION),
+        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+        capability="door.open.secure",
+        candidates=(B,),
+    ),
+)
+REVIEW = SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="review")
+ORDERING = SupervisorCalled(
+    subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="ordering", robot=B, competing="A1-2/2.1"
+)
+LOCAL = SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_B, purpose="recovery")
+FLEETS = SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="recovery")
 
 
 def refusal(events: tuple[Event, ...]) -> str:
@@ -57,16 +69,45 @@ def refusal(events: tuple[Event, ...]) -> str:
     return one.reason
 
 
-def admitted(robot: str, ordinal: int = 0) -> RequestAdmitted:
-    return RequestAdmitted("t1", f"t1/{ordinal}", f"t1/{ordinal}", robot, A, robot, None, (robot,), "allow")
+def admitted(robot: Robot, ordinal: int = 0) -> RequestAdmitted:
+    return RequestAdmitted(
+        subject=RequestSubject("t1", f"t1/{ordinal}", f"t1/{ordinal}"),
+        principals=Principals(decided_by=robot, requested_by=A, executed_by=robot, supervised_by=None, path=(robot,)),
+        outcome="allow",
+    )
 
 
 def failing(*before: Event) -> State:
     """A state in which B's execution for A has failed."""
-    queued = ExecutionQueued("A1-1", ACTION, A, B, H_B, B, A, "door.open.secure", 2, 1, True, True, True)
-    started = ExecutionStarted("A1-1", ACTION, A, B, H_B, B, A, "door.open.secure", 9)
+    queued = ExecutionQueued(
+        subject=Subject("A1-1", ACTION),
+        principals=Parties(requested_by=A, executed_by=B, supervised_by=H_B),
+        robot=B,
+        on_behalf_of=A,
+        capability="door.open.secure",
+        step=2,
+        attempt=1,
+        is_delegated=True,
+        has_approach=True,
+        is_supervised=True,
+    )
+    started = ExecutionStarted(
+        subject=Subject("A1-1", ACTION),
+        principals=Parties(requested_by=A, executed_by=B, supervised_by=H_B),
+        robot=B,
+        on_behalf_of=A,
+        capability="door.open.secure",
+        ends_us=9,
+    )
     return given(
-        "fsar", *REQUESTED, queued, started, ExecutionFailed("A1-1", ACTION, B, 1, "degradation", 1, 8), *before
+        "fsar",
+        *REQUESTED,
+        queued,
+        started,
+        ExecutionFailed(
+            subject=Subject("A1-1", ACTION), robot=B, failure=1, cause="degradation", remaining_us=1, detected_us=8
+        ),
+        *before,
     )
 
 
@@ -76,9 +117,9 @@ def test_what_concerns_one_robot_goes_to_its_own_supervisor_and_the_rest_to_the_
 
 
 def test_off_shift_or_without_an_own_supervisor_it_goes_to_the_fleets() -> None:
-    state = given("fsar", SupervisorLeft(H_B), RobotJoined("robot/X1", "A", 1, None))
+    state = given("fsar", SupervisorLeft(H_B), RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
     assert supervisor_for(state, B, is_cross_robot=False) == H_F
-    assert supervisor_for(state, "robot/X1", is_cross_robot=False) == H_F
+    assert supervisor_for(state, Robot("robot/X1"), is_cross_robot=False) == H_F
     apply(state, SupervisorReturned(H_B))
     assert supervisor_for(state, B, is_cross_robot=False) == H_B
 
@@ -87,7 +128,12 @@ def test_off_shift_or_without_an_own_supervisor_it_goes_to_the_fleets() -> None:
 def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) -> None:
     state = given("fsar", *REQUESTED, REVIEW)
     [response] = respond_to_call(state, RespondToCall(H_F, ACTION, approves))
-    assert response == SupervisorResponded("A1-1", ACTION, H_F, A, None, H_F, (H_F,), "review", approves)
+    assert response == SupervisorResponded(
+        Subject("A1-1", ACTION),
+        Principals(decided_by=H_F, requested_by=A, executed_by=None, supervised_by=H_F, path=(H_F,)),
+        "review",
+        approves,
+    )
     apply(state, response)
     assert (ACTION in state.supervision.approved, state.supervision.calls) == (approves, {})
     [scheduled] = [one for react in FSAR.reacts[SupervisorResponded] for one in react(state, response, 0)]
@@ -99,11 +145,16 @@ def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) 
 def test_a_disapproved_request_is_denied_by_the_executor_for_the_review() -> None:
     [denied] = admit_reviewed(given("fsar", *REQUESTED), AdmitReviewed(ACTION, False))
     assert isinstance(denied, RequestDenied)
-    assert (denied.decided_by, denied.reason) == (B, "review")
+    assert (denied.principals.decided_by, denied.reason) == (B, "review")
 
 
 def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
-    state = given("cfc", ARRIVED, DELEGATED_STEP, SupervisorCalled("A1-1", ACTION, H_F, "review", B))
+    state = given(
+        "cfc",
+        ARRIVED,
+        DELEGATED_STEP,
+        SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=H_F, purpose="review", robot=B),
+    )
     [response] = respond_to_call(state, RespondToCall(H_F, ACTION, False))
     apply(state, response)
     [scheduled] = [one for react in CFC.reacts[SupervisorResponded] for one in react(state, response, 0)]
@@ -122,16 +173,20 @@ def test_the_order_of_two_commands_names_the_one_that_goes_first() -> None:
 def test_a_robots_own_supervisor_resolves_its_failure_and_has_it_serviced(is_degraded: bool) -> None:
     state = failing(LOCAL, *([ActuatorDegraded(B)] if is_degraded else []))
     for events in (respond_to_call(state, RespondToCall(H_B, ACTION, True)), respond(state, Respond(1))):
-        assert events[0] == SupervisorResponded("A1-1", ACTION, H_B, A, B, H_B, (H_B,), "recovery")
+        assert events[0] == SupervisorResponded(
+            Subject("A1-1", ACTION),
+            Principals(decided_by=H_B, requested_by=A, executed_by=B, supervised_by=H_B, path=(H_B,)),
+            "recovery",
+        )
         assert events[1:] == ((ActuatorServiced(B),) if is_degraded else ()) + (
-            FailureResolved("A1-1", ACTION, B, 1, "human"),
+            FailureResolved(Subject("A1-1", ACTION), B, 1, "human"),
         )
 
 
 @pytest.mark.parametrize(
     ("call", "command", "reason"),
     [
-        (REVIEW, RespondToCall("supervisor/X9", ACTION, True), "unknown supervisor supervisor/X9"),
+        (REVIEW, RespondToCall(Supervisor("supervisor/X9"), ACTION, True), "unknown supervisor supervisor/X9"),
         (REVIEW, RespondToCall(H_B, ACTION, True), "the call went to supervisor/fleet"),
         (LOCAL, RespondToCall(H_F, ACTION, True), "the call went to supervisor/B1"),
         (REVIEW, RespondToCall(H_F, "A1-1/9.9", True), "no open call"),
@@ -164,7 +219,8 @@ def test_an_answer_is_that_of_the_supervisor_who_gave_it_even_when_another_was_c
     state = failing(LOCAL, FLEETS)
     first, *_ = respond(state, Respond(1))
     second, *_ = respond(state, Respond(2))
-    assert [(event.decided_by, event.supervised_by) for event in (first, second)] == [(H_B, H_B), (H_F, H_F)]  # type: ignore[attr-defined]
+    answers = [event.principals for event in (first, second) if isinstance(event, SupervisorResponded)]
+    assert [(one.decided_by, one.supervised_by) for one in answers] == [(H_B, H_B), (H_F, H_F)]
     for event in respond(state, Respond(1)):
         apply(state, event)
     assert respond(state, Respond(2)) == ()
@@ -174,14 +230,19 @@ def test_a_late_answer_about_one_failure_does_not_resolve_the_next() -> None:
     state = failing(LOCAL)
     for event in respond_to_call(state, RespondToCall(H_B, ACTION, True)):
         apply(state, event)
-    apply(state, ExecutionFailed("A1-1", ACTION, B, 2, "degradation", 1, 9))
+    apply(
+        state,
+        ExecutionFailed(
+            subject=Subject("A1-1", ACTION), robot=B, failure=2, cause="degradation", remaining_us=1, detected_us=9
+        ),
+    )
     apply(state, LOCAL)
     assert respond(state, Respond(1)) == ()
     assert types(respond(state, Respond(2))) == ["SupervisorResponded", "FailureResolved"]
 
 
 def test_a_failure_that_is_over_leaves_no_call_about_it() -> None:
-    state = failing(REVIEW, LOCAL, FailureResolved("A1-1", ACTION, B, 1, "human"))
+    state = failing(REVIEW, LOCAL, FailureResolved(Subject("A1-1", ACTION), B, 1, "human"))
     assert list(state.supervision.calls.values()) == [REVIEW]
 
 
@@ -191,9 +252,9 @@ def test_a_supervisor_who_answers_says_whether_they_approve() -> None:
 
 
 @pytest.mark.parametrize(("issued_by", "robot"), [(H_B, B), (H_F, B), (H_F, None)])
-def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(issued_by: str, robot: str | None) -> None:
+def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(issued_by: Supervisor, robot: Robot | None) -> None:
     [event] = set_supervision_density(given("fsar"), SetSupervisionDensity(issued_by, robot, 3, "night shift"))
-    assert event == SupervisionDensitySet(robot, 3, issued_by, "night shift")
+    assert event == SupervisionDensitySet(robot=robot, review_every=3, decided_by=issued_by, reason="night shift")
 
 
 @pytest.mark.parametrize(
@@ -201,8 +262,8 @@ def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(issued_by: st
     [
         (SetSupervisionDensity(H_A, B, 3, ""), "supervisor/A1 does not supervise robot/B1"),
         (SetSupervisionDensity(H_A, None, 3, ""), "supervisor/A1 supervises one robot"),
-        (SetSupervisionDensity("supervisor/X9", B, 3, ""), "unknown supervisor supervisor/X9"),
-        (SetSupervisionDensity(H_F, "robot/X9", 3, ""), "unknown robot robot/X9"),
+        (SetSupervisionDensity(Supervisor("supervisor/X9"), B, 3, ""), "unknown supervisor supervisor/X9"),
+        (SetSupervisionDensity(H_F, Robot("robot/X9"), 3, ""), "unknown robot robot/X9"),
         (SetSupervisionDensity(H_F, B, -1, ""), "density -1"),
     ],
 )
@@ -211,12 +272,12 @@ def test_density_that_cannot_be_set_is_rejected(command: SetSupervisionDensity, 
 
 
 def test_nobody_speaks_for_a_robot_without_a_supervisor_but_the_fleets() -> None:
-    state = given("fsar", RobotJoined("robot/X1", "A", 1, None))
-    nobody: str = None  # type: ignore[assignment]
-    assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, "robot/X1", 3, ""))).startswith(
+    state = given("fsar", RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
+    nobody: Supervisor = None  # type: ignore[assignment]
+    assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, Robot("robot/X1"), 3, ""))).startswith(
         "unknown supervisor"
     )
-    assert types(set_supervision_density(state, SetSupervisionDensity(H_F, "robot/X1", 3, ""))) == [
+    assert types(set_supervision_density(state, SetSupervisionDensity(H_F, Robot("robot/X1"), 3, ""))) == [
         "SupervisionDensitySet"
     ]
 
@@ -226,7 +287,11 @@ def test_nobody_speaks_for_a_robot_without_a_supervisor_but_the_fleets() -> None
 def test_exactly_every_nth_admission_is_due_and_a_robots_own_density_comes_before_every_robots(
     own: int, every: int, count: int
 ) -> None:
-    state = given("fsar", SupervisionDensitySet(None, every, H_F, ""), SupervisionDensitySet(B, own, H_F, ""))
+    state = given(
+        "fsar",
+        SupervisionDensitySet(robot=None, review_every=every, decided_by=H_F, reason=""),
+        SupervisionDensitySet(robot=B, review_every=own, decided_by=H_F, reason=""),
+    )
     due = {A: [], B: []}  # type: dict[str, list[int]]
     for ordinal in range(1, count + 1):
         for robot in (A, B):
@@ -240,7 +305,7 @@ def test_exactly_every_nth_admission_is_due_and_a_robots_own_density_comes_befor
 
 
 def test_an_admission_that_is_due_goes_to_review_and_a_denial_stays_a_denial() -> None:
-    dense = SupervisionDensitySet(B, 2, H_B, "")
+    dense = SupervisionDensitySet(robot=B, review_every=2, decided_by=H_B, reason="")
     assert types(evaluate_request(given("fsar", *REQUESTED, dense, admitted(B)), EvaluateRequest(ACTION))) == [
         "SupervisorCalled"
     ]
@@ -256,18 +321,22 @@ def test_an_admission_that_is_due_goes_to_review_and_a_denial_stays_a_denial() -
 def test_density_changes_while_a_run_goes_on() -> None:
     one = governed(
         "door-relay",
-        (2, SupervisionDensitySet(None, 1, H_F, "start-up")),
-        (60_000_000, SupervisionDensitySet(None, 0, H_F, "settled")),
+        (2, SupervisionDensitySet(robot=None, review_every=1, decided_by=H_F, reason="start-up")),
+        (60_000_000, SupervisionDensitySet(robot=None, review_every=0, decided_by=H_F, reason="settled")),
     )
     timed = list(zip(one.times_us, one.events, strict=True))
     reviewed = {
-        event.action_id for event in one.events if isinstance(event, SupervisorCalled) and event.purpose == "review"
+        event.subject.action_id
+        for event in one.events
+        if isinstance(event, SupervisorCalled) and event.purpose == "review"
     }
     early = {
-        event.action_id for _, event in timed if isinstance(event, RequestAdmitted) and event.action_id in reviewed
+        event.subject.action_id
+        for _, event in timed
+        if isinstance(event, RequestAdmitted) and event.subject.action_id in reviewed
     }
     unreviewed = [
-        time for time, event in timed if isinstance(event, RequestAdmitted) and event.action_id not in reviewed
+        time for time, event in timed if isinstance(event, RequestAdmitted) and event.subject.action_id not in reviewed
     ]
     assert early
     assert unreviewed

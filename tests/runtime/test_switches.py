@@ -5,7 +5,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import Architecture, Scenario
+from fsar_ledger.events.envelope import Architecture, Principal, Principals, RequestSubject, Robot, Scenario, Service
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionQueued, RoutineWithheld
 from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
@@ -40,14 +40,18 @@ def test_the_check_again_of_delegated_work_and_the_one_check_of_own_work_are_two
     configuration: str, expected: set[str]
 ) -> None:
     events = played("fsar", configuration, "door-relay", 3).events
-    is_delegated = {event.action_id: event.is_delegated for event in events if isinstance(event, ExecutionQueued)}
+    is_delegated = {
+        event.subject.action_id: event.is_delegated for event in events if isinstance(event, ExecutionQueued)
+    }
     held = {
-        "delegated" if is_delegated[event.action_id] else "own" for event in events if isinstance(event, ExecutionHeld)
+        "delegated" if is_delegated[event.subject.action_id] else "own"
+        for event in events
+        if isinstance(event, ExecutionHeld)
     }
     assert held | {"motion" for event in events if isinstance(event, RoutineWithheld)} == expected
 
 
-def of_recovery(attempts: int, budget_us: int) -> tuple[list[tuple[int, str | None]], list[int], set[str]]:
+def of_recovery(attempts: int, budget_us: int) -> tuple[list[tuple[int, Principal | None]], list[int], set[str]]:
     """The attempts with who decided them, those that failed, and what of recovery the coordinator was given."""
     given = Constants()
     structure = msgspec.structs.replace(given.structure, local_attempts=attempts, local_budget_us=budget_us)
@@ -58,7 +62,7 @@ def of_recovery(attempts: int, budget_us: int) -> tuple[list[tuple[int, str | No
         2,
         msgspec.structs.replace(given, structure=structure),
     ).events
-    tried = [(event.number, event.decided_by) for event in events if isinstance(event, RecoveryAttempted)]
+    tried = [(event.number, event.principals.decided_by) for event in events if isinstance(event, RecoveryAttempted)]
     failed = [event.number for event in events if isinstance(event, RecoveryAttemptFailed)]
     return (
         tried,
@@ -93,10 +97,19 @@ def test_without_the_queue_nothing_waits_for_the_coordinator_not_even_what_no_he
 
 
 def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> None:
-    closed = RequestClosed("task", "action", "action", "coordination", None, None, None, ("coordination",))
+    closed = RequestClosed(
+        RequestSubject("task", "action", "action"),
+        Principals(
+            decided_by=Service("coordination"),
+            requested_by=None,
+            executed_by=None,
+            supervised_by=None,
+            path=(Service("coordination"),),
+        ),
+    )
     [(unknown, no_path), (known, path)] = [
-        (one.decided_by, one.path)  # type: ignore[attr-defined]
-        for one in (_decided_by(closed, name) for name in (None, "robot/a"))
+        (one.principals.decided_by, one.principals.path)  # type: ignore[attr-defined]
+        for one in (_decided_by(closed, name) for name in (None, Robot("robot/a")))
     ]
     assert (unknown, no_path) == (None, ())
     assert (known, path) == ("robot/a", ("robot/a",))

@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import TRUST
+from fsar_ledger.events.envelope import TRUST, Parties, Principals, RequestSubject, Robot, Service, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
@@ -34,9 +34,9 @@ from fsar_ledger.runtime.handlers.trust import (
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, given
 
-A, B, C, D = "robot/A1", "robot/B1", "robot/C1", "robot/D1"
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 DOOR = "door.open.secure"
-H_B = "supervisor/B1"
+H_B = Supervisor("supervisor/B1")
 
 
 def refusal(events: tuple[Event, ...]) -> str:
@@ -49,24 +49,54 @@ def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
     """A state in which A asked B for the door so many times, and each time got this."""
     state = given("fsar", TrustThresholdsSet(promote, downgrade, H_F))
     for ordinal, outcome in enumerate(outcomes):
-        ids = ("t1", f"t1/{ordinal}", f"t1/{ordinal}")
-        apply(state, RequestIssued(*ids, A, A, B, None, (A,), DOOR, "allow"))
+        subject = RequestSubject("t1", f"t1/{ordinal}", f"t1/{ordinal}")
+        parties = Parties(requested_by=A, executed_by=B, supervised_by=None)
+        apply(
+            state,
+            RequestIssued(subject=subject, principals=parties.decided(A), capability=DOOR, carried_policy="allow"),
+        )
         if outcome == "failed":
-            apply(state, ExecutionQueued("t1", f"t1/{ordinal}", A, B, None, B, A, DOOR, 1, 1, True, True, True))
-            apply(state, ExecutionFailed("t1", f"t1/{ordinal}", B, 1, "degradation", 0, 0))
+            apply(
+                state,
+                ExecutionQueued(
+                    subject=Subject("t1", f"t1/{ordinal}"),
+                    principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+                    robot=B,
+                    on_behalf_of=A,
+                    capability=DOOR,
+                    step=1,
+                    attempt=1,
+                    is_delegated=True,
+                    has_approach=True,
+                    is_supervised=True,
+                ),
+            )
+            apply(
+                state,
+                ExecutionFailed(
+                    subject=Subject("t1", f"t1/{ordinal}"),
+                    robot=B,
+                    failure=1,
+                    cause="degradation",
+                    remaining_us=0,
+                    detected_us=0,
+                ),
+            )
         elif outcome == "success":
-            apply(state, RequestClosed(*ids, "service/coordination", A, B, None, ("service/coordination",)))
+            apply(state, RequestClosed(subject, parties.decided(Service("service/coordination"))))
         else:
-            apply(state, RequestDenied(*ids, B, A, B, None, (B,), outcome))
+            apply(state, RequestDenied(subject, parties.decided(B), outcome))
     return state
 
 
 @pytest.mark.parametrize("supervisor", [H_B, H_F])
-def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: str) -> None:
+def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: Supervisor) -> None:
     state = given("fsar")
     assert not trusts(state, B, D, DOOR)
     [event] = set_trust(state, SetTrust(supervisor, B, D, "task", DOOR, "A1-1"))
-    assert event == TrustSet(B, D, "task", DOOR, "A1-1", supervisor, "operator")
+    assert event == TrustSet(
+        robot=B, peer=D, scope="task", capability=DOOR, context="A1-1", decided_by=supervisor, reason="operator"
+    )
     apply(state, event)
     assert (
         trusts(state, B, D, DOOR, "A1-1"),
@@ -78,10 +108,10 @@ def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (SetTrust(H_F, "robot/X9", A, "task"), "unknown robot robot/X9"),
-        (SetTrust(H_F, A, "robot/X9", "task"), "unknown robot robot/X9"),
-        (SetTrust("supervisor/X9", B, A, "task"), "unknown supervisor supervisor/X9"),
-        (SetTrust("supervisor/A1", B, A, "task"), "supervisor/A1 does not supervise robot/B1"),
+        (SetTrust(H_F, Robot("robot/X9"), A, "task"), "unknown robot robot/X9"),
+        (SetTrust(H_F, A, Robot("robot/X9"), "task"), "unknown robot robot/X9"),
+        (SetTrust(Supervisor("supervisor/X9"), B, A, "task"), "unknown supervisor supervisor/X9"),
+        (SetTrust(Supervisor("supervisor/A1"), B, A, "task"), "supervisor/A1 does not supervise robot/B1"),
         (SetTrust(H_F, B, A, "task", "fly"), "unknown capability fly"),
         (SetTrust(H_F, B, A, "task", None, "A1-1"), "task A1-1 is over"),
         (SetTrust(H_F, B, A, "total"), "unknown scope total"),  # type: ignore[arg-type]
@@ -96,21 +126,37 @@ def test_trust_that_cannot_be_set_is_rejected(command: SetTrust, reason: str) ->
 def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception() -> None:
     state = given(
         "fsar",
-        TrustSet(B, D, "none"),
-        RobotJoined("robot/B9", "B", 9, None, "yard"),
-        RobotJoined("robot/D9", "D", 9, None, "yard/gate"),
+        TrustSet(robot=B, peer=D, scope="none"),
+        RobotJoined(robot=Robot("robot/B9"), role="B", team=9, supervisor=None, domain="yard"),
+        RobotJoined(robot=Robot("robot/D9"), role="D", team=9, supervisor=None, domain="yard/gate"),
     )
     [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "task", capability=DOOR))
-    assert event == RoleTrustSet("B", "D", "task", "", DOOR, None, H_F, "operator")
+    assert event == RoleTrustSet(
+        role="B",
+        peer_role="D",
+        scope="task",
+        domain="",
+        capability=DOOR,
+        context=None,
+        decided_by=H_F,
+        reason="operator",
+    )
     apply(state, event)
-    assert (trusts(state, B, D, DOOR), trusts(state, B, "robot/D9", DOOR), trusts(state, "robot/B9", D, DOOR)) == (
+    assert (
+        trusts(state, B, D, DOOR),
+        trusts(state, B, Robot("robot/D9"), DOOR),
+        trusts(state, Robot("robot/B9"), D, DOOR),
+    ) == (
         False,
         True,
         True,
     )
     [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "none", "yard"))
     apply(state, event)
-    assert (trusts(state, "robot/B9", "robot/D9", DOOR), trusts(state, "robot/B9", D, DOOR)) == (False, True)
+    assert (trusts(state, Robot("robot/B9"), Robot("robot/D9"), DOOR), trusts(state, Robot("robot/B9"), D, DOOR)) == (
+        False,
+        True,
+    )
 
 
 @pytest.mark.parametrize(
@@ -139,16 +185,27 @@ def test_the_record_moves_the_pair_and_not_its_roles() -> None:
 
 
 def test_trust_by_role_in_a_context_ends_with_it_and_begins_the_rows_again() -> None:
-    state = given("fsar", RoleTrustSet("B", "D", "task", "", DOOR, "A1-1"))
+    state = given(
+        "fsar", RoleTrustSet(role="B", peer_role="D", scope="task", domain="", capability=DOOR, context="A1-1")
+    )
     assert "A1-1" in state.trust.contexts
     assert expire_trust(state, ExpireTrust("A1-1")) == (
-        RoleTrustSet("B", "D", "none", "", DOOR, "A1-1", TRUST, "context expired"),
+        RoleTrustSet(
+            role="B",
+            peer_role="D",
+            scope="none",
+            domain="",
+            capability=DOOR,
+            context="A1-1",
+            decided_by=TRUST,
+            reason="context expired",
+        ),
     )
     rows = results("success", promote=2)
     assert (B, A, DOOR, None) in rows.trust.records
-    apply(rows, RoleTrustSet("B", "A", "session", "hall"))
+    apply(rows, RoleTrustSet(role="B", peer_role="A", scope="session", domain="hall"))
     assert (B, A, DOOR, None) in rows.trust.records, "they are in no hall"
-    apply(rows, RoleTrustSet("B", "A", "session"))
+    apply(rows, RoleTrustSet(role="B", peer_role="A", scope="session"))
     assert (B, A, DOOR, None) not in rows.trust.records
 
 
@@ -158,7 +215,7 @@ def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:
     assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_B, 3, 1))).startswith(
         "supervisor/B1 supervises one robot"
     )
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds("supervisor/X9", 3, 1))).startswith(
+    assert refusal(set_trust_thresholds(state, SetTrustThresholds(Supervisor("supervisor/X9"), 3, 1))).startswith(
         "unknown supervisor"
     )
     assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_F, -1, 1))).startswith("thresholds -1 and 1")
@@ -167,7 +224,9 @@ def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:
 def test_so_many_successes_in_a_row_promote_one_scope() -> None:
     assert assess_trust(results("success", promote=2), AssessTrust(B, A, DOOR)) == ()
     [promoted] = assess_trust(results("success", "success", promote=2), AssessTrust(B, A, DOOR))
-    assert promoted == TrustSet(B, A, "session", DOOR, None, TRUST, "record")
+    assert promoted == TrustSet(
+        robot=B, peer=A, scope="session", capability=DOOR, context=None, decided_by=TRUST, reason="record"
+    )
     assert assess_trust(results("success", "trust", "success", promote=2), AssessTrust(B, A, DOOR)) == ()
 
 
@@ -177,33 +236,71 @@ def test_a_promotion_begins_the_row_again_and_never_gives_persistent_trust() -> 
     apply(state, promoted)
     assert (B, A, DOOR, None) not in state.trust.records
     again = results("success", promote=1)
-    apply(again, TrustSet(B, A, "session"))
-    apply(again, RequestIssued("t1", "t1/9", "t1/9", A, A, B, None, (A,), DOOR, "allow"))
-    apply(again, RequestClosed("t1", "t1/9", "t1/9", None, A, B, None, ()))
+    apply(again, TrustSet(robot=B, peer=A, scope="session"))
+    apply(
+        again,
+        RequestIssued(
+            subject=RequestSubject("t1", "t1/9", "t1/9"),
+            principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
+            capability=DOOR,
+            carried_policy="allow",
+        ),
+    )
+    apply(
+        again,
+        RequestClosed(
+            RequestSubject("t1", "t1/9", "t1/9"),
+            Principals(decided_by=None, requested_by=A, executed_by=B, supervised_by=None, path=()),
+        ),
+    )
     assert assess_trust(again, AssessTrust(B, A, DOOR)) == ()
 
 
 def test_violations_downgrade_the_requester_and_failures_the_executor() -> None:
     [downgraded] = assess_trust(results("trust", downgrade=1), AssessTrust(B, A, DOOR))
-    assert downgraded == TrustSet(B, A, "capability", DOOR, None, TRUST, "record")
+    assert downgraded == TrustSet(
+        robot=B, peer=A, scope="capability", capability=DOOR, context=None, decided_by=TRUST, reason="record"
+    )
     [downgraded] = assess_trust(results("failed", downgrade=1), AssessTrust(A, B, DOOR))
-    assert downgraded == TrustSet(A, B, "capability", DOOR, None, TRUST, "record")
+    assert downgraded == TrustSet(
+        robot=A, peer=B, scope="capability", capability=DOOR, context=None, decided_by=TRUST, reason="record"
+    )
     assert assess_trust(results("failed", downgrade=1), AssessTrust(B, A, DOOR)) == ()
     assert assess_trust(results("policy", downgrade=1), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_a_revocation_by_a_supervisor_counts_against_the_requester() -> None:
     def revoked(reason: Any) -> State:
-        return given("fsar", TrustThresholdsSet(0, 1, H_F), AuthorityRevoked(A, B, DOOR, None, reason, H_F))
+        return given(
+            "fsar",
+            TrustThresholdsSet(0, 1, H_F),
+            AuthorityRevoked(
+                requested_by=A, executed_by=B, capability=DOOR, context=None, reason=reason, decided_by=H_F
+            ),
+        )
 
     assert [type(event) for event in assess_trust(revoked("human override"), AssessTrust(B, A, DOOR))] == [TrustSet]
     assert assess_trust(revoked("context expired"), AssessTrust(B, A, DOOR)) == ()
 
 
 def test_the_record_makes_no_trust_where_there_is_none() -> None:
-    state = given("fsar", TrustThresholdsSet(1, 1, H_F), TrustSet(B, A, "none", DOOR))
-    apply(state, RequestIssued("t1", "t1/1", "t1/1", A, A, B, None, (A,), DOOR, "allow"))
-    apply(state, RequestClosed("t1", "t1/1", "t1/1", None, A, B, None, ()))
+    state = given("fsar", TrustThresholdsSet(1, 1, H_F), TrustSet(robot=B, peer=A, scope="none", capability=DOOR))
+    apply(
+        state,
+        RequestIssued(
+            subject=RequestSubject("t1", "t1/1", "t1/1"),
+            principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
+            capability=DOOR,
+            carried_policy="allow",
+        ),
+    )
+    apply(
+        state,
+        RequestClosed(
+            RequestSubject("t1", "t1/1", "t1/1"),
+            Principals(decided_by=None, requested_by=A, executed_by=B, supervised_by=None, path=()),
+        ),
+    )
     assert assess_trust(state, AssessTrust(B, A, DOOR)) == ()
 
 
@@ -211,13 +308,33 @@ def test_what_happens_in_a_context_moves_the_trust_that_was_set_for_it() -> None
     """Trust in all else stays, be it broader or none."""
     for general in ("none", "session"):
         state = given(
-            "fsar", TrustThresholdsSet(2, 1, H_F), TrustSet(B, A, general), TrustSet(B, A, "task", DOOR, "t1")
+            "fsar",
+            TrustThresholdsSet(2, 1, H_F),
+            TrustSet(robot=B, peer=A, scope=general),
+            TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t1"),
         )
-        apply(state, RequestIssued("t1", "t1/1", "t1/1", A, A, B, None, (A,), DOOR, "allow"))
-        commands = scheduled(state, RequestDenied("t1", "t1/1", "t1/1", B, A, B, None, (B,), "authority"))
+        apply(
+            state,
+            RequestIssued(
+                subject=RequestSubject("t1", "t1/1", "t1/1"),
+                principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
+                capability=DOOR,
+                carried_policy="allow",
+            ),
+        )
+        commands = scheduled(
+            state,
+            RequestDenied(
+                RequestSubject("t1", "t1/1", "t1/1"),
+                Principals(decided_by=B, requested_by=A, executed_by=B, supervised_by=None, path=(B,)),
+                "authority",
+            ),
+        )
         [command] = [one for one in commands if isinstance(one, AssessTrust)]
         [moved] = assess_trust(state, command)
-        assert moved == TrustSet(B, A, "capability", DOOR, "t1", TRUST, "record")
+        assert moved == TrustSet(
+            robot=B, peer=A, scope="capability", capability=DOOR, context="t1", decided_by=TRUST, reason="record"
+        )
         apply(state, moved)
         assert (scope_of(state.trust, B, A, DOOR, "t1"), scope_of(state.trust, B, A, DOOR, "t2")) == (
             "capability",
@@ -230,9 +347,19 @@ def test_an_assessment_without_a_record_is_stale() -> None:
 
 
 def test_an_injected_request_that_is_refused_counts_against_who_made_it() -> None:
-    injected = OutsiderRequestInjected("i1", D, C, "inspect.private_zone")
-    refused = RequestDenied("i1", "i1", "i1", "service/registry", D, None, None, ("service/registry",), "advertisement")
-    state = given("fsar", TrustThresholdsSet(0, 1, H_F), TrustSet(C, D, "task"), injected, refused)
+    injected = OutsiderRequestInjected(task_id="i1", robot=D, peer=C, capability="inspect.private_zone")
+    refused = RequestDenied(
+        RequestSubject("i1", "i1", "i1"),
+        Principals(
+            decided_by=Service("service/registry"),
+            requested_by=D,
+            executed_by=None,
+            supervised_by=None,
+            path=(Service("service/registry"),),
+        ),
+        "advertisement",
+    )
+    state = given("fsar", TrustThresholdsSet(0, 1, H_F), TrustSet(robot=C, peer=D, scope="task"), injected, refused)
     [downgraded] = assess_trust(state, AssessTrust(C, D, "inspect.private_zone"))
     assert downgraded.scope == "capability"  # type: ignore[attr-defined]
 
@@ -244,8 +371,23 @@ def scheduled(state: State, event: Event) -> list[Command]:
 
 def test_trust_is_assessed_in_both_directions_after_a_success_and_only_while_thresholds_are_set() -> None:
     def assessments(*thresholds: Event) -> set[tuple[str, str]]:
-        state = given("fsar", *thresholds, RequestIssued("t1", "t1/1", "t1/1", A, A, B, None, (A,), DOOR, "allow"))
-        commands = scheduled(state, RequestClosed("t1", "t1/1", "t1/1", None, A, B, None, ()))
+        state = given(
+            "fsar",
+            *thresholds,
+            RequestIssued(
+                subject=RequestSubject("t1", "t1/1", "t1/1"),
+                principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
+                capability=DOOR,
+                carried_policy="allow",
+            ),
+        )
+        commands = scheduled(
+            state,
+            RequestClosed(
+                RequestSubject("t1", "t1/1", "t1/1"),
+                Principals(decided_by=None, requested_by=A, executed_by=B, supervised_by=None, path=()),
+            ),
+        )
         return {(one.robot, one.peer) for one in commands if isinstance(one, AssessTrust)}
 
     assert assessments(TrustThresholdsSet(1, 0, H_F)) == {(A, B), (B, A)}
@@ -254,14 +396,18 @@ def test_trust_is_assessed_in_both_directions_after_a_success_and_only_while_thr
 
 def test_task_trust_in_the_context_of_a_task_ends_with_the_task() -> None:
     entries = (
-        TrustSet(B, D, "task", None, "A1-1"),
-        TrustSet(C, D, "session", None, "A1-1"),
-        TrustSet(C, D, "task", None, "A1-2"),
+        TrustSet(robot=B, peer=D, scope="task", capability=None, context="A1-1"),
+        TrustSet(robot=C, peer=D, scope="session", capability=None, context="A1-1"),
+        TrustSet(robot=C, peer=D, scope="task", capability=None, context="A1-2"),
     )
     state = given("fsar", ARRIVED, *entries)
     commands = scheduled(state, TaskCompleted("A1-1"))
     [command] = [one for one in commands if isinstance(one, ExpireTrust)]
-    assert expire_trust(state, command) == (TrustSet(B, D, "none", None, "A1-1", TRUST, "context expired"),)
+    assert expire_trust(state, command) == (
+        TrustSet(
+            robot=B, peer=D, scope="none", capability=None, context="A1-1", decided_by=TRUST, reason="context expired"
+        ),
+    )
     assert not any(isinstance(one, ExpireTrust) for one in scheduled(given("fsar", ARRIVED), TaskCompleted("A1-1")))
 
 

@@ -8,7 +8,7 @@ from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.designs.registered import PAPER_WORKFLOWS as WORKFLOWS
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Workflow
+from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Robot, Subject, Workflow
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.recovery import (
     FailureResolved,
@@ -43,7 +43,7 @@ from tests.runtime.test_resume import assert_resumes
 
 SEEDS = (1, 2, 3, 42, 2026)
 E = TypeVar("E", bound=Event)
-A, B, D = "robot/A1", "robot/B1", "robot/D1"
+A, B, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/D1")
 
 
 def played(workflow: Workflow, seed: int, run: int = 0) -> tuple[Event, ...]:
@@ -66,16 +66,18 @@ def test_the_door_is_opened_for_a_by_b_under_its_own_runtime(seed: int) -> None:
     assert isinstance(answer, RegistryQueried)
     assert isinstance(issued, RequestIssued)
     assert isinstance(admitted, RequestAdmitted)
-    assert (gap.requested_by, gap.capability) == (A, "door.open.secure")
+    assert (gap.principals.requested_by, gap.capability) == (A, "door.open.secure")
     assert "door.open.secure" not in fold(events).registry.modules[A]
     assert (answer.candidates, answer.relay) == ((B,), None)
-    assert (issued.requested_by, issued.executed_by, issued.carried_policy) == (A, B, "allow")
-    assert (admitted.decided_by, admitted.outcome) == (B, "allow")
-    started = next(event for event in every(events, ExecutionStarted) if event.action_id == gap.action_id)
-    assert (started.robot, started.executed_by, started.on_behalf_of) == (B, B, A)
-    assert [event.decided_by for event in every(events, RequestAccepted)] == [B]
+    assert (issued.principals.requested_by, issued.principals.executed_by, issued.carried_policy) == (A, B, "allow")
+    assert (admitted.principals.decided_by, admitted.outcome) == (B, "allow")
+    started = next(
+        event for event in every(events, ExecutionStarted) if event.subject.action_id == gap.subject.action_id
+    )
+    assert (started.robot, started.principals.executed_by, started.on_behalf_of) == (B, B, A)
+    assert [event.principals.decided_by for event in every(events, RequestAccepted)] == [B]
     [closed] = every(events, RequestClosed)
-    assert (closed.action_id, closed.result) == (gap.action_id, "success")
+    assert (closed.subject.action_id, closed.result) == (gap.subject.action_id, "success")
     assert every(events, TaskCompleted)
     assert not every(events, RequestDenied) + every(events, SupervisorCalled)
 
@@ -119,7 +121,7 @@ def test_recovery_of_the_slipping_grip_goes_through_all_four_levels(seed: int) -
         ("fleet", "human", "no feasible reassignment: no capable robot"),
     ]
     [query] = every(events, RegistryQueried)
-    assert (query.requested_by, query.capability, query.candidates) == (D, "grasp.*", ())
+    assert (query.principals.requested_by, query.capability, query.candidates) == (D, "grasp.*", ())
     [reassignment] = every(events, ReassignmentDecided)
     assert (reassignment.helper, reassignment.reason) == (None, "no capable robot")
     [call], [answer], [resolved] = (
@@ -127,7 +129,11 @@ def test_recovery_of_the_slipping_grip_goes_through_all_four_levels(seed: int) -
         every(events, SupervisorResponded),
         every(events, FailureResolved),
     )
-    assert (call.supervisor, answer.decided_by, resolved.level) == ("supervisor/fleet", "supervisor/fleet", "human")
+    assert (call.supervisor, answer.principals.decided_by, resolved.level) == (
+        "supervisor/fleet",
+        "supervisor/fleet",
+        "human",
+    )
     assert every(events, TaskCompleted)
     assert not every(events, RequestIssued)
 
@@ -146,19 +152,26 @@ def test_the_grip_slips_during_a_heavy_transport_and_nothing_else_is_wrong(seed:
 @pytest.mark.parametrize("seed", [*SEEDS, *range(100, 140)])
 def test_b_and_d_ask_at_once_and_the_time_critical_delivery_goes_first(seed: int) -> None:
     events = played("workflow-human-supervision", seed)
-    issued = {event.requested_by: event for event in every(events, RequestIssued)}
-    assert {asker: event.executed_by for asker, event in issued.items()} == {B: A, D: A}
+    issued = {event.principals.requested_by: event for event in every(events, RequestIssued)}
+    assert {asker: event.principals.executed_by for asker, event in issued.items()} == {B: A, D: A}
     [critical] = [task for task in every(events, TaskArrived) if task.is_time_critical]
     assert critical.robot == B
     [call], [answer] = every(events, SupervisorCalled), every(events, SupervisorResponded)
-    assert {call.action_id, call.competing} == {event.action_id for event in issued.values()}
-    assert (call.supervisor, call.purpose, answer.decided_by) == ("supervisor/fleet", "ordering", "supervisor/fleet")
-    assert answer.preferred == issued[B].action_id
+    assert {call.subject.action_id, call.competing} == {event.subject.action_id for event in issued.values()}
+    assert (call.supervisor, call.purpose, answer.principals.decided_by) == (
+        "supervisor/fleet",
+        "ordering",
+        "supervisor/fleet",
+    )
+    assert answer.preferred == issued[B].subject.action_id
     admitted = every(events, RequestAdmitted)
-    assert [event.requested_by for event in admitted] == [B, D]
+    assert [event.principals.requested_by for event in admitted] == [B, D]
     assert all(events.index(event) > events.index(answer) for event in admitted)
-    assert {event.action_id for event in every(events, RequestDeferred)} == {call.competing, issued[D].action_id}
-    assert [event.requested_by for event in every(events, ExecutionStarted) if event.robot == A] == [B, D]
+    assert {event.subject.action_id for event in every(events, RequestDeferred)} == {
+        call.competing,
+        issued[D].subject.action_id,
+    }
+    assert [event.principals.requested_by for event in every(events, ExecutionStarted) if event.robot == A] == [B, D]
     assert {task.task_id for task in every(events, TaskCompleted)} == {"B1-1", "D1-2"}
 
 
@@ -192,10 +205,38 @@ def competing(is_critical: tuple[bool, bool] = (True, False), *before: Event) ->
     """B and D have both asked A for carry.package, and neither request has been evaluated."""
     tasks = (("B1-1", B, is_critical[0]), ("D1-2", D, is_critical[1]))
     arrived = [
-        TaskArrived(task, robot, 1, STEP, 60_000_000, 65_000_000, None, critical) for task, robot, critical in tasks
+        TaskArrived(
+            task_id=task,
+            robot=robot,
+            team=1,
+            steps=STEP,
+            budget_us=60_000_000,
+            due_us=65_000_000,
+            checkpoints=None,
+            is_time_critical=critical,
+        )
+        for task, robot, critical in tasks
     ]
-    began = [StepBegan(task, f"{task}/1.1", robot, 1, 1, "carry.package", "A") for task, robot, _ in tasks]
-    shown = [RegistryQueried(task, f"{task}/1.1", robot, A, None, "carry.package", (A,)) for task, robot, _ in tasks]
+    began = [
+        StepBegan(
+            subject=Subject(task, f"{task}/1.1"),
+            robot=robot,
+            step=1,
+            attempt=1,
+            capability="carry.package",
+            target_role="A",
+        )
+        for task, robot, _ in tasks
+    ]
+    shown = [
+        RegistryQueried(
+            subject=Subject(task, f"{task}/1.1"),
+            principals=Parties(requested_by=robot, executed_by=A, supervised_by=None),
+            capability="carry.package",
+            candidates=(A,),
+        )
+        for task, robot, _ in tasks
+    ]
     return given("fsar", *before, *arrived, *began, *shown)
 
 
@@ -212,7 +253,7 @@ def answered(state: State, action_id: str) -> list[str]:
     [number] = [
         number
         for number, call in state.supervision.calls.items()
-        if (call.action_id, call.purpose) == (action_id, "ordering")
+        if (call.subject.action_id, call.purpose) == (action_id, "ordering")
     ]
     [answer] = respond(state, Respond(number))
     apply(state, answer)
@@ -262,7 +303,14 @@ def test_a_request_that_has_not_come_holds_nobody_up() -> None:
 
 def test_a_denied_request_competes_no_more() -> None:
     state = competing()
-    apply(state, RequestDenied("B1-1", "B1-1/1.1", "B1-1/1.1", A, B, A, None, (A,), "policy"))
+    apply(
+        state,
+        RequestDenied(
+            RequestSubject("B1-1", "B1-1/1.1", "B1-1/1.1"),
+            Principals(decided_by=A, requested_by=B, executed_by=A, supervised_by=None, path=(A,)),
+            "policy",
+        ),
+    )
     assert types(evaluated(state, "D1-2/1.1")) == ["RequestAdmitted", "ExecutionQueued"]
 
 

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from itertools import chain, count, pairwise
 from typing import Any, NamedTuple, TypeAlias
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -106,7 +105,7 @@ class _Rows:
         for layout, rows in zip(_LAYOUTS, np.bincount(self.codes, minlength=len(_LAYOUTS)).tolist(), strict=True):
             if rows:
                 block = slice(start, start + rows)
-                columns = tuple(zip(*map(msgspec.structs.astuple, events[block]), strict=True))
+                columns = layout.columns(events[block])
                 if not all(map(are_allowed, columns, ALLOWED[layout.tag])):
                     raise ValueError(
                         f"found values in events {layout.tag} that no row can hold, expected those of its fields"
@@ -329,7 +328,7 @@ def _events(table: pa.Table) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
             columns.append(
                 [None if value is None else tuple(value) for value in values] if field.kind == "strings" else values
             )
-        made = list(map(layout.cls, *columns)) if columns else [layout.cls() for _ in at]
+        made = layout.events(columns, len(at))
         for change in UPCASTS.get(layout.cls, ()):
             made = list(map(change, made))
         for position, event in zip(at.tolist(), made, strict=True):

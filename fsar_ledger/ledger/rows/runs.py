@@ -13,6 +13,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.errors import InvalidRun
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, Field, Kind
 from fsar_ledger.parameters import BadParameters, read_parameters
 
@@ -148,8 +149,14 @@ def _unfit(run: RunRecord, seq: int) -> Iterator[tuple[str, str, str]]:
     if tag not in LAYOUTS or type(event) is not LAYOUTS[tag].cls:
         yield "type", f"{type(event).__name__} {tag}".strip(), "an event of a type that is written today"
         return
+    for member in LAYOUTS[tag].members:
+        part = getattr(event, member.name)
+        if member.part is not None and type(part) is not member.part:
+            yield member.name, f"{part!r:.80}", f"a value: {member.part.__name__}, and no other class"
+            return
+    values = flat(event)
     for field, allowed in zip(LAYOUTS[tag].fields, ALLOWED[tag], strict=True):
-        yield from _unfit_value(field.name, getattr(event, field.name), allowed)
+        yield from _unfit_value(field.name, values[field.name], allowed)
 
 
 def _unfit_value(name: str, value: object, allowed: Allowed) -> Iterator[tuple[str, str, str]]:

@@ -11,13 +11,16 @@
 """
 
 import hashlib
-from typing import Literal
+from collections.abc import Iterable, Sequence
+from itertools import chain
+from typing import Literal, get_origin
 
 import msgspec
 import pyarrow as pa
 from msgspec import inspect
 
 from fsar_ledger.events import ALONE, CONCERN_OF, EVENT_TYPES, RETIRED_TYPES, Event
+from fsar_ledger.events.envelope import Part
 
 Kind = Literal["string", "integer", "boolean", "strings"]
 
@@ -41,12 +44,59 @@ class Field(msgspec.Struct, frozen=True):
     values: frozenset[str] | None
 
 
+class Member(msgspec.Struct, frozen=True):
+    """One field of the struct of an event: a column of its own, or a part (`part`) that is stored as the columns of its fields."""
+
+    name: str
+    part: type[Part] | None
+    fields: tuple[Field, ...]
+
+
 class Layout(msgspec.Struct, frozen=True):
-    """How one event type is stored: its fields in the order of its constructor."""
+    """How one event type is stored: its members in the order of its constructor, and the columns that they come to (`fields`)."""
 
     tag: str
     cls: type[Event]
+    members: tuple[Member, ...]
     fields: tuple[Field, ...]
+
+    def columns(self, events: Sequence[Event]) -> tuple[Sequence[object], ...]:
+        """Return the values of events of this type, one sequence a column, in the order of `fields`; `events` is the inverse.
+
+        Raises:
+            TypeError: A part of an event is of another class.
+        """
+        found: list[Sequence[object]] = []
+        for member, values in zip(self.members, zip(*map(msgspec.structs.astuple, events), strict=True), strict=True):
+            if member.part is None:
+                found.append(values)
+                continue
+            if set(map(type, values)) != {member.part}:
+                raise TypeError(f"{self.tag}: found {member.name} of another class, expected {member.part.__name__}")
+            found += zip(*map(msgspec.structs.astuple, values), strict=True)
+        return tuple(found)
+
+    def events(self, columns: Iterable[Iterable[object]], count: int) -> list[Event]:
+        """Return so many events of this type with the values of these columns, which are in the order of `fields`."""
+        values = iter(columns)
+        members = [_joined(member, [next(values) for _ in member.fields]) for member in self.members]
+        if not members:
+            return [self.cls() for _ in range(count)]
+        names = [member.name for member in self.members]
+        return [self.cls(**dict(zip(names, row, strict=True))) for row in zip(*members, strict=True)]
+
+    def event(self, values: Iterable[object]) -> Event:
+        """Return the event of this type with these values, which are in the order of `fields`."""
+        (made,) = self.events([(value,) for value in values], 1)
+        return made
+
+
+def _joined(member: Member, columns: list[Iterable[object]]) -> Iterable[object]:
+    """The values of a member, from the columns that it is stored as."""
+    if member.part is None:
+        return columns[0]
+    names = member.part.__struct_fields__
+    return [member.part(**dict(zip(names, row, strict=True))) for row in zip(*columns, strict=True)]
 
 
 ENVELOPE: tuple[Field, ...] = (
@@ -59,11 +109,20 @@ ENVELOPE: tuple[Field, ...] = (
 """The columns that every row has."""
 
 
+def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
+    """The types of a union, each once: a robot and a supervisor, types of their own, are both strings."""
+    found: list[inspect.Type] = []
+    for one in kind.types if isinstance(kind, inspect.UnionType) else (kind,):
+        if one not in found:
+            found.append(one)
+    return found
+
+
 def _field(field: inspect.Field) -> Field:
     """The stored form of a struct field. Raises: TypeError for a type that a ledger cannot hold."""
-    options = field.type.types if isinstance(field.type, inspect.UnionType) else (field.type,)
-    kinds = tuple(option for option in options if not isinstance(option, inspect.NoneType))
-    is_nullable = len(kinds) < len(options)
+    kinds = _alternatives(field.type)
+    is_nullable = any(isinstance(kind, inspect.NoneType) for kind in kinds)
+    kinds = [kind for kind in kinds if not isinstance(kind, inspect.NoneType)]
     match kinds:
         case (inspect.StrType(),):
             return Field(field.name, "string", is_nullable, None)
@@ -73,22 +132,32 @@ def _field(field: inspect.Field) -> Field:
             return Field(field.name, "integer", is_nullable, None)
         case (inspect.BoolType(),):
             return Field(field.name, "boolean", is_nullable, None)
-        case (inspect.VarTupleType(item_type=inspect.StrType()),):
+        case (inspect.VarTupleType(item_type=item),) if _alternatives(item) == [inspect.StrType()]:
             return Field(field.name, "strings", is_nullable, None)
     raise TypeError(
         f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], each or None"
     )
 
 
+def _member(field: inspect.Field) -> Member:
+    """The stored form of a field of an event. Raises: TypeError as `_field`."""
+    if isinstance(field.type, inspect.StructType):
+        part = get_origin(field.type.cls) or field.type.cls
+        if isinstance(part, type) and issubclass(part, Part):
+            return Member(field.name, part, tuple(map(_field, field.type.fields)))
+    return Member(field.name, None, (_field(field),))
+
+
 def layout(cls: type[Event]) -> Layout:
     """How this event type is stored. Raises: TypeError for a field that a ledger cannot hold or that would hide an envelope column."""
     info = inspect.type_info(cls)
     assert isinstance(info, inspect.StructType)
-    fields = tuple(_field(field) for field in info.fields)
+    members = tuple(map(_member, info.fields))
+    fields = tuple(chain.from_iterable(member.fields for member in members))
     hidden = {field.name for field in fields} & {field.name for field in ENVELOPE}
     if hidden:
         raise TypeError(f"{info.tag}: fields {sorted(hidden)} have the name of an envelope column; rename them")
-    return Layout(str(info.tag), cls, fields)
+    return Layout(str(info.tag), cls, members, fields)
 
 
 def columns(layouts: tuple[Layout, ...]) -> dict[str, Kind]:

@@ -2,6 +2,7 @@
 
 from typing import Protocol
 
+from fsar_ledger.events.envelope import Robot, robot_named
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.task import Task
 
@@ -15,64 +16,64 @@ class _OfAction(Protocol):
 
 class _OfRobot(Protocol):
     @property
-    def robot(self) -> str: ...
+    def robot(self) -> Robot: ...
 
 
 class _OfHelper(Protocol):
     @property
-    def helper(self) -> str: ...
+    def helper(self) -> Robot: ...
 
 
 def nobody(_state: State, _command: Command) -> None:
     """Nobody who could be off: the world, a service of the federation, the coordinator, a human."""
 
 
-def named(_state: State, command: _OfRobot) -> str:
+def named(_state: State, command: _OfRobot) -> Robot:
     """The robot that the command names."""
     return command.robot
 
 
-def helping(_state: State, command: _OfHelper) -> str:
+def helping(_state: State, command: _OfHelper) -> Robot:
     """The robot that helps."""
     return command.helper
 
 
-def body(state: State, command: _OfAction) -> str | None:
+def body(state: State, command: _OfAction) -> Robot | None:
     """The robot at which the action is."""
     action = state.execution.actions.get(command.action_id)
     return None if action is None else action.robot
 
 
-def requester(state: State, command: _OfAction) -> str | None:
+def requester(state: State, command: _OfAction) -> Robot | None:
     """The robot whose step it is."""
     request = state.request.get(command.action_id)
     return None if request is None else request.requester
 
 
-def target(state: State, command: _OfAction) -> str | None:
+def target(state: State, command: _OfAction) -> Robot | None:
     """The robot that was picked to execute; for a step of its own the one whose step it is."""
     request = state.request.get(command.action_id)
     return None if request is None else request.target or request.requester
 
 
-def asked(state: State, command: _OfAction) -> str | None:
+def asked(state: State, command: _OfAction) -> Robot | None:
     """The robot that the request goes to."""
     request = state.request.get(command.action_id)
     return request.candidates[0] if request is not None and request.candidates else None
 
 
-def relay(state: State, command: _OfAction) -> str | None:
+def relay(state: State, command: _OfAction) -> Robot | None:
     """The peer that passes the request on."""
     request = state.request.get(command.action_id)
     return None if request is None else request.relay
 
 
-def next_in_task(state: State, command: BeginStep) -> str | None:
+def next_in_task(state: State, command: BeginStep) -> Robot | None:
     """The robot that acts in the next step of the task, if there is one left."""
     task = state.task.get(command.task_id)
     return None if task is None or task.step == len(task.steps) else acting(task, task.step)
 
 
-def acting(task: Task, step: int) -> str:
+def acting(task: Task, step: int) -> Robot:
     """The robot that acts in the step, counted from 0."""
-    return f"robot/{task.steps[step].partition(' ')[0]}{task.team}"
+    return robot_named(task.steps[step].partition(" ")[0], task.team)

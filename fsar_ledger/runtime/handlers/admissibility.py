@@ -8,7 +8,7 @@ from typing import Literal
 import msgspec
 
 from fsar_ledger.events.authority import AuthorityGranted, AuthorityRevoked
-from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, TrustScope
+from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Robot, TrustScope
 from fsar_ledger.projections.authority import Later, rank, right_of
 from fsar_ledger.projections.execution import INTERRUPTING, Action
 from fsar_ledger.projections.fold import State
@@ -50,7 +50,7 @@ class Evaluation(msgspec.Struct, frozen=True, gc=False):
     is_audited: bool = True
 
 
-def evaluate(state: State, request: Request, executor: str, is_reviewed: bool = False) -> Evaluation:
+def evaluate(state: State, request: Request, executor: Robot, is_reviewed: bool = False) -> Evaluation:
     """The five conjuncts in the paper's order, then authority. Paper: eq:admissible.
 
     The approval of a request that was reviewed lifts reviews and no denial: a rule that denies by then stands, and an
@@ -78,13 +78,13 @@ def evaluate(state: State, request: Request, executor: str, is_reviewed: bool = 
     return Evaluation("accept" if is_free else "defer", None, trust, True, True, asked)
 
 
-def asker(request: Request) -> str:
+def asker(request: Request) -> Robot:
     """Who stands before the executor: the relay, or the requester itself. Paper: eq:nontransitive."""
     return request.relay or request.requester
 
 
 def failing(
-    state: State, request: Request, executor: str, trust: TrustScope | None, outcome: PolicyOutcome
+    state: State, request: Request, executor: Robot, trust: TrustScope | None, outcome: PolicyOutcome
 ) -> Conjunct | None:
     """The first conjunct that fails, or None; `trust` is the executor's in who asks, `outcome` the composed policy. Paper: eq:admissible."""
     if not possesses(state.registry, executor, request.capability):
@@ -107,7 +107,7 @@ def failing(
     return None
 
 
-def is_revoked(state: State, request: Request, executor: str) -> bool:
+def is_revoked(state: State, request: Request, executor: Robot) -> bool:
     """True when the requester, or the relay that asks for it, may no longer ask this of the executor. Paper: sec:model:authority."""
     if not state.authority.rights:
         return False
@@ -118,7 +118,7 @@ def is_revoked(state: State, request: Request, executor: str) -> bool:
     )
 
 
-def override_asked(state: State, request: Request, executor: str) -> OverrideLevel:
+def override_asked(state: State, request: Request, executor: Robot) -> OverrideLevel:
     """The level that the request asks for; emergency-only without a supervisor's grant of it is none. Paper: eq:override."""
     if request.override != "emergency-only":
         return request.override
@@ -126,7 +126,7 @@ def override_asked(state: State, request: Request, executor: str) -> OverrideLev
     return "emergency-only" if isinstance(right, AuthorityGranted) and right.override == "emergency-only" else "none"
 
 
-def override_allowed(state: State, request: Request, executor: str) -> OverrideLevel:
+def override_allowed(state: State, request: Request, executor: Robot) -> OverrideLevel:
     """The highest level that the executor's advertisement allows, and a grant if there is one. Paper: eq:override, eq:adv."""
     record = advertisement(state.registry, executor, request.capability)
     allowed: OverrideLevel = "none" if record is None else record.override_allowed
@@ -134,7 +134,7 @@ def override_allowed(state: State, request: Request, executor: str) -> OverrideL
     return min(allowed, right.override, key=rank) if isinstance(right, AuthorityGranted) else allowed
 
 
-def preemptible(state: State, robot: str, override: OverrideLevel) -> Action | None:
+def preemptible(state: State, robot: Robot, override: OverrideLevel) -> Action | None:
     """The action that a request of this level takes the robot from, or None. Paper: eq:override."""
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
     if (

@@ -7,7 +7,14 @@ from collections.abc import Iterable
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Availability, OverrideLevel, TrustScope, Visibility
+from fsar_ledger.events.envelope import (
+    Availability,
+    OverrideLevel,
+    Robot,
+    Supervisor,
+    TrustScope,
+    Visibility,
+)
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
     CapabilityAdvertised,
@@ -28,7 +35,7 @@ from .rejection import rejected, unknown_robot
 class AdvertiseCapability(PublicCommand):
     """The seven fields of an advertisement and who may see it; a part of the contract that is None is that of the installed module. Paper: eq:adv."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     preconditions: tuple[str, ...] | None = None
@@ -41,54 +48,54 @@ class AdvertiseCapability(PublicCommand):
     embodiment: tuple[str, ...] = ()
     visibility: Visibility = "global"
     visible_to: tuple[str, ...] = ()
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class WithdrawCapability(PublicCommand):
     """Take the capability off the surface; the robot keeps it."""
 
-    robot: str
+    robot: Robot
     capability: str
     reason: str
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class ReportAvailability(PublicCommand):
     """Another availability, of one capability or (None) of everything that the robot advertises."""
 
-    robot: str
+    robot: Robot
     capability: str | None
     availability: Availability
     reason: str
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class DeprecateCapability(PublicCommand):
     """The advertised version is on its way out, for the successor if there is one."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     successor: str | None = None
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class UpgradeCapability(PublicCommand):
     """Roll a newer version out; parts of its contract that are None stay as they are."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     preconditions: tuple[str, ...] | None = None
     postconditions: tuple[str, ...] | None = None
     resources: tuple[str, ...] | None = None
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class FinishRollOut(Command):
     """The installed version may be shown, as available as the old one was said to be."""
 
-    robot: str
+    robot: Robot
     capability: str
     availability: Availability = "ready"
 
@@ -107,19 +114,19 @@ def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Ev
         return rejected(command, capability, wrong, command.issued_by)
     return (
         CapabilityAdvertised(
-            robot,
-            capability,
-            command.visible_to,
-            command.version,
-            contract.preconditions,
-            contract.postconditions,
-            contract.resources,
-            command.trust_required,
-            command.policy_required,
-            command.override_allowed,
-            command.availability,
-            command.embodiment,
-            command.visibility,
+            robot=robot,
+            capability=capability,
+            visible_to=command.visible_to,
+            version=command.version,
+            preconditions=contract.preconditions,
+            postconditions=contract.postconditions,
+            resources=contract.resources,
+            trust_required=command.trust_required,
+            policy_required=command.policy_required,
+            override_allowed=command.override_allowed,
+            availability=command.availability,
+            embodiment=command.embodiment,
+            visibility=command.visibility,
         ),
     )
 
@@ -144,7 +151,11 @@ def report_availability(state: State, command: ReportAvailability) -> tuple[Even
         wrong = f'"{NO_ANSWER}" is what others say of a silent robot, expected a reason of its own'
     if wrong is not None:
         return rejected(command, capability or robot, wrong, command.issued_by)
-    return (AvailabilityChanged(robot, capability, command.availability, command.reason),)
+    return (
+        AvailabilityChanged(
+            robot=robot, capability=capability, availability=command.availability, reason=command.reason
+        ),
+    )
 
 
 def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Event, ...]:
@@ -162,7 +173,9 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
             wrong = _not_newer(command.successor, command.version)
     if wrong is not None:
         return rejected(command, capability, wrong, command.issued_by)
-    return (CapabilityDeprecated(robot, capability, command.version, command.successor),)
+    return (
+        CapabilityDeprecated(robot=robot, capability=capability, version=command.version, successor=command.successor),
+    )
 
 
 def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event, ...]:
@@ -181,11 +194,21 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
     if wrong is not None:
         return rejected(command, capability, wrong, command.issued_by)
     installed = CapabilityInstalled(
-        robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources
+        robot=robot,
+        capability=capability,
+        version=command.version,
+        preconditions=contract.preconditions,
+        postconditions=contract.postconditions,
+        resources=contract.resources,
     )
     if record is None:
         return (installed,)
-    return (installed, AvailabilityChanged(robot, capability, "restricted", f"roll-out of {command.version}"))
+    return (
+        installed,
+        AvailabilityChanged(
+            robot=robot, capability=capability, availability="restricted", reason=f"roll-out of {command.version}"
+        ),
+    )
 
 
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
@@ -199,24 +222,24 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     module = state.registry.modules[command.robot][command.capability]
     return (
         CapabilityAdvertised(
-            record.robot,
-            record.capability,
-            record.visible_to,
-            module.version,
-            module.contract.preconditions,
-            module.contract.postconditions,
-            module.contract.resources,
-            record.trust_required,
-            record.policy_required,
-            record.override_allowed,
-            command.availability if record.availability == "restricted" else record.availability,
-            record.embodiment,
-            record.visibility,
+            robot=record.robot,
+            capability=record.capability,
+            visible_to=record.visible_to,
+            version=module.version,
+            preconditions=module.contract.preconditions,
+            postconditions=module.contract.postconditions,
+            resources=module.contract.resources,
+            trust_required=record.trust_required,
+            policy_required=record.policy_required,
+            override_allowed=record.override_allowed,
+            availability=command.availability if record.availability == "restricted" else record.availability,
+            embodiment=record.embodiment,
+            visibility=record.visibility,
         ),
     )
 
 
-def _rolling_out(state: State, robot: str, capability: str) -> Advertisement | None:
+def _rolling_out(state: State, robot: Robot, capability: str) -> Advertisement | None:
     """The record of another version than the installed one, if there is one."""
     module, record = (
         state.registry.modules.get(robot, {}).get(capability),
@@ -252,7 +275,7 @@ def _unknown(name: str, value: str, known: Iterable[str]) -> str | None:
     return None if value in known else f"{name} {value!r} is unknown, expected one of {', '.join(known)}"
 
 
-def _not_advertised(state: State, robot: str, capability: str) -> str | None:
+def _not_advertised(state: State, robot: Robot, capability: str) -> str | None:
     return (
         None
         if advertisement(state.registry, robot, capability) is not None

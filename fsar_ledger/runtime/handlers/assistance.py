@@ -1,7 +1,7 @@
 """A helper's work is work: something can be in its way, and an actuator that stands in can fail as well. Paper: sec:model:recovery."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
+from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Robot
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, AssistanceFailed, FailureResolved
 from fsar_ledger.events.world import ObstructionAppeared
 from fsar_ledger.projections.execution import HELPING, Action
@@ -21,10 +21,9 @@ def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -
             cause = _hindrance(state, recovery, command)
             if cause is not None:
                 return (_failed(action, recovery, command.helper, cause),)
-            about = (action.task_id, action.action_id, action.robot)
             return (
-                AssistanceEnded(*about, command.helper, recovery.failure),
-                FailureResolved(*about, recovery.failure, level),
+                AssistanceEnded(action.subject, action.robot, command.helper, recovery.failure),
+                FailureResolved(action.subject, action.robot, recovery.failure, level),
             )
         case _:
             return ()
@@ -41,11 +40,11 @@ def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
 
 def end_of(event: AssistanceAdmitted, after_us: int, draws: tuple[Draw, ...] = ()) -> Scheduled:
     """The end of the help that was admitted; a helper whose actuator is degraded meets the same draw under every architecture."""
-    ask = Draw("reliability", f"assist/{event.action_id}/{event.failure}/{event.helper}")
-    return Scheduled(EndAssistance(event.action_id, event.helper, event.failure), after_us, draws, ask)
+    ask = Draw("reliability", f"assist/{event.subject.action_id}/{event.failure}/{event.helper}")
+    return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, draws, ask)
 
 
-def _helped(state: State, action_id: str, who: str) -> tuple[Action, Recovery] | None:
+def _helped(state: State, action_id: str, who: Robot) -> tuple[Action, Recovery] | None:
     """The action that the robot helps with, and its failure; None when it does not."""
     return open_failure(state, action_id) if state.execution.current.get(who) == HELPING + action_id else None
 
@@ -59,13 +58,19 @@ def _hindrance(state: State, recovery: Recovery, command: EndAssistance) -> Fail
     return None
 
 
-def _failed(action: Action, recovery: Recovery, who: str, cause: FailureCause) -> AssistanceFailed:
-    return AssistanceFailed(action.task_id, action.action_id, action.robot, who, recovery.failure, cause)
+def _failed(action: Action, recovery: Recovery, who: Robot, cause: FailureCause) -> AssistanceFailed:
+    return AssistanceFailed(
+        subject=action.subject,
+        robot=action.robot,
+        helper=who,
+        failure=recovery.failure,
+        cause=cause,
+    )
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
     return (
-        (Scheduled(StopAssistance(event.action_id, event.helper)),)
+        (Scheduled(StopAssistance(event.subject.action_id, event.helper)),)
         if state.world.obstructions.get(event.helper)
         else ()
     )

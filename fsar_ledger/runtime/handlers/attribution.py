@@ -1,14 +1,12 @@
 """Which supervisor a record can name, and small readings of the state that several handlers need."""
 
-from typing import Any
-
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Robot, Supervisor
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import offers, surface
 
 
-def on_shift(state: State, robot: str) -> str | None:
+def on_shift(state: State, robot: Robot) -> Supervisor | None:
     """The robot's own supervisor H_i, or None while off shift; H_F for a robot that has none of its own. Paper: eq:supervision."""
     supervisor = state.fleet.robots[robot].supervisor
     if supervisor is None:
@@ -16,20 +14,20 @@ def on_shift(state: State, robot: str) -> str | None:
     return None if supervisor in state.world.off_shift else supervisor
 
 
-def supervisor_of(state: State, action: Action) -> str | None:
+def supervisor_of(state: State, action: Action) -> Supervisor | None:
     """The supervisor whom a record of the execution names: H_F if it was queued under H_F, else the robot's own while on shift."""
     if not action.is_supervised:
         return None
     return FLEET_SUPERVISOR if action.supervised_by == FLEET_SUPERVISOR else on_shift(state, action.robot)
 
 
-def principals(state: State, action: Action) -> dict[str, Any]:
-    """The keywords with which a record names the principals of an execution."""
-    return {
-        "requested_by": action.requested_by,
-        "executed_by": action.executed_by,
-        "supervised_by": supervisor_of(state, action),
-    }
+def parties(state: State, action: Action) -> Parties:
+    """Return whom a record of the execution names."""
+    return Parties(
+        requested_by=action.requested_by,
+        executed_by=action.executed_by,
+        supervised_by=supervisor_of(state, action),
+    )
 
 
 def is_injected(action: Action) -> bool:
@@ -37,24 +35,24 @@ def is_injected(action: Action) -> bool:
     return action.step == 0
 
 
-def is_idle(state: State, robot: str) -> bool:
+def is_idle(state: State, robot: Robot) -> bool:
     """True when nothing holds the robot."""
     return robot not in state.execution.current
 
 
-def nearest_first(state: State, robots: list[str], near: str) -> tuple[str, ...]:
+def nearest_first(state: State, robots: list[Robot], near: Robot) -> tuple[Robot, ...]:
     """The robots in order of distance: the same team first, then those of the same place, then the others; among equals by team, cyclic."""
     teams, members = state.fleet.teams, state.fleet.robots
     home, place = members[near].team, members[near].place
 
-    def distance(name: str) -> tuple[bool, bool, int, str]:
+    def distance(name: Robot) -> tuple[bool, bool, int, str]:
         robot = members[name]
         return robot.team != home, robot.place != place, (robot.team - home) % teams, name
 
     return tuple(sorted(robots, key=distance))
 
 
-def capable(state: State, capability: str, requester: str) -> tuple[str, ...]:
+def capable(state: State, capability: str, requester: Robot) -> tuple[Robot, ...]:
     """Every other robot that has the capability, nearest team first. Paper: eq:possess."""
     return nearest_first(
         state,
@@ -63,7 +61,7 @@ def capable(state: State, capability: str, requester: str) -> tuple[str, ...]:
     )
 
 
-def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
+def helpers(state: State, action: Action, cause: str) -> tuple[Robot, ...]:
     """Every robot whose body could help with the failure, nearest team first. Paper: sec:model:recovery, level 2."""
     if cause == "obstruction":
         able = [
@@ -75,7 +73,7 @@ def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
     return stand_ins(state, action)
 
 
-def stand_ins(state: State, action: Action) -> tuple[str, ...]:
+def stand_ins(state: State, action: Action) -> tuple[Robot, ...]:
     """Every other robot that offers the capability or a substitute for it, nearest team first."""
     able = {
         offer.robot
@@ -96,7 +94,7 @@ def family(capability: str) -> str:
     return capability.partition(".")[0] + ".*"
 
 
-def kin(state: State, robot: str, capability: str) -> tuple[str, ...]:
+def kin(state: State, robot: Robot, capability: str) -> tuple[Robot, ...]:
     """Every other robot that advertises something of the capability's family, nearest team first."""
     stem = family(capability)[:-1]
     others = [name for name in state.fleet.robots if name != robot]
@@ -111,7 +109,7 @@ def kin(state: State, robot: str, capability: str) -> tuple[str, ...]:
     )
 
 
-def is_reachable(state: State, robot: str) -> bool:
+def is_reachable(state: State, robot: Robot) -> bool:
     """True unless the robot has reported itself offline, or restricted, in all that it advertises. Paper: eq:adv (availability)."""
     reported = [record.availability for record in surface(state.registry, robot)]
     return not reported or any(availability not in ("offline", "restricted") for availability in reported)
@@ -123,7 +121,7 @@ def is_cross_robot(state: State, action: Action) -> bool:
     return action.is_delegated or task is None or task.robot != action.robot
 
 
-def pending_of_other_task(state: State, robot: str, task_id: str) -> str | None:
+def pending_of_other_task(state: State, robot: Robot, task_id: str) -> str | None:
     """The first delegated action of another task that is unfinished at the robot, if any."""
     held = state.execution.current.get(robot)
     for name in ((held,) if held else ()) + state.execution.queues.get(robot, ()):

@@ -15,7 +15,16 @@ from fsar_ledger.events.authority import (
     AuthorityRevoked,
     RevocationReason,
 )
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel
+from fsar_ledger.events.envelope import (
+    FLEET_SUPERVISOR,
+    TRUST,
+    Dimension,
+    OverrideLevel,
+    Principal,
+    Robot,
+    Subject,
+    Supervisor,
+)
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections.authority import LEVELS, Right
@@ -32,9 +41,9 @@ from .trust import trusts
 class GrantAuthority(PublicCommand):
     """The supervisor lets the requester ask this (None: anyone, anything, in any context), up to the override level."""
 
-    supervisor: str
-    requester: str
-    executor: str | None
+    supervisor: Supervisor
+    requester: Robot
+    executor: Robot | None
     override: OverrideLevel
     capability: str | None = None
     context: str | None = None
@@ -43,9 +52,9 @@ class GrantAuthority(PublicCommand):
 class RevokeAuthority(PublicCommand):
     """The supervisor no longer lets the requester ask this (None: anyone, anything, in any context)."""
 
-    supervisor: str
-    requester: str
-    executor: str | None
+    supervisor: Supervisor
+    requester: Robot
+    executor: Robot | None
     capability: str | None = None
     context: str | None = None
     reason: RevocationReason = "human override"
@@ -54,7 +63,7 @@ class RevokeAuthority(PublicCommand):
 class ReleaseAuthority(PublicCommand):
     """The claimant lets go of what it holds of this dimension over the action."""
 
-    claimant: str
+    claimant: Principal
     action_id: str
     dimension: Dimension
 
@@ -68,14 +77,16 @@ class ExpireContext(Command):
 class RevokeDistrusted(Command):
     """The robot trusts the peer less than before, while it has admitted requests of it."""
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
 
 
 def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...]:
     """Each of these claims ends."""
     return tuple(
-        AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason)
+        AuthorityReleased(
+            Subject(claim.subject.task_id, claim.subject.action_id), claim.dimension, claim.claimant, claim.reason
+        )
         for claim in claims
     )
 
@@ -83,7 +94,7 @@ def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...
 def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
     """The requester may ask up to this level: by word of the executor's own supervisor, or of H_F. Paper: eq:auth, eq:override."""
     reason = _unknown(state, command)
-    robot = state.fleet.robots.get(command.executor or "")
+    robot = state.fleet.robots.get(command.executor) if command.executor is not None else None
     if (
         reason is None
         and command.supervisor != FLEET_SUPERVISOR
@@ -97,8 +108,16 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
         reason = f"{FLEET_SUPERVISOR} has revoked it, expected {FLEET_SUPERVISOR} to lift that"
     if reason is not None:
         return rejected(command, command.requester, reason, command.supervisor)
-    about = (command.requester, command.executor, command.capability, command.context)
-    return (AuthorityGranted(*about, command.override, command.supervisor),)
+    return (
+        AuthorityGranted(
+            requested_by=command.requester,
+            executed_by=command.executor,
+            capability=command.capability,
+            context=command.context,
+            override=command.override,
+            decided_by=command.supervisor,
+        ),
+    )
 
 
 def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...]:
@@ -113,8 +132,16 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
         reason = "it is revoked already, expected a right that stands"
     if reason is not None:
         return rejected(command, command.requester, reason, command.supervisor)
-    about = (command.requester, command.executor, command.capability, command.context)
-    return (AuthorityRevoked(*about, command.reason, command.supervisor),)
+    return (
+        AuthorityRevoked(
+            requested_by=command.requester,
+            executed_by=command.executor,
+            capability=command.capability,
+            context=command.context,
+            reason=command.reason,
+            decided_by=command.supervisor,
+        ),
+    )
 
 
 def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, ...]:
@@ -137,7 +164,12 @@ def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevok
     """Rights that were granted for the context are over with it. Paper: sec:model:authority (context expiration)."""
     return tuple(
         AuthorityRevoked(
-            right.requested_by, right.executed_by, right.capability, right.context, "context expired", TRUST
+            requested_by=right.requested_by,
+            executed_by=right.executed_by,
+            capability=right.capability,
+            context=right.context,
+            reason="context expired",
+            decided_by=TRUST,
         )
         for right in _in_context(state, command.context)
     )
@@ -147,7 +179,14 @@ def revoke_distrusted(state: State, command: RevokeDistrusted) -> tuple[Authorit
     """The peer may not ask again what it is no longer trusted with; what was admitted goes on. Paper: sec:model:authority (trust downgrade)."""
     about = {(action.capability, action.task_id): None for action in _distrusted(state, command.robot, command.peer)}
     revoked = (
-        AuthorityRevoked(command.peer, command.robot, capability, context, "trust downgrade", TRUST)
+        AuthorityRevoked(
+            requested_by=command.peer,
+            executed_by=command.robot,
+            capability=capability,
+            context=context,
+            reason="trust downgrade",
+            decided_by=TRUST,
+        )
         for capability, context in about
     )
     return tuple(right for right in revoked if not isinstance(_latest(state, right), AuthorityRevoked))
@@ -213,7 +252,7 @@ def _in_context(state: State, context: str) -> tuple[AuthorityGranted, ...]:
     return tuple(right for right in last.values() if isinstance(right, AuthorityGranted))
 
 
-def _distrusted(state: State, robot: str, peer: str) -> list[Action]:
+def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
     """What the robot has admitted of the peer, as requester or relay, and would not admit again for lack of trust."""
     found = []
     for action in state.execution.actions.values():

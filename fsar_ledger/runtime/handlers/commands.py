@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Operation, Robot
 from fsar_ledger.projections.fold import State
 
 
@@ -50,7 +51,7 @@ Decide = Callable[[State, Any], tuple[Event, ...]]
 React = Callable[[State, Any, int], tuple[Scheduled, ...]]
 Decides = dict[type[Command], Decide]
 Reacts = dict[type[Event], React]
-Actor = Callable[[State, Any], str | None]
+Actor = Callable[[State, Any], Robot | None]
 """Which robot does a command, as things stand when it is due; None is whoever is never off: the world, a service, the coordinator, a human."""
 Actors = dict[type[Command], Actor]
 
@@ -166,7 +167,7 @@ class EndAssistance(Command):
     """The helper is done with this failure; asks whether a degraded actuator of its own holds (1) or not (0)."""
 
     action_id: str
-    helper: str
+    helper: Robot
     failure: int
 
 
@@ -174,11 +175,11 @@ class StopAssistance(Command):
     """Something is in the way of the robot that helps."""
 
     action_id: str
-    helper: str
+    helper: Robot
 
 
 class DecideRoutine(Command):
     """A routine operation is due."""
 
-    robot: str
-    operation: str
+    robot: Robot
+    operation: Operation

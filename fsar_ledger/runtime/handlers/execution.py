@@ -3,6 +3,7 @@
 from typing import Any
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -20,7 +21,7 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 
 from .actors import body, named, nobody
-from .attribution import is_injected, principals
+from .attribution import is_injected, parties
 from .commands import (
     Actors,
     DecideRoutine,
@@ -48,19 +49,18 @@ def start_action(action_id: str, capability: str, after_us: int = 1, draws: tupl
 
 def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
     """The action starts when the robot has arrived; a second approach for the same action is another way."""
-    action, request = state.execution.actions[event.action_id], state.request.get(event.action_id)
+    action, request = state.execution.actions[event.subject.action_id], state.request.get(event.subject.action_id)
     again = action.failures + action.preemptions + (request.round if request is not None else 0)
-    way = Draw("approach", f"{event.action_id}/{again}" if again else event.action_id)
-    return (start_action(event.action_id, action.capability, 0, (way,)),)
+    way = Draw("approach", f"{event.subject.action_id}/{again}" if again else event.subject.action_id)
+    return (start_action(event.subject.action_id, action.capability, 0, (way,)),)
 
 
 def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
     """The fact that the action runs from now to its planned end."""
     duration_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.drawn
     return ExecutionStarted(
-        action.task_id,
-        action.action_id,
-        **principals(state, action),
+        subject=action.subject,
+        principals=parties(state, action),
         robot=action.robot,
         on_behalf_of=action.on_behalf_of,
         capability=action.capability,
@@ -73,7 +73,7 @@ def approach(state: State, command: TakeTurn) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "queued":
         return ()
-    return (ApproachStarted(action.task_id, action.action_id, action.robot),)
+    return (ApproachStarted(action.subject, action.robot),)
 
 
 def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
@@ -99,7 +99,7 @@ def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or action.ends_us <= command.now_us:
         return ()
-    return (ExecutionPaused(action.task_id, action.action_id, action.robot, action.ends_us - command.now_us),)
+    return (ExecutionPaused(action.subject, action.robot, action.ends_us - command.now_us),)
 
 
 def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
@@ -107,7 +107,7 @@ def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or action.robot not in state.world.off:
         return ()
-    return (ExecutionHalted(action.task_id, action.action_id, action.robot, max(0, action.ends_us - command.now_us)),)
+    return (ExecutionHalted(action.subject, action.robot, max(0, action.ends_us - command.now_us)),)
 
 
 def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
@@ -123,18 +123,23 @@ def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
         return ()
     if action.remaining_us == 0:
         return (_finished(state, action),)
-    return (ExecutionResumed(action.task_id, action.action_id, action.robot, command.now_us + action.remaining_us),)
+    return (ExecutionResumed(action.subject, action.robot, command.now_us + action.remaining_us),)
 
 
 def _failed(action: Action, cause: Any, now_us: int) -> ExecutionFailed:
     remaining_us = max(0, action.ends_us - now_us)
     return ExecutionFailed(
-        action.task_id, action.action_id, action.robot, action.failures + 1, cause, remaining_us, now_us
+        subject=action.subject,
+        robot=action.robot,
+        failure=action.failures + 1,
+        cause=cause,
+        remaining_us=remaining_us,
+        detected_us=now_us,
     )
 
 
 def _finished(state: State, action: Action) -> ExecutionFinished:
-    return ExecutionFinished(action.task_id, action.action_id, **principals(state, action), robot=action.robot)
+    return ExecutionFinished(action.subject, parties(state, action), action.robot)
 
 
 def holds_robot(state: State, action: Action) -> bool:
@@ -142,7 +147,7 @@ def holds_robot(state: State, action: Action) -> bool:
     return state.execution.current.get(action.robot) == action.action_id
 
 
-def next_turn(state: State, robot: str) -> tuple[Scheduled, ...]:
+def next_turn(state: State, robot: Robot) -> tuple[Scheduled, ...]:
     """The action that now holds the robot takes its turn, if it has not yet; one that was preempted goes on. Paper: eq:override."""
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
     if action is None or action.stage not in ("queued", "preempted"):
@@ -157,17 +162,17 @@ def next_turn(state: State, robot: str) -> tuple[Scheduled, ...]:
 def _on_queue(
     state: State, event: ExecutionQueued | ExecutionFinished | ExecutionWithdrawn, _now_us: int
 ) -> tuple[Scheduled, ...]:
-    if isinstance(event, ExecutionQueued) and state.execution.current.get(event.robot) != event.action_id:
+    if isinstance(event, ExecutionQueued) and state.execution.current.get(event.robot) != event.subject.action_id:
         return ()
     return next_turn(state, event.robot)
 
 
 def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:
-    segment = state.execution.actions[event.action_id].segments
-    ask = Draw("reliability", f"{event.action_id}/{segment}")
-    finish = Scheduled(FinishAttempt(event.action_id, event.ends_us), max(1, event.ends_us - now_us), ask=ask)
+    segment = state.execution.actions[event.subject.action_id].segments
+    ask = Draw("reliability", f"{event.subject.action_id}/{segment}")
+    finish = Scheduled(FinishAttempt(event.subject.action_id, event.ends_us), max(1, event.ends_us - now_us), ask=ask)
     if state.world.obstructions.get(event.robot):
-        return (Scheduled(DetectObstruction(event.action_id)), finish)
+        return (Scheduled(DetectObstruction(event.subject.action_id)), finish)
     return (finish,)
 
 
@@ -183,7 +188,7 @@ def pause_running(state: State, event: ContextChanged, _now_us: int) -> tuple[Sc
 
 
 def _on_resolved(_state: State, event: FailureResolved, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ResumeAction(event.action_id)),)
+    return (Scheduled(ResumeAction(event.subject.action_id)),)
 
 
 def _on_routine(state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:

@@ -6,7 +6,7 @@ The commands here are public; `issued_by` is who gave it, None when that is not 
 from typing import Literal
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import local_supervisor
+from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import CapabilityInstalled, CapabilityRemoved
 from fsar_ledger.projections.fold import State
@@ -22,36 +22,36 @@ ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
 class JoinFleet(PublicCommand):
     """A robot registers itself in the domain's registry, under its own supervisor if it has one. Paper: sec:discussion:heterogeneity."""
 
-    robot: str
+    robot: Robot
     role: str
     team: int
-    supervisor: str | None = None
+    supervisor: Supervisor | None = None
     domain: str = ""
     place: str | None = None
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class InstallCapability(PublicCommand):
     """The robot is to possess a capability that it did not have. Paper: eq:possess."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     preconditions: tuple[str, ...] = ()
     postconditions: tuple[str, ...] = ()
     resources: tuple[str, ...] = ()
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class RemoveCapability(PublicCommand):
     """The robot is to possess it no longer."""
 
-    robot: str
+    robot: Robot
     capability: str
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
-def execution_state(state: State, robot: str) -> ExecutionState:
+def execution_state(state: State, robot: Robot) -> ExecutionState:
     """What the robot is in: off before failed before degraded before executing before idle. Paper: sec:evaluation:simulator (robot state).
 
     Failed: what it has in hand failed and has not gone on since, or is being recovered by others. Degraded: its
@@ -68,7 +68,7 @@ def execution_state(state: State, robot: str) -> ExecutionState:
     return "executing" if held else "idle"
 
 
-def is_degraded(state: State, robot: str) -> bool:
+def is_degraded(state: State, robot: Robot) -> bool:
     """True when the robot's actuator is degraded, or it says so of something that it advertises."""
     return robot in state.world.degraded or any(
         record.availability == "degraded" for record in surface(state.registry, robot)
@@ -92,7 +92,16 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         wrong = "an empty place, expected a name such as floor/2, or none for a fleet of one place"
     if wrong is not None:
         return rejected(command, robot, wrong, command.issued_by)
-    return (RobotJoined(robot, command.role, command.team, command.supervisor, command.domain, command.place),)
+    return (
+        RobotJoined(
+            robot=robot,
+            role=command.role,
+            team=command.team,
+            supervisor=command.supervisor,
+            domain=command.domain,
+            place=command.place,
+        ),
+    )
 
 
 def _is_robots_name(name: str) -> bool:
@@ -117,7 +126,12 @@ def install_capability(state: State, command: InstallCapability) -> tuple[Event,
         return rejected(command, capability, wrong, command.issued_by)
     return (
         CapabilityInstalled(
-            robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources
+            robot=robot,
+            capability=capability,
+            version=command.version,
+            preconditions=contract.preconditions,
+            postconditions=contract.postconditions,
+            resources=contract.resources,
         ),
     )
 
@@ -131,12 +145,12 @@ def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, .
     return (CapabilityRemoved(robot, capability),)
 
 
-def not_possessed(state: State, robot: str, capability: str) -> str | None:
+def not_possessed(state: State, robot: Robot, capability: str) -> str | None:
     """The reason to reject what needs the capability at the robot, or None while it possesses it."""
     return None if possesses(state.registry, robot, capability) else f"{robot} does not possess {capability}"
 
 
-def in_use(state: State, robot: str, capability: str) -> str | None:
+def in_use(state: State, robot: Robot, capability: str) -> str | None:
     """The reason to leave the capability alone: an action at the robot needs it; None when there is none."""
     for name in (state.execution.current.get(robot, ""), *state.execution.queues.get(robot, ())):
         action = state.execution.actions.get(name)

@@ -3,7 +3,15 @@
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY, PolicyOutcome, PolicyScope
+from fsar_ledger.events.envelope import (
+    POLICY,
+    PolicyOutcome,
+    PolicyScope,
+    Principals,
+    Robot,
+    Subject,
+    Supervisor,
+)
 from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
@@ -18,9 +26,9 @@ from .supervision import supervisor_for
 class SetPolicyRule(PublicCommand):
     """A supervisor rules: P_i(e, sigma) of one robot (`local`), or the fleet's for it or (None) for every robot."""
 
-    issued_by: str
+    issued_by: Supervisor
     scope: PolicyScope
-    robot: str | None
+    robot: Robot | None
     capability: str | None
     context: str | None
     outcome: PolicyOutcome
@@ -29,7 +37,7 @@ class SetPolicyRule(PublicCommand):
 class SetRolePolicyRule(PublicCommand):
     """H_F sets the fleet's rule for every robot of the role, in a domain or (empty) in the whole fleet."""
 
-    issued_by: str
+    issued_by: Supervisor
     role: str
     outcome: PolicyOutcome
     domain: str = ""
@@ -37,7 +45,7 @@ class SetRolePolicyRule(PublicCommand):
     context: str | None = None
 
 
-def own_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
+def own_policy(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
     """P_i(e, sigma): the strictest of the robot's open windows and of its rules. Paper: app:foundations."""
     window = in_force(state.world.local, robot)
     return (
@@ -47,7 +55,7 @@ def own_policy(state: State, robot: str, capability: str | None, context: str | 
     )
 
 
-def fleet_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
+def fleet_policy(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
     """The fleet's rules for the robot, and that for its zone as it last heard it."""
     heard = state.knowledge.fleet_rule.get(robot, "allow")
     return (
@@ -57,7 +65,9 @@ def fleet_policy(state: State, robot: str, capability: str | None, context: str 
     )
 
 
-def compose(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> PolicyOutcome:
+def compose(
+    state: State, carried: PolicyOutcome, executor: Robot, capability: str, context: str | None
+) -> PolicyOutcome:
     """Pi: requester's policy (as the request carried it), the executor's own and the fleet's together. Paper: eq:policy.
 
     Without policy composition the executor's own alone: what the ablation removes is composition between robots, so a robot's own
@@ -69,7 +79,7 @@ def compose(state: State, carried: PolicyOutcome, executor: str, capability: str
     return stricter(carried, stricter(own, fleet_policy(state, executor, capability, context)))
 
 
-def is_ruled_out(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> bool:
+def is_ruled_out(state: State, carried: PolicyOutcome, executor: Robot, capability: str, context: str | None) -> bool:
     """True when a rule of the executor's own or of the fleet, or the requester's policy, denies; an open window of the executor's own is no rule."""
     own = ruled(state.policy, "local", executor, capability, context)
     if "policy-composition" in state.fleet.without:
@@ -78,7 +88,7 @@ def is_ruled_out(state: State, carried: PolicyOutcome, executor: str, capability
 
 
 def conflict(
-    state: State, task_id: str | None, action_id: str | None, requester: str | None, executor: str, capability: str
+    state: State, task_id: str | None, action_id: str | None, requester: Robot | None, executor: Robot, capability: str
 ) -> tuple[PolicyConflictEscalated, ...]:
     """The escalation when the fleet mandates what the executor's own policy denies; the denial stands. Paper: sec:architecture:fleet."""
     is_uncomposed = "policy-composition" in state.fleet.without and requester != executor
@@ -90,7 +100,17 @@ def conflict(
     supervisor = supervisor_for(state, executor, is_cross_robot=requester != executor)
     return (
         PolicyConflictEscalated(
-            task_id, action_id, POLICY, requester, executor, supervisor, (POLICY,), capability, own, fleet
+            Subject(task_id, action_id),
+            Principals(
+                decided_by=POLICY,
+                requested_by=requester,
+                executed_by=executor,
+                supervised_by=supervisor,
+                path=(POLICY,),
+            ),
+            capability,
+            own,
+            fleet,
         ),
     )
 
@@ -107,7 +127,12 @@ def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
         return rejected(command, command.robot or "fleet", refused, command.issued_by)
     return (
         PolicyRuleSet(
-            command.scope, command.robot, command.capability, command.context, command.outcome, command.issued_by
+            scope=command.scope,
+            robot=command.robot,
+            capability=command.capability,
+            context=command.context,
+            outcome=command.outcome,
+            decided_by=command.issued_by,
         ),
     )
 
@@ -123,8 +148,17 @@ def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Even
     refused = refused or unknown_word("outcome", command.outcome, get_args(PolicyOutcome))
     if refused is not None:
         return rejected(command, command.role, refused, command.issued_by)
-    about = (command.domain, command.capability, command.context, command.issued_by)
-    return (RolePolicyRuleSet("fleet", command.role, command.outcome, *about),)
+    return (
+        RolePolicyRuleSet(
+            scope="fleet",
+            role=command.role,
+            outcome=command.outcome,
+            domain=command.domain,
+            capability=command.capability,
+            context=command.context,
+            decided_by=command.issued_by,
+        ),
+    )
 
 
 def _unfit(state: State, command: SetPolicyRule) -> str | None:

@@ -3,7 +3,7 @@
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Result
+from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Result, Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryBudgetSet
 from fsar_ledger.projections.budget import Budget
@@ -20,8 +20,8 @@ LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
 class SetRecoveryBudget(PublicCommand):
     """A supervisor gives one level of the robot's recovery another budget. Units: `t_max_us` microseconds."""
 
-    issued_by: str
-    robot: str
+    issued_by: Supervisor
+    robot: Robot
     level: str
     t_max_us: int
     n_max: int
@@ -30,12 +30,12 @@ class SetRecoveryBudget(PublicCommand):
 class ReportFailure(PublicCommand):
     """The executor reports that what it executes has failed."""
 
-    robot: str
+    robot: Robot
     action_id: str
     cause: str
 
 
-def budget(state: State, robot: str, level: RecoveryLevel) -> Budget:
+def budget(state: State, robot: Robot, level: RecoveryLevel) -> Budget:
     """(t_max, n_max) of the level: the robot's own Q_i where it was set, else the fleet's structure. Paper: eq:recovery, app:foundations."""
     own = state.budget.get((robot, level))
     if own is not None:
@@ -62,7 +62,15 @@ def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event
     if refused is not None:
         return rejected(command, command.robot, refused, command.issued_by)
     level = next(level for level in LEVELS if level == command.level)
-    return (RecoveryBudgetSet(command.robot, level, command.t_max_us, command.n_max, command.issued_by),)
+    return (
+        RecoveryBudgetSet(
+            robot=command.robot,
+            level=level,
+            t_max_us=command.t_max_us,
+            n_max=command.n_max,
+            decided_by=command.issued_by,
+        ),
+    )
 
 
 def _impossible(command: SetRecoveryBudget) -> str | None:
@@ -92,7 +100,12 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
     remaining_us = max(0, action.ends_us - command.now_us)
     return (
         ExecutionFailed(
-            action.task_id, action.action_id, action.robot, action.failures + 1, cause, remaining_us, command.now_us
+            subject=action.subject,
+            robot=action.robot,
+            failure=action.failures + 1,
+            cause=cause,
+            remaining_us=remaining_us,
+            detected_us=command.now_us,
         ),
     )
 
@@ -103,7 +116,7 @@ def open_failure(state: State, action_id: str) -> tuple[Action, Recovery] | None
     return None if action is None or recovery is None else (action, recovery)
 
 
-def actuator_holds(state: State, robot: str, drawn: int) -> bool:
+def actuator_holds(state: State, robot: Robot, drawn: int) -> bool:
     """True when the robot's actuator holds this time: a sound one always, an unreliable one as the world draws, a slipping or lost one never."""
     grade = state.world.degraded.get(robot)
     return grade is None or (grade == "unreliable" and bool(drawn))

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import OverrideLevel
+from fsar_ledger.events.envelope import OverrideLevel, Parties, Principal, Robot, Subject
 from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
@@ -34,7 +34,7 @@ class Query(msgspec.Struct, frozen=True):
     request will ask for; `limit` ends the search at so many admissible ready candidates.
     """
 
-    requester: str
+    requester: Robot
     capability: str
     context: str | None = None
     version: str = ""
@@ -53,15 +53,15 @@ class Answer(msgspec.Struct, frozen=True):
     `domain` is the registry that answered, `as_of_us` (run time) the age of the copy that it read, None for the present.
     """
 
-    candidates: tuple[str, ...]
+    candidates: tuple[Robot, ...]
     capabilities: tuple[str, ...]
-    rejected: tuple[str, ...]
+    rejected: tuple[Robot, ...]
     rejected_by: tuple[Filter, ...]
     domain: str = ""
     as_of_us: int | None = None
 
 
-def candidates(state: State, query: Query, cache_holder: str | None = None) -> Answer:
+def candidates(state: State, query: Query, cache_holder: Robot | None = None) -> Answer:
     """Cand(Q), answered by the nearest registry around the requester that has a candidate, or at last by the fleet's.
 
     Every other robot that matches by name in the registries that were asked is either candidate or rejected; under a
@@ -73,8 +73,8 @@ def candidates(state: State, query: Query, cache_holder: str | None = None) -> A
     """
     cache = None if cache_holder is None else state.registry.caches[cache_holder]
     read = state.registry.offers if cache is None else cache.offers
-    left_out: dict[str, Filter] = {}
-    found: dict[str, Advertisement] = {}
+    left_out: dict[Robot, Filter] = {}
+    found: dict[Robot, Advertisement] = {}
     answering = ""
     for domain, level, but in enclosing(read, state.registry.domains[query.requester]):
         answering = domain
@@ -99,7 +99,7 @@ def candidates(state: State, query: Query, cache_holder: str | None = None) -> A
     )
 
 
-def _nearest(state: State, robots: Iterable[str], query: Query) -> tuple[str, ...]:
+def _nearest(state: State, robots: Iterable[Robot], query: Query) -> tuple[Robot, ...]:
     found = list(robots)
     return nearest_first(state, found, query.requester) if len(found) > 1 else tuple(found)
 
@@ -110,8 +110,8 @@ def _search(
     level: Offers,
     but: str | None,
     is_present: bool,
-    found: dict[str, Advertisement],
-    left_out: dict[str, Filter],
+    found: dict[Robot, Advertisement],
+    left_out: dict[Robot, Filter],
 ) -> None:
     """Every match of one registry is found or left out, until there are enough that are ready."""
     ready = 0
@@ -162,7 +162,7 @@ def rejecting_filter(state: State, query: Query, record: Advertisement, but: Fil
     return None
 
 
-def hides(state: State, record: Advertisement, requester: str, asker: str, context: str | None) -> bool:
+def hides(state: State, record: Advertisement, requester: Robot, asker: Robot, context: str | None) -> bool:
     """Not Visible_Gamma: to the requester, for whom the asker (itself, or a relay) stands before the robot. Paper: eq:advertise.
 
     Without trust evaluation nobody hides.
@@ -219,22 +219,23 @@ _REJECTS: tuple[tuple[Filter, Callable[[State, Query, Advertisement], bool]], ..
 
 
 def queried(
-    state: State, query: Query, answer: Answer, task_id: str | None, action_id: str | None, relay: str | None = None
+    state: State, query: Query, answer: Answer, task_id: str | None, action_id: str | None, relay: Robot | None = None
 ) -> RegistryQueried:
     """The record that the registry has answered; the executor is the robot that the answer leads to, if it leads to one."""
     return RegistryQueried(
-        task_id,
-        action_id,
-        query.requester,
-        answer.candidates[0] if answer.candidates else None,
-        on_shift(state, query.requester),
-        query.capability,
-        answer.candidates,
-        relay,
-        answer.rejected,
-        answer.rejected_by,
-        answer.domain,
-        answer.as_of_us,
+        subject=Subject(task_id, action_id),
+        principals=Parties(
+            requested_by=query.requester,
+            executed_by=answer.candidates[0] if answer.candidates else None,
+            supervised_by=on_shift(state, query.requester),
+        ),
+        capability=query.capability,
+        candidates=answer.candidates,
+        relay=relay,
+        rejected=answer.rejected,
+        rejected_by=answer.rejected_by,
+        domain=answer.domain,
+        as_of_us=answer.as_of_us,
     )
 
 
@@ -242,13 +243,13 @@ class ConsultRegistry(PublicCommand):
     """Public: a look into the registry outside of any request. With `cache_holder`, answered from that robot's copy."""
 
     query: Query
-    cache_holder: str | None = None
+    cache_holder: Robot | None = None
 
 
 class CacheRegistry(PublicCommand):
     """Public: the robot takes a copy of the registry as it is now."""
 
-    holder: str
+    holder: Principal
 
 
 def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
@@ -262,13 +263,13 @@ def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...
     found = candidates(state, query, command.cache_holder)
     return (
         RegistryConsulted(
-            query.requester,
-            query.capability,
-            found.candidates,
-            found.rejected,
-            found.rejected_by,
-            found.domain,
-            found.as_of_us,
+            requested_by=query.requester,
+            capability=query.capability,
+            candidates=found.candidates,
+            rejected=found.rejected,
+            rejected_by=found.rejected_by,
+            domain=found.domain,
+            as_of_us=found.as_of_us,
         ),
     )
 

@@ -3,15 +3,15 @@
 from collections.abc import Iterable
 
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Robot, Supervisor
 from fsar_ledger.projections.fold import State
 
 from .commands import Command
 
 
-def rejected(command: Command, subject: str, reason: str, issued_by: str | None = None) -> tuple[CommandRejected]:
+def rejected(command: Command, subject: str, reason: str, issued_by: Principal | None = None) -> tuple[CommandRejected]:
     """The one event of a command that named something unknown, over or impossible."""
-    return (CommandRejected(type(command).__name__, subject, reason, issued_by),)
+    return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)
 
 
 def unknown_robot(state: State, *robots: str | None) -> str | None:
@@ -22,7 +22,7 @@ def unknown_robot(state: State, *robots: str | None) -> str | None:
     return None
 
 
-def unknown_supervisor(state: State, supervisor: str | None) -> str | None:
+def unknown_supervisor(state: State, supervisor: Supervisor | None) -> str | None:
     """The reason to reject a command in the name of somebody who supervises nothing here, or None."""
     if supervisor == FLEET_SUPERVISOR or (
         supervisor is not None and any(supervisor == robot.supervisor for robot in state.fleet.robots.values())
@@ -31,7 +31,9 @@ def unknown_supervisor(state: State, supervisor: str | None) -> str | None:
     return f"unknown supervisor {supervisor}, expected {FLEET_SUPERVISOR} or a robot's own"
 
 
-def not_in_charge(state: State, supervisor: str | None, robot: str | None, is_fleet_matter: bool = False) -> str | None:
+def not_in_charge(
+    state: State, supervisor: Supervisor | None, robot: Robot | None, is_fleet_matter: bool = False
+) -> str | None:
     """The reason to reject a command that this supervisor may not give about this robot (None: about nobody in particular), or None.
 
     H_F may speak for every robot; H_i for its own alone, and not where the matter is the fleet's. Paper: sec:model:supervision.

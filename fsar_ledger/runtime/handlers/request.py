@@ -6,7 +6,7 @@ What is asked here goes the way of every request: the executor evaluates it unde
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import OverrideLevel, Result
+from fsar_ledger.events.envelope import OverrideLevel, Parties, Principals, RequestSubject, Result, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.request import GapDetected, OfferAnswered, RequestIssued
 from fsar_ledger.projections.authority import LEVELS
@@ -14,7 +14,7 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 
-from .attribution import on_shift, principals
+from .attribution import on_shift, parties
 from .commands import Actors, Decides, PublicCommand, Reacts
 from .policy import own_policy
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_word
@@ -27,8 +27,8 @@ class RequestCapability(PublicCommand):
     dictate (`directives`), and the advertised version that it was formulated against.
     """
 
-    requester: str
-    executor: str
+    requester: Robot
+    executor: Robot
     capability: str
     context: str
     action_id: str
@@ -41,7 +41,7 @@ class RequestCapability(PublicCommand):
 class AnswerOffer(PublicCommand):
     """The requester answers a counter-offer: it takes it, asks for this other override level, or (neither) lets go."""
 
-    requester: str
+    requester: Robot
     action_id: str
     is_accepted: bool
     override: OverrideLevel | None = None
@@ -50,7 +50,7 @@ class AnswerOffer(PublicCommand):
 class ReportResult(PublicCommand):
     """The executor says how the action ended; a partial result names the postconditions that hold."""
 
-    executor: str
+    executor: Robot
     action_id: str
     result: Result
     achieved: tuple[str, ...] = ()
@@ -64,18 +64,22 @@ def request_capability(state: State, command: RequestCapability) -> tuple[Event,
     robot, context, action_id = command.requester, command.context, command.action_id
     supervisor = on_shift(state, robot)
     return (
-        GapDetected(context, action_id, robot, command.executor, supervisor, command.capability),
-        RequestIssued(
-            context,
-            action_id,
-            action_id,
-            robot,
-            robot,
-            command.executor,
-            supervisor,
-            (robot,),
+        GapDetected(
+            Subject(context, action_id),
+            Parties(requested_by=robot, executed_by=command.executor, supervised_by=supervisor),
             command.capability,
-            own_policy(state, robot, command.capability, context),
+        ),
+        RequestIssued(
+            subject=RequestSubject(context, action_id, action_id),
+            principals=Principals(
+                decided_by=robot,
+                requested_by=robot,
+                executed_by=command.executor,
+                supervised_by=supervisor,
+                path=(robot,),
+            ),
+            capability=command.capability,
+            carried_policy=own_policy(state, robot, command.capability, context),
             override=command.override,
             parent=command.parent,
             directives=command.directives,
@@ -139,14 +143,14 @@ def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
     robot = command.requester
     return (
         OfferAnswered(
-            request.task_id,
-            request.action_id,
-            request.action_id,
-            robot,
-            robot,
-            request.candidates[0],
-            on_shift(state, robot),
-            (robot,),
+            request.request_subject,
+            Principals(
+                decided_by=robot,
+                requested_by=robot,
+                executed_by=request.candidates[0],
+                supervised_by=on_shift(state, robot),
+                path=(robot,),
+            ),
             request.offers,
             command.is_accepted,
             request.offered if command.is_accepted else command.override,
@@ -164,12 +168,10 @@ def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
     reason = _not_reportable(state, action, command)
     if reason is not None:
         return rejected(command, command.action_id, reason, command.executor)
-    about = principals(state, action)
     return (
         ExecutionFinished(
-            action.task_id,
-            action.action_id,
-            **about,
+            action.subject,
+            parties(state, action),
             robot=action.robot,
             result=command.result,
             achieved=command.achieved,

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.supervision import (
     ActuatorServiced,
@@ -24,7 +24,7 @@ from .task import first_in_order
 class RespondToCall(PublicCommand):
     """A supervisor answers a call: approves the review or not, orders two commands (`preferred` goes first), or has resolved the failure."""
 
-    supervisor: str
+    supervisor: Supervisor
     action_id: str
     approves: bool
     preferred: str | None = None
@@ -33,13 +33,13 @@ class RespondToCall(PublicCommand):
 class SetSupervisionDensity(PublicCommand):
     """A supervisor wants to see one in so many admissions of the robot (None: of every robot); 0 is none."""
 
-    issued_by: str
-    robot: str | None
+    issued_by: Supervisor
+    robot: Robot | None
     review_every: int
     reason: str
 
 
-def supervisor_for(state: State, robot: str, is_cross_robot: bool) -> str:
+def supervisor_for(state: State, robot: Robot, is_cross_robot: bool) -> Supervisor:
     """Whom to call about the robot: its own H_i while on shift, if the matter concerns that robot alone; else H_F. Paper: sec:model:supervision."""
     own = state.fleet.robots[robot].supervisor
     if is_cross_robot or own is None or own in state.world.off_shift:
@@ -47,25 +47,27 @@ def supervisor_for(state: State, robot: str, is_cross_robot: bool) -> str:
     return own
 
 
-def is_due_for_review(state: State, executor: str) -> bool:
+def is_due_for_review(state: State, executor: Robot) -> bool:
     """True when the executor's next admission is one that supervision density puts before a supervisor. Paper: sec:model:supervision."""
     every = density(state.supervision, executor)
     return every > 0 and (state.supervision.admissions.get(executor, 0) + 1) % every == 0
 
 
-def requester_of(request: Request) -> str | None:
+def requester_of(request: Request) -> Robot | None:
     """The requester, whom a record of the answer names."""
     return request.requester
 
 
-NameRequester = Callable[[Request], str | None]
+NameRequester = Callable[[Request], Principal | None]
 """Which requester an architecture has on record before anything is executed."""
 
 
 def respond(state: State, command: Respond, name_requester: NameRequester = requester_of) -> tuple[Event, ...]:
     """The supervisor who was called has approved the review, ordered the commands, or resolved the failure; nothing if that is settled."""
     call = state.supervision.calls.get(command.call)
-    if call is None or (call.action_id not in state.request and call.action_id not in state.execution.actions):
+    if call is None or (
+        call.subject.action_id not in state.request and call.subject.action_id not in state.execution.actions
+    ):
         return ()
     return _responded(state, call, True, first_in_order(state, call), name_requester)
 
@@ -77,7 +79,7 @@ def respond_to_call(
     unknown = not_in_charge(state, command.supervisor, None)
     if unknown is not None:
         return rejected(command, command.action_id, unknown, command.supervisor)
-    calls = [call for call in state.supervision.calls.values() if call.action_id == command.action_id]
+    calls = [call for call in state.supervision.calls.values() if call.subject.action_id == command.action_id]
     call = next((call for call in calls if call.supervisor == command.supervisor), None)
     if call is None:
         found = f"the call went to {calls[0].supervisor}" if calls else "no open call"
@@ -94,7 +96,7 @@ def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
     """Why the answer does not fit what was asked, or None."""
     if not command.approves and call.purpose != "review":
         return f"found a disapproval of {call.purpose}, expected one of a review"
-    contenders = (call.action_id, call.competing) if call.purpose == "ordering" else ()
+    contenders = (call.subject.action_id, call.competing) if call.purpose == "ordering" else ()
     if command.preferred is not None and command.preferred not in contenders:
         return f"{command.preferred} does not compete, expected one of {', '.join(filter(None, contenders)) or 'none'}"
     return None
@@ -104,7 +106,7 @@ def _responded(
     state: State, call: SupervisorCalled, approves: bool, preferred: str | None, name_requester: NameRequester
 ) -> tuple[Event, ...]:
     """The answer is on record; a failure that was put before the supervisor is over, a degraded robot serviced."""
-    action, request = state.execution.actions.get(call.action_id), state.request.get(call.action_id)
+    action, request = state.execution.actions.get(call.subject.action_id), state.request.get(call.subject.action_id)
     requested_by = executed_by = None
     if action is not None:
         requested_by, executed_by = action.requested_by, action.executed_by
@@ -112,12 +114,18 @@ def _responded(
         requested_by, executed_by = name_requester(request), request.target
     by = call.supervisor
     responded = SupervisorResponded(
-        call.task_id, call.action_id, by, requested_by, executed_by, by, (by,), call.purpose, approves, preferred
+        Subject(call.subject.task_id, call.subject.action_id),
+        Principals(decided_by=by, requested_by=requested_by, executed_by=executed_by, supervised_by=by, path=(by,)),
+        call.purpose,
+        approves,
+        preferred,
     )
-    recovery = state.recovery.get(call.action_id)
+    recovery = state.recovery.get(call.subject.action_id)
     if call.purpose != "recovery" or recovery is None:
         return (responded,)
-    resolved = FailureResolved(call.task_id, call.action_id, recovery.robot, recovery.failure, "human")
+    resolved = FailureResolved(
+        Subject(call.subject.task_id, call.subject.action_id), recovery.robot, recovery.failure, "human"
+    )
     if recovery.robot in state.world.degraded:
         return (responded, ActuatorServiced(recovery.robot), resolved)
     return (responded, resolved)
@@ -133,12 +141,16 @@ def set_supervision_density(state: State, command: SetSupervisionDensity) -> tup
         refused = f"density {command.review_every}, expected 0 (none) or one in so many"
     if refused is not None:
         return rejected(command, subject, refused, command.issued_by)
-    return (SupervisionDensitySet(command.robot, command.review_every, command.issued_by, command.reason),)
+    return (
+        SupervisionDensitySet(
+            robot=command.robot, review_every=command.review_every, decided_by=command.issued_by, reason=command.reason
+        ),
+    )
 
 
 def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
     """The robot that the matter is about calls: the executor, before there is one the robot whose step it is."""
-    action, request = state.execution.actions.get(event.action_id), state.request.get(event.action_id)
+    action, request = state.execution.actions.get(event.subject.action_id), state.request.get(event.subject.action_id)
     if action is not None:
         return awaiting(state, event, action.robot)
     return awaiting(state, event, None if request is None else request.target or request.requester)
@@ -146,10 +158,10 @@ def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Schedu
 
 def awaiting(state: State, event: SupervisorCalled, caller: str | None) -> tuple[Scheduled, ...]:
     """The response to the call; there is none while the caller is not linked."""
-    action = state.execution.actions.get(event.action_id)
+    action = state.execution.actions.get(event.subject.action_id)
     ordinal = action.failures if action is not None else 0
     share = state.fleet.structure.ordering_response_ppm if event.purpose == "ordering" else 1_000_000
-    response = Draw("response", f"{event.action_id}/{event.purpose}/{ordinal}", share)
+    response = Draw("response", f"{event.subject.action_id}/{event.purpose}/{ordinal}", share)
     return (Scheduled(Respond(state.supervision.called), 0, (response, at_once(caller))),)
 
 

@@ -1,6 +1,7 @@
 """Tasks go through their steps, whoever governs them. Paper: sec:evaluation:scenarios."""
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Robot, Subject, robot_named
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
@@ -16,7 +17,7 @@ from .rejection import rejected, unknown_capability, unknown_robot
 class SubmitTask(PublicCommand):
     """Public: the robot is given a task, with steps as in `TaskArrived`. Units: `budget_us` microseconds from now."""
 
-    robot: str
+    robot: Robot
     task_id: str
     steps: tuple[str, ...]
     budget_us: int
@@ -30,8 +31,18 @@ def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
     if reason is not None:
         return rejected(command, command.task_id, reason, command.robot)
     team, due_us = state.fleet.robots[command.robot].team, command.now_us + command.budget_us
-    about = (command.task_id, command.robot, team, command.steps, command.budget_us, due_us)
-    return (TaskArrived(*about, command.checkpoints, command.is_time_critical),)
+    return (
+        TaskArrived(
+            task_id=command.task_id,
+            robot=command.robot,
+            team=team,
+            steps=command.steps,
+            budget_us=command.budget_us,
+            due_us=due_us,
+            checkpoints=command.checkpoints,
+            is_time_critical=command.is_time_critical,
+        ),
+    )
 
 
 def _impossible(state: State, command: SubmitTask) -> str | None:
@@ -52,9 +63,9 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
     for step in command.steps:
         match step.split(" "):
             case [actor, capability]:
-                able = possesses(state.registry, f"robot/{actor}{team}", capability)
+                able = possesses(state.registry, robot_named(actor, team), capability)
             case [actor, capability, target] if target:
-                able = f"robot/{actor}{team}" in state.fleet.robots and unknown_capability(state, capability) is None
+                able = robot_named(actor, team) in state.fleet.robots and unknown_capability(state, capability) is None
             case _:
                 able = False
         if not able:
@@ -80,13 +91,12 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
     attempt = task.attempt + 1
     return (
         StepBegan(
-            task.task_id,
-            f"{task.task_id}/{task.step + 1}.{attempt}",
-            f"robot/{actor}{task.team}",
-            task.step + 1,
-            attempt,
-            capability,
-            target[0] if target else None,
+            subject=Subject(task.task_id, f"{task.task_id}/{task.step + 1}.{attempt}"),
+            robot=robot_named(actor, task.team),
+            step=task.step + 1,
+            attempt=attempt,
+            capability=capability,
+            target_role=target[0] if target else None,
         ),
     )
 
@@ -99,11 +109,7 @@ def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
 def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
     """The step is done, unless it was already or its task was given up."""
     request = state.request.get(command.action_id)
-    return (
-        ()
-        if request is None or request.task_id not in state.task
-        else (StepCompleted(request.task_id, request.action_id),)
-    )
+    return () if request is None or request.task_id not in state.task else (StepCompleted(request.subject),)
 
 
 def is_critical(state: State, task_id: str) -> bool:
@@ -117,17 +123,19 @@ def first_in_order(state: State, call: SupervisorCalled) -> str | None:
     if call.competing is None:
         return None
     other = state.request.get(call.competing)
-    comes_before = other is not None and is_critical(state, other.task_id) and not is_critical(state, call.task_id)
-    return call.competing if comes_before else call.action_id
+    comes_before = (
+        other is not None and is_critical(state, other.task_id) and not is_critical(state, call.subject.task_id)
+    )
+    return call.competing if comes_before else call.subject.action_id
 
 
 def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
     """Where another robot acts in the next step, the one that acted in this one tells it."""
-    task = state.task[event.task_id]
+    task = state.task[event.subject.task_id]
     is_last = task.step == len(task.steps)
     before = acting(task, task.step - 1)
     told = () if is_last or acting(task, task.step) == before else (at_once(before),)
-    return (Scheduled(BeginStep(event.task_id), 1, told),)
+    return (Scheduled(BeginStep(event.subject.task_id), 1, told),)
 
 
 def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:

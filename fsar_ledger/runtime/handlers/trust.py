@@ -2,7 +2,7 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import TRUST, TrustScope
+from fsar_ledger.events.envelope import TRUST, Robot, Supervisor, TrustScope
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.request import RequestClosed, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -21,9 +21,9 @@ BROADEST_BY_RECORD: TrustScope = "session"  # persistent trust is for an operato
 class SetTrust(PublicCommand):
     """A supervisor has the robot trust the peer with this scope: for one capability, in one context (task), or (None) for all."""
 
-    issued_by: str
-    robot: str
-    peer: str
+    issued_by: Supervisor
+    robot: Robot
+    peer: Robot
     scope: TrustScope
     capability: str | None = None
     context: str | None = None
@@ -33,7 +33,7 @@ class SetTrust(PublicCommand):
 class SetRoleTrust(PublicCommand):
     """H_F has every robot of the role trust every robot of the other with this scope, in a domain or (empty) in the whole fleet."""
 
-    issued_by: str
+    issued_by: Supervisor
     role: str
     peer_role: str
     scope: TrustScope
@@ -46,7 +46,7 @@ class SetRoleTrust(PublicCommand):
 class SetTrustThresholds(PublicCommand):
     """H_F has trust follow the record: so many successes in a row promote it, so many failures downgrade it; 0 is never."""
 
-    issued_by: str
+    issued_by: Supervisor
     promote_after: int
     downgrade_after: int
 
@@ -54,8 +54,8 @@ class SetTrustThresholds(PublicCommand):
 class AssessTrust(Command):
     """The robot's record of the peer has changed, in the context (None: in those that no trust is set for)."""
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
     capability: str
     context: str | None = None
 
@@ -66,7 +66,7 @@ class ExpireTrust(Command):
     task_id: str
 
 
-def trusts(state: State, executor: str, requester: str, capability: str, context: str | None = None) -> bool:
+def trusts(state: State, executor: Robot, requester: Robot, capability: str, context: str | None = None) -> bool:
     """TrustOK: the executor's trust in the requester covers what the capability's advertisement requires. Paper: eq:delegable."""
     if "trust-evaluation" in state.fleet.without:
         return True
@@ -88,13 +88,13 @@ def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
         return rejected(command, command.robot, refused, command.issued_by)
     return (
         TrustSet(
-            command.robot,
-            command.peer,
-            command.scope,
-            command.capability,
-            command.context,
-            command.issued_by,
-            command.reason,
+            robot=command.robot,
+            peer=command.peer,
+            scope=command.scope,
+            capability=command.capability,
+            context=command.context,
+            decided_by=command.issued_by,
+            reason=command.reason,
         ),
     )
 
@@ -112,8 +112,18 @@ def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
     refused = refused or unknown_word("scope", command.scope, SCOPES)
     if refused is not None:
         return rejected(command, command.role, refused, command.issued_by)
-    about = (command.capability, command.context, command.issued_by, command.reason)
-    return (RoleTrustSet(command.role, command.peer_role, command.scope, command.domain, *about),)
+    return (
+        RoleTrustSet(
+            role=command.role,
+            peer_role=command.peer_role,
+            scope=command.scope,
+            domain=command.domain,
+            capability=command.capability,
+            context=command.context,
+            decided_by=command.issued_by,
+            reason=command.reason,
+        ),
+    )
 
 
 def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Event, ...]:
@@ -138,20 +148,46 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
         moved = SCOPES[SCOPES.index(scope) + 1]
     else:
         return ()
-    return (TrustSet(command.robot, command.peer, moved, command.capability, command.context, TRUST, "record"),)
+    return (
+        TrustSet(
+            robot=command.robot,
+            peer=command.peer,
+            scope=moved,
+            capability=command.capability,
+            context=command.context,
+            decided_by=TRUST,
+            reason="record",
+        ),
+    )
 
 
 def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
     """Task-scoped trust that was given in the context of the finished task has ended. Paper: sec:model:trust."""
-    ended = (command.task_id, TRUST, "context expired")
     of_pairs = [
-        TrustSet(robot, peer, "none", capability, *ended)
+        TrustSet(
+            robot=robot,
+            peer=peer,
+            scope="none",
+            capability=capability,
+            context=command.task_id,
+            decided_by=TRUST,
+            reason="context expired",
+        )
         for (robot, peer), entries in state.trust.entries.items()
         for (capability, context), scope in entries.items()
         if context == command.task_id and scope == "task"
     ]
     of_roles = [
-        RoleTrustSet(role, peer_role, "none", domain, capability, *ended)
+        RoleTrustSet(
+            role=role,
+            peer_role=peer_role,
+            scope="none",
+            domain=domain,
+            capability=capability,
+            context=command.task_id,
+            decided_by=TRUST,
+            reason="context expired",
+        )
         for (role, peer_role, domain), entries in state.trust.of_roles.items()
         for (capability, context), scope in entries.items()
         if context == command.task_id and scope == "task"

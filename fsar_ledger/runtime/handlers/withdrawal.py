@@ -7,6 +7,7 @@ the task; until the message is there, the robot does not know. What a robot has 
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.execution import ExecutionWithdrawn
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.projections.execution import Action
@@ -24,7 +25,7 @@ class WithdrawTask(Command):
     """The robot knows that the task was given up."""
 
     task_id: str
-    robot: str
+    robot: Robot
 
 
 class EndClaims(Command):
@@ -40,7 +41,7 @@ def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
     ended = _claims(state, command.task_id, {action.action_id for action in withdrawn})
     return (
         *released(ended),
-        *(ExecutionWithdrawn(action.task_id, action.action_id, action.robot) for action in withdrawn),
+        *(ExecutionWithdrawn(action.subject, action.robot) for action in withdrawn),
     )
 
 
@@ -67,7 +68,7 @@ def _claims(state: State, task_id: str, actions: set[str]) -> list[AuthorityClai
         for name, claims in state.authority.claims.items()
         if name in actions
         for claim in claims
-        if claim.task_id == task_id
+        if claim.subject.task_id == task_id
     ]
 
 
@@ -87,7 +88,7 @@ def _on_abandoned(state: State, event: TaskAbandoned, _now_us: int) -> tuple[Sch
     return (Scheduled(EndClaims(event.task_id)), *told)
 
 
-def _told(task_id: str, robot: str, by: str) -> Scheduled:
+def _told(task_id: str, robot: Robot, by: str) -> Scheduled:
     if by == robot:
         return Scheduled(WithdrawTask(task_id, robot))
     return Scheduled(WithdrawTask(task_id, robot), 0, (message(by, task_id, f"given up/{robot}"),))

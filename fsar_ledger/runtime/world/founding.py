@@ -6,7 +6,8 @@ from fsar_ledger.constants import WorldConstants
 from fsar_ledger.designs import Fleet, Robot
 from fsar_ledger.designs.registered import fleet as registered_fleet
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import local_supervisor
+from fsar_ledger.events.envelope import Robot as RobotName
+from fsar_ledger.events.envelope import Supervisor, local_supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import RolePolicyRuleSet
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
@@ -18,12 +19,12 @@ FLOOR_TEAMS = WorldConstants().floor_teams
 class Member(NamedTuple):
     """A robot of the fleet: its principal, its team, and what its design says."""
 
-    name: str
+    name: RobotName
     team: int
     design: Robot
 
     @property
-    def supervisor(self) -> str | None:
+    def supervisor(self) -> Supervisor | None:
         """Its own supervisor, if it has one."""
         return local_supervisor(self.name) if self.design.has_supervisor else None
 
@@ -37,7 +38,7 @@ def members(fleet_size: int, fleet: Fleet | None = None) -> tuple[Member, ...]:
     """Return every robot, team by team."""
     robots = (fleet or registered_fleet()).robots
     teams = range(1, fleet_size // len(robots) + 1)
-    return tuple(Member(f"robot/{robot.name}{team}", team, robot) for team in teams for robot in robots)
+    return tuple(Member(robot_named(robot.name, team), team, robot) for team in teams for robot in robots)
 
 
 def floor_of(team: int, floor_teams: int) -> int:
@@ -56,10 +57,10 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
     has_floors = fleet_size > len(design.robots) * floor_teams
     joined: list[Event] = [
         RobotJoined(
-            one.name,
-            one.design.kind,
-            one.team,
-            one.supervisor,
+            robot=one.name,
+            role=one.design.kind,
+            team=one.team,
+            supervisor=one.supervisor,
             place=f"floor/{floor_of(one.team, floor_teams)}" if has_floors else None,
         )
         for one in everyone
@@ -67,19 +68,30 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
     capabilities = {one.name: one for one in design.capabilities}
     possessed = [(one.name, capabilities[name]) for one in everyone for name in one.design.capabilities]
     joined += [
-        CapabilityInstalled(name, capability.name, "1.0.0", (), capability.postconditions)
+        CapabilityInstalled(
+            robot=name,
+            capability=capability.name,
+            version="1.0.0",
+            preconditions=(),
+            postconditions=capability.postconditions,
+        )
         for name, capability in possessed
     ]
     joined += [
-        CapabilityAdvertised(name, capability.name, capability.visible_to, postconditions=capability.postconditions)
+        CapabilityAdvertised(
+            robot=name,
+            capability=capability.name,
+            visible_to=capability.visible_to,
+            postconditions=capability.postconditions,
+        )
         for name, capability in possessed
     ]
     for trust in design.trust:
-        joined.append(RoleTrustSet(trust.role, trust.peer_role, trust.scope))
+        joined.append(RoleTrustSet(role=trust.role, peer_role=trust.peer_role, scope=trust.scope))
         if trust.is_mutual and trust.role != trust.peer_role:
-            joined.append(RoleTrustSet(trust.peer_role, trust.role, trust.scope))
+            joined.append(RoleTrustSet(role=trust.peer_role, peer_role=trust.role, scope=trust.scope))
     joined += [
-        RolePolicyRuleSet(policy.scope, policy.role, policy.outcome, capability=policy.capability)
+        RolePolicyRuleSet(scope=policy.scope, role=policy.role, outcome=policy.outcome, capability=policy.capability)
         for policy in design.policies
     ]
     return tuple(joined)

@@ -11,7 +11,12 @@ from math import inf
 from fsar_ledger.constants import END_US, Constants, Load, Outages, WorldConstants
 from fsar_ledger.designs import Scenario, Workflow, registered
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope
+from fsar_ledger.events.envelope import (
+    PolicyOutcome,
+    PolicyScope,
+    Robot,
+    robot_named,
+)
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -154,17 +159,17 @@ def _arrivals(stream: Stream, mean_s: float, until_s: float) -> list[int]:
 
 
 def _window(
-    world: WorldConstants, stream: Stream, robot: str, scope: PolicyScope, name: str, opened_us: int
+    world: WorldConstants, stream: Stream, robot: Robot, scope: PolicyScope, name: str, opened_us: int
 ) -> list[Fact]:
     outcome: PolicyOutcome = "review" if stream.uniform() < world.review_share else "deny"
     closed_us = opened_us + stream.exponential_us(world.window_mean_s)
     return [
-        (opened_us, PolicyWindowOpened(robot, scope, name, outcome)),
+        (opened_us, PolicyWindowOpened(robot=robot, scope=scope, window=name, outcome=outcome)),
         (closed_us, PolicyWindowClosed(robot, scope, name)),
     ]
 
 
-def _contexts(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _contexts(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     instants = _arrivals(Stream(key, f"context/{robot}"), _mean_s(world.context_rate_per_s), world.horizon_s)
     marks = Stream(key, f"context-window/{robot}")
     facts: list[Fact] = []
@@ -178,7 +183,7 @@ def _contexts(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     return facts
 
 
-def _fleet_rules(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _fleet_rules(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     facts: list[Fact] = []
     for ordinal, time_us in enumerate(
         _arrivals(Stream(key, f"fleet-rule/{robot}"), _mean_s(world.fleet_rule_rate_per_s), world.horizon_s)
@@ -188,16 +193,16 @@ def _fleet_rules(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     return facts
 
 
-def _obstructions(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _obstructions(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     return _in_the_way(world, key, robot, "obstruction", world.obstruction_rate_per_s)
 
 
-def _crowding(world: WorldConstants, key: bytes, robot: str, others: int) -> list[Fact]:
+def _crowding(world: WorldConstants, key: bytes, robot: Robot, others: int) -> list[Fact]:
     """So many robots of other teams are on the floor, and each is in the way now and then; a team keeps out of its own way."""
     return _in_the_way(world, key, robot, "crowding", world.crowding_rate_per_s * others)
 
 
-def _in_the_way(world: WorldConstants, key: bytes, robot: str, what: str, rate_per_s: float) -> list[Fact]:
+def _in_the_way(world: WorldConstants, key: bytes, robot: Robot, what: str, rate_per_s: float) -> list[Fact]:
     lengths = Stream(key, f"{what}-length/{robot}")
     facts: list[Fact] = []
     for ordinal, time_us in enumerate(_arrivals(Stream(key, f"{what}/{robot}"), _mean_s(rate_per_s), world.horizon_s)):
@@ -207,7 +212,7 @@ def _in_the_way(world: WorldConstants, key: bytes, robot: str, what: str, rate_p
     return facts
 
 
-def _routine(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _routine(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     marks = Stream(key, f"routine-operation/{robot}")
     instants = _arrivals(Stream(key, f"routine/{robot}"), _mean_s(world.routine_rate_per_s), world.routine_until_s)
     return [
@@ -251,7 +256,7 @@ def _merged(spells: list[tuple[int, int]]) -> list[tuple[int, int]]:
     return found
 
 
-def _outages(outages: Outages, key: bytes, robot: str, until_s: float) -> list[Fact]:
+def _outages(outages: Outages, key: bytes, robot: Robot, until_s: float) -> list[Fact]:
     off, back = (Stream(key, f"{name}/{robot}") for name in ("off", "off-length"))
     down, up = (Stream(key, f"{name}/{robot}") for name in ("link", "link-length"))
     from_us, lost = (
@@ -300,7 +305,7 @@ def _spells(
     return facts
 
 
-def _encounters(world: WorldConstants, key: bytes, one: str, other: str) -> list[Fact]:
+def _encounters(world: WorldConstants, key: bytes, one: Robot, other: Robot) -> list[Fact]:
     instants = _arrivals(Stream(key, f"encounter/{one}/{other}"), world.encounter_mean_s, world.horizon_s)
     return [(time_us, PeersMet(one, other)) for time_us in instants]
 
@@ -321,12 +326,19 @@ def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, loa
         for ordinal in range(1, injection.times + 1):
             name = f"injected-{team}-{ordinal}"
             time_us = Stream(key, f"injection/{name}").within_us(world.injection)
-            requester, target = f"robot/{injection.requester}{team}", f"robot/{injection.target}{team}"
-            facts.append((time_us, OutsiderRequestInjected(name, requester, target, injection.capability)))
+            requester, target = robot_named(injection.requester, team), robot_named(injection.target, team)
+            facts.append(
+                (
+                    time_us,
+                    OutsiderRequestInjected(
+                        task_id=name, robot=requester, peer=target, capability=injection.capability
+                    ),
+                )
+            )
     if scenario.degradable:
         stream = Stream(key, f"degradation/{team}")
         happens, which, onset = stream.uniform() < world.degradation_probability, stream.uniform(), stream.uniform()
         if happens:
-            robot = f"robot/{scenario.degradable[int(which * len(scenario.degradable))]}{team}"
+            robot = robot_named(scenario.degradable[int(which * len(scenario.degradable))], team)
             facts.append((max(1, round(onset * world.degradation_onset_s * 1e6)), ActuatorDegraded(robot)))
     return facts

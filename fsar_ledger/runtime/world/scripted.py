@@ -7,6 +7,7 @@ is drawn by the seed, as everywhere.
 from fsar_ledger.constants import WorldConstants
 from fsar_ledger.designs import Task, Workflow
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import robot_named
 from fsar_ledger.events.world import ActuatorDegraded, TaskArrived
 
 from .draws import FOREVER_US, Stream
@@ -23,7 +24,7 @@ def workflow_facts(world: WorldConstants, key: bytes, workflow: Workflow) -> lis
         for ordinal, task in enumerate(workflow.tasks, start=1)
     ]
     facts += [
-        (arrival_us + WEAR_AFTER_US, ActuatorDegraded(f"robot/{wear.robot}1", wear.grade)) for wear in workflow.wear
+        (arrival_us + WEAR_AFTER_US, ActuatorDegraded(robot_named(wear.robot, 1), wear.grade)) for wear in workflow.wear
     ]
     return facts
 
@@ -33,6 +34,13 @@ def arrived(world: WorldConstants, task: Task, team: int, ordinal: int, arrival_
     own = len(task.steps) - task.delegated
     budget_s = world.budget_base_s + world.budget_delegated_s * task.delegated + world.budget_own_s * own
     budget_us = round(min(budget_s * 1e6, FOREVER_US))
-    name, robot = f"{task.owner}{team}-{ordinal}", f"robot/{task.owner}{team}"
-    about = (name, robot, team, task.steps, budget_us, arrival_us + budget_us)
-    return TaskArrived(*about, task.checkpoints, task.is_time_critical)
+    return TaskArrived(
+        task_id=f"{task.owner}{team}-{ordinal}",
+        robot=robot_named(task.owner, team),
+        team=team,
+        steps=task.steps,
+        budget_us=budget_us,
+        due_us=arrival_us + budget_us,
+        checkpoints=task.checkpoints,
+        is_time_critical=task.is_time_critical,
+    )

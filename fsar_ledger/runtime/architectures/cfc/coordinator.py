@@ -1,8 +1,15 @@
 """CFC: one coordinator serves all work in order of arrival and reads periodically synced copies. Paper: sec:evaluation:baselines."""
 
-from typing import Any
-
-from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, PolicyOutcome
+from fsar_ledger.events.envelope import (
+    COORDINATOR,
+    FLEET_SUPERVISOR,
+    Parties,
+    PolicyOutcome,
+    Principals,
+    RequestSubject,
+    Robot,
+    Subject,
+)
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.request import GapDetected, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned
@@ -35,9 +42,9 @@ class ProcessWork(Command):
     item: str
 
 
-def by_coordinator() -> dict[str, Any]:
-    """The keywords of what the coordinator decides before an action is commanded: it records no requester."""
-    return {"decided_by": COORDINATOR, "requested_by": None, "supervised_by": FLEET_SUPERVISOR, "path": (COORDINATOR,)}
+def by_coordinator(executor: Robot | None) -> Principals:
+    """Return the principals of what the coordinator decides before an action is commanded: it records no requester."""
+    return Parties(requested_by=None, executed_by=executor, supervised_by=FLEET_SUPERVISOR).decided(COORDINATOR)
 
 
 def to_coordinator(action_id: str, item: str, draw: Draw) -> Scheduled:
@@ -52,7 +59,7 @@ def until_next_sync_us(state: State, now_us: int) -> int:
     return period_us - (now_us - offset_us) % period_us + 1
 
 
-def copied_policy(state: State, robot: str) -> PolicyOutcome:
+def copied_policy(state: State, robot: Robot) -> PolicyOutcome:
     """The robot's own policy as the copy shows it."""
     copy = state.knowledge.copy
     if robot in copy.local_deny:
@@ -60,7 +67,7 @@ def copied_policy(state: State, robot: str) -> PolicyOutcome:
     return "review" if robot in copy.local_review else "allow"
 
 
-def copied_rule(state: State, robot: str) -> PolicyOutcome:
+def copied_rule(state: State, robot: Robot) -> PolicyOutcome:
     """The fleet's rule for the robot's zone as the copy shows it."""
     copy = state.knowledge.copy
     if robot in copy.fleet_deny:
@@ -68,7 +75,7 @@ def copied_rule(state: State, robot: str) -> PolicyOutcome:
     return "review" if robot in copy.fleet_review else "allow"
 
 
-def candidates_of(state: State, action_id: str) -> tuple[str, ...]:
+def candidates_of(state: State, action_id: str) -> tuple[Robot, ...]:
     """Whom the coordinator considers for a step: its own robot, or every capable other one."""
     request = state.request[action_id]
     return capable(state, request.capability, request.requester) if request.is_delegated else (request.requester,)
@@ -81,19 +88,19 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
     local = {robot: in_force(state.world.local, robot) for robot in state.world.local}
     fleet = {robot: in_force(state.world.fleet, robot) for robot in state.world.fleet}
 
-    def shown(before: tuple[str, ...], now: list[str]) -> tuple[str, ...]:
+    def shown(before: tuple[Robot, ...], now: list[Robot]) -> tuple[Robot, ...]:
         return (
             tuple(robot for robot in robots if robot in (before if robot in silent else now)) if silent else tuple(now)
         )
 
     return (
         CopySynced(
-            shown(copy.local_deny, [robot for robot in robots if local.get(robot) == "deny"]),
-            shown(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
-            shown(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
-            shown(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
-            shown(copy.busy, [robot for robot in robots if not is_idle(state, robot)]),
-            shown(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
+            local_deny=shown(copy.local_deny, [robot for robot in robots if local.get(robot) == "deny"]),
+            local_review=shown(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
+            fleet_deny=shown(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
+            fleet_review=shown(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
+            busy=shown(copy.busy, [robot for robot in robots if not is_idle(state, robot)]),
+            degraded=shown(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
         ),
     )
 
@@ -122,13 +129,20 @@ def reach_coordinator(
         is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
     )
     queued: tuple[WorkQueued | RequestDenied | TaskAbandoned, ...] = (
-        WorkQueued(task_id, command.action_id, command.item, ready_us),
+        WorkQueued(Subject(task_id, command.action_id), command.item, ready_us),
     )
     if is_hopeless:
-        denied = RequestDenied(task_id, None, None, **by_coordinator(), executed_by=None, reason=NO_TIME)
+        denied = RequestDenied(RequestSubject(task_id, None, None), by_coordinator(None), NO_TIME)
         queued = (denied, TaskAbandoned(task_id))
     if command.item == "step" and request is not None and request.is_delegated:
-        return (GapDetected(task_id, None, None, None, FLEET_SUPERVISOR, request.capability), *queued)
+        return (
+            GapDetected(
+                Subject(task_id, None),
+                Parties(requested_by=None, executed_by=None, supervised_by=FLEET_SUPERVISOR),
+                request.capability,
+            ),
+            *queued,
+        )
     return queued
 
 
@@ -144,7 +158,7 @@ def _next_sync(state: State, _event: CopySynced, now_us: int) -> tuple[Scheduled
 
 
 def _on_work(_state: State, event: WorkQueued, now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ProcessWork(event.action_id, event.item), max(1, event.ready_us - now_us)),)
+    return (Scheduled(ProcessWork(event.subject.action_id, event.item), max(1, event.ready_us - now_us)),)
 
 
 DECIDES: Decides = {Sync: sync, ReachCoordinator: reach_coordinator}

@@ -2,7 +2,16 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, local_supervisor
+from fsar_ledger.events.envelope import (
+    COORDINATOR,
+    FLEET_SUPERVISOR,
+    Dimension,
+    Parties,
+    Principal,
+    Robot,
+    Subject,
+    local_supervisor,
+)
 from fsar_ledger.events.execution import ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed
 from fsar_ledger.projections.fold import State
@@ -30,7 +39,7 @@ from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_nex
 class SafeStop(Command):
     """The context of a robot has changed while the coordinator holds actions of it or for it."""
 
-    robot: str
+    robot: Robot
     window: str | None
 
 
@@ -53,21 +62,21 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     claimed: list[Event] = []
     for action_id in _held(state, command.robot):
         task_id = state.request[action_id].task_id
-        wanted = [("override", command.robot, "safe stop")]
+        wanted: list[tuple[Dimension, Principal, str]] = [("override", command.robot, "safe stop")]
         if command.window is not None:
             wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
             if on_shift(state, command.robot) is not None:
                 wanted.append(("audit", local_supervisor(command.robot), command.window))
         known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
         claimed += [
-            AuthorityClaimed(task_id, action_id, dimension, claimant, reason)  # type: ignore[arg-type]
+            AuthorityClaimed(Subject(task_id, action_id), dimension, claimant, reason)
             for dimension, claimant, reason in wanted
             if (dimension, claimant, reason) not in known
         ]
     return tuple(claimed)
 
 
-def _held(state: State, robot: str) -> list[str]:
+def _held(state: State, robot: Robot) -> list[str]:
     """Actions whose execution the coordinator claims and to which the robot is party."""
     held = []
     for action_id, claims in state.authority.claims.items():
@@ -89,10 +98,10 @@ def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """The robot has done its routine operation; a motion unless the last copy says that policy or rule forbid it."""
     robot = command.robot
-    context = (robot, robot, robot, FLEET_SUPERVISOR, (robot,), robot, command.operation)
+    principals = Parties(requested_by=robot, executed_by=robot, supervised_by=FLEET_SUPERVISOR).decided(robot)
     if command.operation == "motion" and "deny" in (copied_policy(state, robot), copied_rule(state, robot)):
-        return (RoutineWithheld(*context),)  # type: ignore[arg-type]
-    return (RoutinePerformed(*context),)  # type: ignore[arg-type]
+        return (RoutineWithheld(principals, robot, command.operation),)
+    return (RoutinePerformed(principals, robot, command.operation),)
 
 
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
@@ -110,7 +119,9 @@ def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Schedu
     """The coordinator learns of it with the next sync."""
     return (
         Scheduled(
-            ReachCoordinator(event.action_id, "replan"), until_next_sync_us(state, now_us), (at_once(event.robot),)
+            ReachCoordinator(event.subject.action_id, "replan"),
+            until_next_sync_us(state, now_us),
+            (at_once(event.robot),),
         ),
     )
 

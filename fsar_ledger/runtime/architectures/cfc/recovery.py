@@ -1,9 +1,7 @@
 """CFC: every failure goes to the coordinator, which retries, sends a helper, or calls H_F. Paper: sec:evaluation:baselines."""
 
-from typing import Any
-
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Principals, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFailed, ReplanOrdered
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -43,14 +41,14 @@ class ReachHelper(Command):
     """The order to help has reached the helper."""
 
     action_id: str
-    helper: str
+    helper: Robot
 
 
 class GoOnWithoutHelp(Command):
     """The coordinator has waited long enough for the helper's answer."""
 
     action_id: str
-    helper: str
+    helper: Robot
     failure: int
 
 
@@ -60,11 +58,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
     if action is None:
         return ()
     if command.item == "replan":
-        return (
-            (ReplanOrdered(action.task_id, **by_coordinator(), executed_by=action.robot),)
-            if action.stage == "paused"
-            else ()
-        )
+        return (ReplanOrdered(action.task_id, by_coordinator(action.robot)),) if action.stage == "paused" else ()
     recovery = state.recovery.get(command.action_id)
     if recovery is None:
         return ()
@@ -78,7 +72,8 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
     ):
         return (
             RecoveryAttempted(
-                **_about(action),
+                subject=Subject(action.task_id, None),
+                principals=by_coordinator(action.robot),
                 robot=action.robot,
                 failure=recovery.failure,
                 number=1,
@@ -90,19 +85,33 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
     return _order_help(state, action, recovery)
 
 
-def _about(action: Action) -> dict[str, Any]:
-    return {"task_id": action.task_id, "action_id": None, **by_coordinator(), "executed_by": action.robot}
-
-
 def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
     """A helper that the copy shows idle is sent, trust or not; without one H_F is called."""
-    about: dict[str, Any] = {"robot": action.robot, "failure": recovery.failure, "failed_action": action.action_id}
+    subject, principals = Subject(action.task_id, None), by_coordinator(action.robot)
     for helper in helpers(state, action, recovery.cause):
         if helper not in state.knowledge.copy.busy and helper not in recovery.tried:
-            return (AssistanceRequested(**_about(action), **about, helper=helper, level="fleet"),)
+            return (
+                AssistanceRequested(
+                    subject=subject,
+                    principals=principals,
+                    robot=action.robot,
+                    helper=helper,
+                    failure=recovery.failure,
+                    level="fleet",
+                    failed_action=action.action_id,
+                ),
+            )
     return (
-        RecoveryEscalated(**_about(action), **about, level="local", to_level="human"),
-        SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery"),
+        RecoveryEscalated(
+            subject=subject,
+            principals=principals,
+            robot=action.robot,
+            failure=recovery.failure,
+            level="local",
+            to_level="human",
+            failed_action=action.action_id,
+        ),
+        SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery"),
     )
 
 
@@ -112,10 +121,13 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     if failure is None:
         return ()
     action, recovery = failure
-    about = (action.task_id, action.action_id, action.robot, recovery.failure)
     if attempt_succeeds(state, recovery, command):
-        return (FailureResolved(*about, "local"),)
-    return (RecoveryAttemptFailed(*about, command.number),)
+        return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
+    return (
+        RecoveryAttemptFailed(
+            subject=action.subject, robot=action.robot, failure=recovery.failure, number=command.number
+        ),
+    )
 
 
 def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
@@ -127,16 +139,17 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
     if recovery.awaited != command.helper:  # another was asked meanwhile, or H_F
         return ()
     if not is_idle(state, command.helper):
-        return (AssistanceDeclined(action.task_id, action.action_id, action.robot, command.helper, recovery.failure),)
+        return (AssistanceDeclined(action.subject, action.robot, command.helper, recovery.failure),)
     return (
         AssistanceAdmitted(
-            action.task_id,
-            action.action_id,
-            None,
-            COORDINATOR,
-            action.executed_by,
-            FLEET_SUPERVISOR,
-            (),
+            subject=action.subject,
+            principals=Principals(
+                decided_by=None,
+                requested_by=COORDINATOR,
+                executed_by=action.executed_by,
+                supervised_by=FLEET_SUPERVISOR,
+                path=(),
+            ),
             robot=action.robot,
             helper=command.helper,
             failure=recovery.failure,
@@ -163,7 +176,11 @@ def _key(event: ExecutionFailed | AssistanceDeclined | AssistanceFailed | Assist
 
 
 def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "failure", message(event.robot, _key(event, event.action_id), "report")),)
+    return (
+        to_coordinator(
+            event.subject.action_id, "failure", message(event.robot, _key(event, event.subject.action_id), "report")
+        ),
+    )
 
 
 def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -175,7 +192,9 @@ def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[
 def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
     return (
         to_coordinator(
-            event.action_id, "retry-failed", message(event.robot, f"{event.action_id}/{event.failure}", "retry-report")
+            event.subject.action_id,
+            "retry-failed",
+            message(event.robot, f"{event.subject.action_id}/{event.failure}", "retry-report"),
         ),
     )
 
@@ -192,7 +211,9 @@ def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[S
 def _on_decline(_state: State, event: AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
     return (
         to_coordinator(
-            event.action_id, "declined", message(event.helper, _key(event, event.action_id), f"decline/{event.helper}")
+            event.subject.action_id,
+            "declined",
+            message(event.helper, _key(event, event.subject.action_id), f"decline/{event.helper}"),
         ),
     )
 
@@ -204,7 +225,9 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
 def _on_no_help(_state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
     return (
         to_coordinator(
-            event.action_id, "no help", message(event.helper, _key(event, event.action_id), f"no help/{event.helper}")
+            event.subject.action_id,
+            "no help",
+            message(event.helper, _key(event, event.subject.action_id), f"no help/{event.helper}"),
         ),
     )
 

@@ -2,7 +2,15 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import (
+    COORDINATOR,
+    FLEET_SUPERVISOR,
+    Parties,
+    Principals,
+    RequestSubject,
+    Robot,
+    Subject,
+)
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, OwnStepDecided
 from fsar_ledger.events.request import (
     CandidateMatched,
@@ -61,14 +69,14 @@ class ReceiveCommand(Command):
     """The command has reached the robot."""
 
     action_id: str
-    robot: str
+    robot: Robot
 
 
 class GoOnWithout(Command):
     """The coordinator has waited long enough for the robot's word that it has the command."""
 
     action_id: str
-    robot: str
+    robot: Robot
 
 
 class QueueOrdered(Command):
@@ -107,21 +115,28 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     if request.is_delegated and command.item == "step":
         records.append(
             RequestIssued(
-                request.task_id, None, None, **by_coordinator(), executed_by=robot, capability=request.capability
+                subject=RequestSubject(request.task_id, None, None),
+                principals=by_coordinator(robot),
+                capability=request.capability,
             )
         )
-        records += [
-            CandidateMatched(request.task_id, **by_coordinator(), executed_by=None, capability=request.capability)
-            for _ in asked
-        ]
+        records += [CandidateMatched(request.task_id, by_coordinator(None), request.capability) for _ in asked]
     outcome = stricter(copied_policy(state, robot), in_force(state.world.fleet, robot))
     if outcome == "deny":
         return (
             *records,
-            RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="policy"),
+            RequestDenied(RequestSubject(request.task_id, None, None), by_coordinator(robot), "policy"),
         )
     if outcome == "review" and command.action_id not in state.supervision.approved:
-        return (*records, SupervisorCalled(request.task_id, command.action_id, FLEET_SUPERVISOR, "review", robot))
+        return (
+            *records,
+            SupervisorCalled(
+                subject=Subject(request.task_id, command.action_id),
+                supervisor=FLEET_SUPERVISOR,
+                purpose="review",
+                robot=robot,
+            ),
+        )
     return (*records, *_commanded(request, robot, not idle))
 
 
@@ -132,22 +147,33 @@ def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...
         return ()
     robot = request.target or request.requester
     if command.action_id not in state.supervision.approved:
-        return (RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="review"),)
+        return (RequestDenied(RequestSubject(request.task_id, None, None), by_coordinator(robot), "review"),)
     return _commanded(request, robot, robot in state.knowledge.copy.busy)
 
 
-def _commanded(request: Request, robot: str, seen_busy: bool) -> tuple[Event, ...]:
+def _commanded(request: Request, robot: Robot, seen_busy: bool) -> tuple[Event, ...]:
     task_id, action_id = request.task_id, request.action_id
     claims = (
-        AuthorityClaimed(task_id, action_id, "execution", COORDINATOR, "command"),
-        AuthorityClaimed(task_id, action_id, "override", COORDINATOR, "command"),
+        AuthorityClaimed(Subject(task_id, action_id), "execution", COORDINATOR, "command"),
+        AuthorityClaimed(Subject(task_id, action_id), "override", COORDINATOR, "command"),
     )
     if not request.is_delegated:
-        decided = OwnStepDecided(task_id, None, **by_coordinator(), executed_by=robot, capability=request.capability)
+        decided = OwnStepDecided(Subject(task_id, None), by_coordinator(robot), request.capability)
         return (decided, *claims)
-    context = (task_id, action_id, action_id, COORDINATOR, COORDINATOR, robot, FLEET_SUPERVISOR, (COORDINATOR,))
-    deferred = (RequestDeferred(*context),) if seen_busy else ()
-    return (*deferred, CommandIssued(*context, robot=robot, seen_busy=seen_busy), RequestAccepted(*context), *claims)
+    subject, principals = request.request_subject, _commanding(robot)
+    deferred = (RequestDeferred(subject, principals),) if seen_busy else ()
+    return (
+        *deferred,
+        CommandIssued(subject, principals, robot, seen_busy),
+        RequestAccepted(subject, principals),
+        *claims,
+    )
+
+
+def _commanding(executor: Robot | None) -> Principals:
+    """Return the principals of a delegation: the coordinator asks in its own name."""
+    parties = Parties(requested_by=COORDINATOR, executed_by=executor, supervised_by=FLEET_SUPERVISOR)
+    return parties.decided(COORDINATOR)
 
 
 def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
@@ -164,8 +190,8 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
         return (_queued(request, robot),)
     task_id = state.execution.actions[running].task_id
     return (
-        AuthorityClaimed(task_id, running, "execution", request.requester, AGAIN + request.action_id),
-        SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "ordering"),
+        AuthorityClaimed(Subject(task_id, running), "execution", request.requester, AGAIN + request.action_id),
+        SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="ordering"),
     )
 
 
@@ -174,9 +200,10 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.target != command.robot or request.is_received:
         return ()
-    task_id, action_id = request.task_id, request.action_id
-    by = {**by_coordinator(), "executed_by": command.robot, "capability": request.capability}
-    return (RequestUnanswered(task_id, action_id, **by), *released(state.authority.claims.get(action_id, ())))
+    return (
+        RequestUnanswered(request.subject, by_coordinator(command.robot), request.capability),
+        *released(state.authority.claims.get(request.action_id, ())),
+    )
 
 
 def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
@@ -195,21 +222,18 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     return (*ended, _queued(request, request.target or request.requester))
 
 
-def _queued(request: Request, robot: str) -> ExecutionQueued:
+def _queued(request: Request, robot: Robot) -> ExecutionQueued:
     return ExecutionQueued(
-        request.task_id,
-        request.action_id,
-        COORDINATOR,
-        robot,
-        FLEET_SUPERVISOR,
-        robot,
-        request.requester,
-        request.capability,
-        request.step,
-        request.attempt,
-        request.is_delegated,
-        request.is_delegated,
-        True,
+        subject=request.subject,
+        principals=Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=FLEET_SUPERVISOR),
+        robot=robot,
+        on_behalf_of=request.requester,
+        capability=request.capability,
+        step=request.step,
+        attempt=request.attempt,
+        is_delegated=request.is_delegated,
+        has_approach=request.is_delegated,
+        is_supervised=True,
     )
 
 
@@ -224,29 +248,31 @@ def _complete(state: State, command: ProcessWork) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    task_id, action_id = request.task_id, request.action_id
-    closed = AuthorityReleased(task_id, action_id, "override", COORDINATOR, "command")
+    closed = AuthorityReleased(request.subject, "override", COORDINATOR, "command")
     if not request.is_delegated:
         return (closed,)
-    context = (task_id, action_id, action_id, COORDINATOR, COORDINATOR, request.target, FLEET_SUPERVISOR)
-    return (RequestClosed(*context, (COORDINATOR,)), closed)
+    return (RequestClosed(request.request_subject, _commanding(request.target)), closed)
 
 
 def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
     """The coordinator has denied a request without trust."""
     request = state.request[command.action_id]
     return (
-        GapDetected(request.task_id, None, None, None, FLEET_SUPERVISOR, request.capability),
-        RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=None, reason="no trust"),
+        GapDetected(
+            Subject(request.task_id, None),
+            Parties(requested_by=None, executed_by=None, supervised_by=FLEET_SUPERVISOR),
+            request.capability,
+        ),
+        RequestDenied(RequestSubject(request.task_id, None, None), by_coordinator(None), "no trust"),
     )
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "step", message(event.robot, event.action_id, 0)),)
+    return (to_coordinator(event.subject.action_id, "step", message(event.robot, event.subject.action_id, 0)),)
 
 
 def _on_denial(state: State, event: RequestDenied | RequestUnanswered, now_us: int) -> tuple[Scheduled, ...]:
-    task = state.task.get(event.task_id or "")
+    task = state.task.get(event.subject.task_id or "")
     if task is None or (isinstance(event, RequestDenied) and event.reason == NO_TIME):
         return ()
     return (Scheduled(ReachCoordinator(task.action_id, "again"), until_next_sync_us(state, now_us)),)
@@ -254,21 +280,23 @@ def _on_denial(state: State, event: RequestDenied | RequestUnanswered, now_us: i
 
 def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "review":
-        return (Scheduled(CommandReviewed(event.action_id)),)
+        return (Scheduled(CommandReviewed(event.subject.action_id)),)
     return (
-        (Scheduled(QueueOrdered(event.action_id), 1, (at_once(event.decided_by),)),)
+        (Scheduled(QueueOrdered(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
         if event.purpose == "ordering"
         else ()
     )
 
 
 def _on_command(state: State, event: CommandIssued, _now_us: int) -> tuple[Scheduled, ...]:
-    received = Scheduled(ReceiveCommand(event.action_id, event.robot), 0, (message(COORDINATOR, event.action_id, 1),))
-    return (received, Scheduled(GoOnWithout(event.action_id, event.robot), state.fleet.answer_us))
+    received = Scheduled(
+        ReceiveCommand(event.subject.action_id, event.robot), 0, (message(COORDINATOR, event.subject.action_id, 1),)
+    )
+    return (received, Scheduled(GoOnWithout(event.subject.action_id, event.robot), state.fleet.answer_us))
 
 
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
-    task = state.task.get(event.task_id)
+    task = state.task.get(event.subject.task_id)
     if task is None:  # given up meanwhile
         return ()
     action_id = task.action_id
@@ -280,17 +308,20 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
 
 
 def _on_finish(_state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    close = Scheduled(CloseExecution(event.action_id))
-    return (close, to_coordinator(event.action_id, "completion", message(event.robot, event.action_id, 4)))
+    close = Scheduled(CloseExecution(event.subject.action_id))
+    return (
+        close,
+        to_coordinator(event.subject.action_id, "completion", message(event.robot, event.subject.action_id, 4)),
+    )
 
 
 def _on_release(state: State, event: AuthorityReleased, _now_us: int) -> tuple[Scheduled, ...]:
     """Nothing is completed by taking a command back."""
-    request = state.request.get(event.action_id)
+    request = state.request.get(event.subject.action_id)
     is_taken_back = request is not None and request.is_delegated and request.target is None
     if (event.dimension, event.claimant) != ("override", COORDINATOR) or is_taken_back:
         return ()
-    return (Scheduled(CompleteStep(event.action_id), 1, (at_once(COORDINATOR),)),)
+    return (Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(COORDINATOR),)),)
 
 
 def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:

@@ -4,7 +4,7 @@ from typing import Any
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import PolicyOutcome, agent
+from fsar_ledger.events.envelope import Agent, PolicyOutcome, Robot, agent
 from fsar_ledger.events.knowledge import PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.request import ContractQuestioned
 from fsar_ledger.events.world import ContextChanged, SnapshotPhaseSet
@@ -22,21 +22,21 @@ from fsar_ledger.runtime.handlers.execution import pause_running
 class TakeSnapshot(Command):
     """A planner refreshes its snapshot of the robot's own policy."""
 
-    robot: str
+    robot: Robot
 
 
 class EngagePlanner(Command):
     """A context change needs the planner's attention, and puts open contracts in question."""
 
-    robot: str
+    robot: Robot
 
 
-def planner(robot: str) -> str:
+def planner(robot: Robot) -> Agent:
     """The robot's planning agent."""
     return agent(robot, "planning")
 
 
-def snapshot(state: State, robot: str) -> PolicyOutcome:
+def snapshot(state: State, robot: Robot) -> PolicyOutcome:
     """The robot's own policy as its planner last saw it."""
     return state.knowledge.snapshot.get(robot, "allow")
 
@@ -65,7 +65,7 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
             and robot in (request.requester, request.target)
             and not _has_started(state, request)
         ):
-            made.append(ContractQuestioned(request.task_id, request.action_id, robot))
+            made.append(ContractQuestioned(request.subject, robot))
     return tuple(made)
 
 
@@ -80,14 +80,14 @@ def _has_started(state: State, request: Request) -> bool:
 
 
 def claims(
-    state: State, action: Action, dimension: Any, claimants: tuple[str, ...], reason: str
+    state: State, action: Action, dimension: Any, claimants: tuple[Agent, ...], reason: str
 ) -> list[AuthorityClaimed]:
     """The claims that these agents make and do not hold already."""
     known = {
         (claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims.get(action.action_id, ())
     }
     return [
-        AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason)
+        AuthorityClaimed(action.subject, dimension, claimant, reason)
         for claimant in claimants
         if (dimension, claimant, reason) not in known
     ]

@@ -1,10 +1,8 @@
 """DHMA: execution authority goes from agent to agent, and each keeps it until the next acknowledges. Paper: sec:evaluation:baselines."""
 
-from typing import Any
-
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import agent
+from fsar_ledger.events.envelope import AgentKind, Parties, RequestSubject, Subject, agent
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.request import RequestAdmitted, RequestIssued
 from fsar_ledger.events.world import OutsiderRequestInjected
@@ -22,8 +20,8 @@ class PassExecution(Command):
 
     action_id: str
     round: int
-    sender: str
-    receiver: str
+    sender: AgentKind
+    receiver: AgentKind
 
 
 class AcknowledgeExecution(Command):
@@ -31,7 +29,7 @@ class AcknowledgeExecution(Command):
 
     action_id: str
     round: int
-    sender: str
+    sender: AgentKind
 
 
 class SettleBooking(Command):
@@ -59,8 +57,8 @@ def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
     action = _under_contract(state, command.action_id, command.round)
     if action is None:
         return ()
-    receiver = agent(action.robot, command.receiver)  # type: ignore[arg-type]
-    return (AuthorityClaimed(action.task_id, action.action_id, "execution", receiver, command.receiver),)
+    receiver = agent(action.robot, command.receiver)
+    return (AuthorityClaimed(action.subject, "execution", receiver, command.receiver),)
 
 
 def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[Event, ...]:
@@ -68,9 +66,9 @@ def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[
     action = _under_contract(state, command.action_id, command.round)
     if action is None:
         return ()
-    sender = agent(action.robot, command.sender)  # type: ignore[arg-type]
+    sender = agent(action.robot, command.sender)
     return tuple(
-        AuthorityReleased(claim.task_id, claim.action_id, "execution", sender, claim.reason)
+        AuthorityReleased(Subject(claim.subject.task_id, claim.subject.action_id), "execution", sender, claim.reason)
         for claim in state.authority.claims.get(command.action_id, ())
         if (claim.dimension, claim.claimant) == ("execution", sender)
     )
@@ -87,29 +85,39 @@ def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
     if request is None or request.target is None:
         return ()
     task_id, robot, peer = request.task_id, request.requester, request.target
-    unnamed: dict[str, Any] = {"requested_by": robot, "executed_by": None, "supervised_by": None}
+    subject = RequestSubject(task_id, task_id, task_id)
+    unnamed = Parties(requested_by=robot, executed_by=None, supervised_by=None)
     return (
-        RequestIssued(task_id, task_id, task_id, **path(robot, CALL), **unnamed, capability=request.capability),
-        RequestAdmitted(task_id, task_id, task_id, **path(peer, ("communication",)), **unnamed, outcome="allow"),
+        RequestIssued(subject=subject, principals=unnamed.decided(*path(robot, CALL)), capability=request.capability),
+        RequestAdmitted(subject=subject, principals=unnamed.decided(*path(peer, ("communication",))), outcome="allow"),
         ExecutionQueued(
-            task_id, task_id, robot, None, None, peer, robot, request.capability, 0, 1, False, False, False
+            subject=Subject(task_id, task_id),
+            principals=unnamed,
+            robot=peer,
+            on_behalf_of=robot,
+            capability=request.capability,
+            step=0,
+            attempt=1,
+            is_delegated=False,
+            has_approach=False,
+            is_supervised=False,
         ),
     )
 
 
 def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple[Scheduled, ...]:
     """The chain communication -> planning -> execution, each link one hop, each acknowledgement one hop."""
-    request = state.request.get(event.action_id)
+    request = state.request.get(event.subject.action_id)
     if request is None or request.target is None:
         return ()
-    key, robot = f"{event.action_id}/{request.round}", request.target
-    contract = (event.action_id, request.round)
+    key, robot = f"{event.subject.action_id}/{request.round}", request.target
+    contract = (event.subject.action_id, request.round)
     match event.reason:
         case "double booking" if event.claimant == agent(robot, "execution"):
             said, record = talk(state, robot, SETTLEMENT, key, "settle")
             return (
                 Scheduled(
-                    SettleBooking(event.action_id),
+                    SettleBooking(event.subject.action_id),
                     0,
                     (*said, message(robot, key, "settle"), message(request.requester, key, "settled")),
                 ),

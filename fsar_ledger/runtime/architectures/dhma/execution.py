@@ -1,9 +1,7 @@
 """DHMA: the robot's agents plan, start and repair execution among themselves. Paper: sec:evaluation:baselines."""
 
-from typing import Any
-
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principals, RequestSubject
 from fsar_ledger.events.execution import (
     ExecutionPaused,
     ExecutionQueued,
@@ -59,14 +57,14 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
         return ()
     robot, outcome = request.requester, snapshot(state, request.requester)
     supervisor = on_shift(state, robot)
-    context: dict[str, Any] = {"task_id": request.task_id, "action_id": request.action_id}
-    context |= {"requested_by": robot, "executed_by": robot, "supervised_by": supervisor, **path(robot, ("planning",))}
+    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=supervisor)
+    principals = parties.decided(*path(robot, ("planning",)))
     if command.action_id not in state.supervision.approved:
         if outcome == "deny":
-            return (RequestDenied(**context, request_id=None, reason="own step"),)
+            return (RequestDenied(RequestSubject(request.task_id, request.action_id, None), principals, "own step"),)
         if outcome == "review":
-            return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
-    return (OwnStepDecided(**context, capability=request.capability),)
+            return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
+    return (OwnStepDecided(request.subject, principals, request.capability),)
 
 
 def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
@@ -75,8 +73,20 @@ def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot = request.requester
-    queued = (robot, robot, request.capability, request.step, request.attempt, False, False, True)
-    return (ExecutionQueued(request.task_id, request.action_id, robot, robot, on_shift(state, robot), *queued),)
+    return (
+        ExecutionQueued(
+            subject=request.subject,
+            principals=Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot)),
+            robot=robot,
+            on_behalf_of=robot,
+            capability=request.capability,
+            step=request.step,
+            attempt=request.attempt,
+            is_delegated=False,
+            has_approach=False,
+            is_supervised=True,
+        ),
+    )
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
@@ -86,8 +96,11 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
         return ()
     request = state.request.get(command.action_id)
     if request is not None and request.is_questioned and command.action_id not in state.supervision.approved:
-        about = (action.task_id, action.action_id, action.robot)
-        return (*released(state, action.action_id), ContractVoided(*about), ExecutionWithdrawn(*about))
+        return (
+            *released(state, action.action_id),
+            ContractVoided(action.subject, action.robot),
+            ExecutionWithdrawn(action.subject, action.robot),
+        )
     return (started(state, action, command),)
 
 
@@ -95,47 +108,57 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Sensing is one agent's; a motion is the planner's decision, of which it and the execution agent each record a half, and engages it."""
     robot, supervisor = command.robot, on_shift(state, command.robot)
     if command.operation == "sensing":
-        return (RoutinePerformed(robot, robot, robot, supervisor, (robot,), robot, "sensing"),)
-    decided = {**path(robot, ("planning",)), "requested_by": robot, "executed_by": None, "supervised_by": supervisor}
+        return (
+            RoutinePerformed(
+                Principals(
+                    decided_by=robot, requested_by=robot, executed_by=robot, supervised_by=supervisor, path=(robot,)
+                ),
+                robot,
+                "sensing",
+            ),
+        )
+    parties = Parties(requested_by=robot, executed_by=None, supervised_by=supervisor)
     kind = RoutinePerformed if snapshot(state, robot) == "allow" else RoutineWithheld
     return (
-        kind(**decided, robot=robot, operation="motion"),
-        RoutineReported(None, robot, None, robot),
+        kind(parties.decided(*path(robot, ("planning",))), robot, "motion"),
+        RoutineReported(Parties(requested_by=None, executed_by=robot, supervised_by=None), robot),
         PlannerEngaged(robot, command.now_us + state.fleet.structure.engagement_us),
     )
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(PlanOwnStep(event.action_id)),) if event.target_role is None else ()
+    return (Scheduled(PlanOwnStep(event.subject.action_id)),) if event.target_role is None else ()
 
 
 def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.reason != "own step" or event.task_id is None or event.action_id is None:
+    if event.reason != "own step" or event.subject.task_id is None or event.subject.action_id is None:
         return ()
-    return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
 
 
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.action_id)
+    request = state.request.get(event.subject.action_id)
     if event.purpose != "review" or request is None or request.is_delegated:
         return ()
-    return (Scheduled(PlanOwnStep(event.action_id), 1, (at_once(event.decided_by),)),)
+    return (Scheduled(PlanOwnStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
 
 
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
-    assert event.action_id is not None
-    said, record = talk(state, state.request[event.action_id].requester, OWN_STEP, event.action_id, "own")
-    return (Scheduled(QueueOwnStep(event.action_id), 0, said), record)
+    assert event.subject.action_id is not None
+    said, record = talk(
+        state, state.request[event.subject.action_id].requester, OWN_STEP, event.subject.action_id, "own"
+    )
+    return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said), record)
 
 
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
     """Replanning goes through the robot's agents, and for a delegated action through the other robot's too."""
     structure = state.fleet.structure
-    action = state.execution.actions[event.action_id]
-    key = f"{event.action_id}/replan{action.segments}"
+    action = state.execution.actions[event.subject.action_id]
+    key = f"{event.subject.action_id}/replan{action.segments}"
     said, record = talk(state, action.robot, REPLANNING, key, "own")
     if not action.is_delegated:
-        return (Scheduled(ResumeAction(event.action_id), structure.replan_us, said), record)
+        return (Scheduled(ResumeAction(event.subject.action_id), structure.replan_us, said), record)
     agreed, other = talk(
         state,
         action.on_behalf_of,
@@ -145,7 +168,7 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
         (*said, message(event.robot, key, 0), message(action.on_behalf_of, key, 1)),
     )
     return (
-        Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, agreed),
+        Scheduled(ResumeAction(event.subject.action_id), structure.replan_us + structure.renegotiation_us, agreed),
         record,
         other,
     )

@@ -1,9 +1,7 @@
 """DHMA: the recovery agent must agree with planning and execution, and may dispute ownership. Paper: sec:evaluation:baselines."""
 
-from typing import Any
-
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, agent
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principals, agent
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.knowledge import PlannerEngaged
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
@@ -12,7 +10,7 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.runtime.handlers.actors import body
-from fsar_ledger.runtime.handlers.attribution import principals
+from fsar_ledger.runtime.handlers.attribution import parties
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAttempt, Reacts, Scheduled
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
@@ -40,13 +38,8 @@ class Escalate(Command):
     action_id: str
 
 
-def _context(state: State, action: Action, heard: Talk = RECOVERY) -> dict[str, Any]:
-    return {
-        "task_id": action.task_id,
-        "action_id": action.action_id,
-        **path(action.robot, heard),
-        **principals(state, action),
-    }
+def _heard_by(state: State, action: Action, heard: Talk = RECOVERY) -> Principals:
+    return parties(state, action).decided(*path(action.robot, heard))
 
 
 def _is_disputed(state: State, action_id: str) -> bool:
@@ -74,7 +67,8 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
 
 def _attempted(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
     return RecoveryAttempted(
-        **_context(state, action),
+        subject=action.subject,
+        principals=_heard_by(state, action),
         robot=action.robot,
         failure=recovery.failure,
         number=recovery.number + 1,
@@ -88,11 +82,15 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """The failure is resolved, or the next attempt has begun; a disputed one leaves only one attempt, and then loops."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
-            about = (action.task_id, action.action_id, action.robot, recovery.failure)
             if attempt_succeeds(state, recovery, command):
-                return (FailureResolved(*about, "local"), *released(state, action.action_id, DISPUTE))
+                resolved = FailureResolved(action.subject, action.robot, recovery.failure, "local")
+                return (resolved, *released(state, action.action_id, DISPUTE))
             if _is_disputed(state, action.action_id):
-                return (RecoveryAttemptFailed(*about, command.number),)
+                return (
+                    RecoveryAttemptFailed(
+                        subject=action.subject, robot=action.robot, failure=recovery.failure, number=command.number
+                    ),
+                )
             if recovery.number < state.fleet.structure.local_attempts:
                 return (_attempted(state, action, recovery),)
             return _escalated(state, action, recovery)
@@ -110,19 +108,26 @@ def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
 
 
 def _escalated(state: State, action: Action, recovery: Recovery, heard: Talk = RECOVERY) -> tuple[Event, ...]:
-    about: dict[str, Any] = {"robot": action.robot, "failure": recovery.failure, "failed_action": action.action_id}
     return (
-        RecoveryEscalated(**_context(state, action, heard), **about, level="local", to_level="human"),
-        SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery"),
+        RecoveryEscalated(
+            subject=action.subject,
+            principals=_heard_by(state, action, heard),
+            robot=action.robot,
+            failure=recovery.failure,
+            level="local",
+            to_level="human",
+            failed_action=action.action_id,
+        ),
+        SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery"),
     )
 
 
 def _on_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
-    key = f"{event.action_id}/{event.failure}"
+    key = f"{event.subject.action_id}/{event.failure}"
     told, record = talk(state, event.robot, RECOVERY, key, "told")
-    start = Scheduled(StartRecovery(event.action_id), 0, told)
+    start = Scheduled(StartRecovery(event.subject.action_id), 0, told)
     if state.knowledge.engaged_until_us.get(event.robot, -1) >= now_us:
-        return (Scheduled(Dispute(event.action_id)), start, record)
+        return (Scheduled(Dispute(event.subject.action_id)), start, record)
     return (start, record)
 
 
@@ -144,7 +149,7 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
 
 
 def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(Escalate(event.action_id), state.fleet.structure.dispute_timeout_us),)
+    return (Scheduled(Escalate(event.subject.action_id), state.fleet.structure.dispute_timeout_us),)
 
 
 DECIDES: Decides = {Dispute: dispute, StartRecovery: start_recovery, EndAttempt: end_attempt, Escalate: escalate}

@@ -4,7 +4,7 @@ from typing import Any
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, PolicyOutcome, agent
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, PolicyOutcome, Principal, Robot, agent
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
@@ -66,14 +66,14 @@ class EvaluateBid(Command):
     """A candidate's planner has the call and its snapshot before it."""
 
     action_id: str
-    robot: str
+    robot: Robot
 
 
 class ReceiveBid(Command):
     """A bid has been relayed to the requester's planner."""
 
     action_id: str
-    robot: str
+    robot: Robot
     outcome: PolicyOutcome
 
 
@@ -104,7 +104,7 @@ class AcceptAward(Command):
     action_id: str
 
 
-def best_bid(request: Request) -> tuple[str, PolicyOutcome] | None:
+def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
     """The first bid that allows, else the first under review, else None."""
     for wanted in ("allow", "review"):
         for robot, outcome in request.bids:
@@ -119,7 +119,13 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot = request.requester
-    return (GapDetected(request.task_id, request.action_id, robot, None, on_shift(state, robot), request.capability),)
+    return (
+        GapDetected(
+            request.subject,
+            Parties(requested_by=robot, executed_by=None, supervised_by=on_shift(state, robot)),
+            request.capability,
+        ),
+    )
 
 
 def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
@@ -129,16 +135,14 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
         return ()
     robot, supervisor = request.requester, on_shift(state, request.requester)
     candidates = capable(state, request.capability, robot)
-    ids = (request.task_id, request.action_id)
+    asking = Parties(requested_by=robot, executed_by=None, supervised_by=supervisor)  # whoever is awarded executes
     return (
-        RegistryQueried(*ids, robot, None, supervisor, request.capability, candidates),
+        RegistryQueried(
+            subject=request.subject, principals=asking, capability=request.capability, candidates=candidates
+        ),
         RequestIssued(
-            *ids,
-            request.action_id,
-            **path(robot, CALL),
-            requested_by=robot,
-            executed_by=None,  # whoever is awarded the contract
-            supervised_by=supervisor,
+            subject=request.request_subject,
+            principals=asking.decided(*path(robot, CALL)),
             capability=request.capability,
         ),
     )
@@ -150,13 +154,23 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot, outcome = command.robot, snapshot(state, command.robot)
-    context = {**_context(state, request, robot), "executed_by": None}  # a candidate is not yet the executor
+    judging = _parties(state, request, robot, None).decided(
+        *path(robot, EVALUATION)
+    )  # a candidate is not yet the executor
     decided: Event
     if outcome == "deny":
-        decided = RequestDenied(**context, **path(robot, EVALUATION), reason="bid")
+        decided = RequestDenied(request.request_subject, judging, "bid")
     else:
-        decided = RequestAdmitted(**context, **path(robot, EVALUATION), outcome=outcome)
-    return (decided, BidSubmitted(request.task_id, request.requester, None, on_shift(state, robot), robot, outcome))
+        decided = RequestAdmitted(subject=request.request_subject, principals=judging, outcome=outcome)
+    return (
+        decided,
+        BidSubmitted(
+            request.task_id,
+            Parties(requested_by=request.requester, executed_by=None, supervised_by=on_shift(state, robot)),
+            robot,
+            outcome,
+        ),
+    )
 
 
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
@@ -165,7 +179,7 @@ def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
     return (
         ()
         if request is None or request.is_unanswered
-        else (BidReceived(request.task_id, request.action_id, command.robot, command.outcome),)
+        else (BidReceived(request.subject, command.robot, command.outcome),)
     )
 
 
@@ -181,8 +195,14 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
     ):
         return ()
     if best[1] == "review" and command.action_id not in state.supervision.approved:
-        return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
-    return (AwardMade(request.task_id, request.requester, None, on_shift(state, request.requester), best[0]),)
+        return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
+    return (
+        AwardMade(
+            request.task_id,
+            Parties(requested_by=request.requester, executed_by=None, supervised_by=on_shift(state, request.requester)),
+            best[0],
+        ),
+    )
 
 
 def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
@@ -218,11 +238,10 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     return (_unanswered(state, request, request.target),)
 
 
-def _unanswered(state: State, request: Request, executor: str | None) -> RequestUnanswered:
+def _unanswered(state: State, request: Request, executor: Robot | None) -> RequestUnanswered:
     robot = request.requester
-    context = {**_context(state, request, robot), "executed_by": executor}
-    del context["request_id"]
-    return RequestUnanswered(**context, **path(robot, ("communication",)), capability=request.capability)
+    principals = _parties(state, request, robot, executor).decided(*path(robot, ("communication",)))
+    return RequestUnanswered(request.subject, principals, request.capability)
 
 
 def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
@@ -231,36 +250,40 @@ def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
     if request is None or request.target is None:
         return ()
     robot = request.target
-    context = _context(state, request, robot)
-    by = path(robot, ("communication",))  # the other agents have still to hear of it
-    made: list[Event] = [RequestAccepted(**context, **by)]
+    parties = _parties(state, request, robot, robot)
+    principals = parties.decided(*path(robot, ("communication",)))  # the other agents have still to hear of it
+    made: list[Event] = [RequestAccepted(request.request_subject, principals)]
     if not is_idle(state, robot):
-        made.append(RequestDeferred(**context, **by))
+        made.append(RequestDeferred(request.request_subject, principals))
     made.append(_claim(request, "execution", agent(robot, "communication"), "acceptance"))
     if pending_of_other_task(state, robot, request.task_id) is not None:
         made += [
             _claim(request, "override", agent(robot, kind), "double booking") for kind in ("communication", "execution")
         ]
-    queued = (robot, request.requester, request.capability, request.step, request.attempt, True, True, True)
     made.append(
-        ExecutionQueued(request.task_id, request.action_id, request.requester, robot, on_shift(state, robot), *queued)
+        ExecutionQueued(
+            subject=request.subject,
+            principals=parties,
+            robot=robot,
+            on_behalf_of=request.requester,
+            capability=request.capability,
+            step=request.step,
+            attempt=request.attempt,
+            is_delegated=True,
+            has_approach=True,
+            is_supervised=True,
+        )
     )
     return tuple(made)
 
 
-def _claim(request: Request, dimension: Any, claimant: str, reason: str) -> AuthorityClaimed:
-    return AuthorityClaimed(request.task_id, request.action_id, dimension, claimant, reason)
+def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -> AuthorityClaimed:
+    return AuthorityClaimed(request.subject, dimension, claimant, reason)
 
 
-def _context(state: State, request: Request, robot: str) -> dict[str, Any]:
-    return {
-        "task_id": request.task_id,
-        "action_id": request.action_id,
-        "request_id": request.action_id,
-        "requested_by": request.requester,
-        "executed_by": robot,
-        "supervised_by": on_shift(state, robot),
-    }
+def _parties(state: State, request: Request, near: Robot, executor: Robot | None) -> Parties:
+    """Return whom a record of the request names, under the supervisor of the robot that keeps it."""
+    return Parties(requested_by=request.requester, executed_by=executor, supervised_by=on_shift(state, near))
 
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
@@ -268,11 +291,12 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
-    context = _context(state, request, request.target)
-    return (RequestClosed(**context, **path(request.requester, ("communication",))),)
+    parties = _parties(state, request, request.target, request.target)
+    principals = parties.decided(*path(request.requester, ("communication",)))
+    return (RequestClosed(request.request_subject, principals),)
 
 
-def call(state: State, request: Request, robot: str, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
+def call(state: State, request: Request, robot: Robot, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
     """The call reaches the candidate, whose agents work out a bid; `before` comes first."""
     key = f"{request.action_id}/{request.round}/{robot}"
     said, record = talk(state, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
@@ -280,18 +304,18 @@ def call(state: State, request: Request, robot: str, before: tuple[Draw, ...] = 
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DetectGap(event.action_id)),) if event.target_role is not None else ()
+    return (Scheduled(DetectGap(event.subject.action_id)),) if event.target_role is not None else ()
 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
-    assert event.action_id is not None
-    said, record = talk(state, state.request[event.action_id].requester, CALL, event.action_id, 0)
-    return (Scheduled(CallForProposals(event.action_id), 0, said), record)
+    assert event.subject.action_id is not None
+    said, record = talk(state, state.request[event.subject.action_id].requester, CALL, event.subject.action_id, 0)
+    return (Scheduled(CallForProposals(event.subject.action_id), 0, said), record)
 
 
 def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
-    assert event.action_id is not None
-    request = state.request[event.action_id]
+    assert event.subject.action_id is not None
+    request = state.request[event.subject.action_id]
     calls = tuple(scheduled for robot in event.candidates for scheduled in call(state, request, robot))
     return (*calls, *_closing(state, request, (at_once(request.requester),)))
 
@@ -317,19 +341,21 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
 
 
 def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request[event.action_id]
+    request = state.request[event.subject.action_id]
     if len(request.bids) < len(request.candidates):  # it may have been the last one that was waited for
         return _closing(state, request, (at_once(request.requester),))
     if best_bid(request) is None:
-        return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
-    return (Scheduled(Award(event.action_id)),)
+        return (
+            Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),
+        )
+    return (Scheduled(Award(event.subject.action_id)),)
 
 
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.action_id)
+    request = state.request.get(event.subject.action_id)
     if event.purpose != "review" or request is None or not request.is_delegated:
         return ()
-    return (Scheduled(Award(event.action_id), 1, (at_once(event.decided_by),)),)
+    return (Scheduled(Award(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
 
 
 def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
@@ -347,12 +373,12 @@ def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, 
 
 
 def _on_unanswered(state: State, event: RequestUnanswered, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
 
 
 def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
     """Both sides' agents agree that it is void and negotiate again, under the same action."""
-    request = state.request[event.action_id]
+    request = state.request[event.subject.action_id]
     key = f"{request.action_id}/{request.round}/void"
     said, record = talk(state, event.robot, VOIDING, key, "void")
     agreed, other = talk(state, request.requester, RELAY, key, "again", (*said, message(event.robot, key, "void")))
@@ -361,22 +387,24 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.action_id)
-    close = Scheduled(CloseExecution(event.action_id))
+    request = state.request.get(event.subject.action_id)
+    close = Scheduled(CloseExecution(event.subject.action_id))
     if request is None or request.step == 0:
         return (close,)
-    said, record = talk(state, event.robot, RESULT if request.is_delegated else OWN_RESULT, event.action_id, "result")
+    said, record = talk(
+        state, event.robot, RESULT if request.is_delegated else OWN_RESULT, event.subject.action_id, "result"
+    )
     if not request.is_delegated:
-        return (close, Scheduled(CompleteStep(event.action_id), 0, said), record)
+        return (close, Scheduled(CompleteStep(event.subject.action_id), 0, said), record)
     return (
         close,
-        Scheduled(CloseRequest(event.action_id), 0, (*said, message(event.robot, event.action_id, 4))),
+        Scheduled(CloseRequest(event.subject.action_id), 0, (*said, message(event.robot, event.subject.action_id, 4))),
         record,
     )
 
 
 def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(CompleteStep(event.action_id)),)
+    return (Scheduled(CompleteStep(event.subject.action_id)),)
 
 
 DECIDES: Decides = {

@@ -4,16 +4,14 @@ A talk is the row of agents through which the work goes. Each hop in it takes th
 every phase; what is decided at its end has these agents as its path. Paper: sec:evaluation:baselines. Reading: R21.
 """
 
-from typing import Any
-
-from fsar_ledger.events.envelope import agent
+from fsar_ledger.events.envelope import Agent, AgentKind, Parties, Robot, agent
 from fsar_ledger.events.request import InternalHandoff
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.actors import named
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled, hop, hops
 
-Talk = tuple[str, ...]
+Talk = tuple[AgentKind, ...]
 Said = tuple[tuple[Draw, ...], Scheduled]
 
 CALL: Talk = ("planning", "communication")  # the planner wants another robot asked
@@ -51,22 +49,32 @@ RENEGOTIATION: Talk = (
 class HandOver(Command):
     """The agents of a robot have talked."""
 
-    robot: str
+    robot: Robot
     agents: Talk
 
 
 def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Each hop is on record; no message says for whom the work is."""
-    names = [agent(command.robot, kind) for kind in command.agents]  # type: ignore[arg-type]
+    names = path(command.robot, command.agents)
     supervisor = on_shift(state, command.robot)
     return tuple(
-        InternalHandoff(None, command.robot, supervisor, names[place], names[place + 1])
+        InternalHandoff(
+            Parties(requested_by=None, executed_by=command.robot, supervised_by=supervisor),
+            names[place],
+            names[place + 1],
+        )
         for place in range(len(names) - 1)
     )
 
 
 def talk(
-    state: State, robot: str, agents: Talk, key: str, name: int | str, before: tuple[Draw, ...] = (), after_us: int = 0
+    state: State,
+    robot: Robot,
+    agents: Talk,
+    key: str,
+    name: int | str,
+    before: tuple[Draw, ...] = (),
+    after_us: int = 0,
 ) -> Said:
     """How long it takes until these agents of the robot have talked, after what comes `before` (and `after_us`), and that it is put on record then."""
     said = (hop(state, key, name),) if len(agents) == 2 else hops(state, key, str(name), len(agents) - 1)
@@ -74,10 +82,9 @@ def talk(
     return lengths, Scheduled(HandOver(robot, agents), after_us, lengths)
 
 
-def path(robot: str, agents: Talk) -> dict[str, Any]:
-    """The keywords of a decision that went through these agents of the robot; the last one decided."""
-    traversed = tuple(agent(robot, kind) for kind in agents)  # type: ignore[arg-type]
-    return {"decided_by": traversed[-1], "path": traversed}
+def path(robot: Robot, agents: Talk) -> tuple[Agent, ...]:
+    """Return the path of a decision that went through these agents of the robot; the last one decided."""
+    return tuple(agent(robot, kind) for kind in agents)
 
 
 DECIDES: Decides = {HandOver: hand_over}

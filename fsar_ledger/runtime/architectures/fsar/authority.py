@@ -1,10 +1,8 @@
 """FSAR: authority ends with the execution; a revocation waits for the request boundary. Paper: sec:model:authority."""
 
-from typing import Any
-
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, REGISTRY
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, REGISTRY, Parties, Principals, RequestSubject, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import PeerRemembered
 from fsar_ledger.events.registry import RegistryQueried
@@ -23,7 +21,7 @@ from fsar_ledger.runtime.handlers.registry import Query, rejecting_filter
 class Revoke(Command):
     """A requester's context has changed while others execute for it."""
 
-    robot: str
+    robot: Robot
 
 
 class AnswerOutsider(Command):
@@ -35,8 +33,8 @@ class AnswerOutsider(Command):
 class RememberPeer(Command):
     """Two robots have met."""
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
 
 
 def released(state: State, action_id: str) -> tuple[AuthorityReleased, ...]:
@@ -57,7 +55,9 @@ def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
         if action is None or action.on_behalf_of != command.robot or action.robot == command.robot:
             continue
         if all(claim.claimant != command.robot or claim.dimension != "override" for claim in claims):
-            revoked.append(AuthorityClaimed(action.task_id, action_id, "override", command.robot, "revocation"))
+            revoked.append(
+                AuthorityClaimed(Subject(action.task_id, action_id), "override", command.robot, "revocation")
+            )
     return tuple(revoked)
 
 
@@ -71,42 +71,65 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
         supervisor = on_shift(state, robot)
         return (
             _refused(state, task_id, robot, peer, request.capability),
-            RequestDenied(task_id, task_id, task_id, REGISTRY, robot, None, supervisor, (REGISTRY,), "advertisement"),
+            RequestDenied(
+                RequestSubject(task_id, task_id, task_id),
+                Principals(
+                    decided_by=REGISTRY,
+                    requested_by=robot,
+                    executed_by=None,
+                    supervised_by=supervisor,
+                    path=(REGISTRY,),
+                ),
+                "advertisement",
+            ),
         )
-    ids = (task_id, task_id, task_id)
-    requester: dict[str, Any] = {
-        "decided_by": robot,
-        "requested_by": robot,
-        "executed_by": peer,
-        "supervised_by": None,
-        "path": (robot,),
-    }
-    executor = {**requester, "decided_by": peer, "path": (peer,)}
+    subject = RequestSubject(task_id, task_id, task_id)
+    parties = Parties(requested_by=robot, executed_by=peer, supervised_by=None)
+    executor = parties.decided(peer)
     return (
-        GapDetected(task_id, task_id, robot, peer, None, request.capability),
-        RegistryQueried(task_id, task_id, robot, peer, None, request.capability, (peer,)),
-        RequestIssued(*ids, **requester, capability=request.capability, carried_policy="allow"),
-        RequestAdmitted(*ids, **executor, outcome="allow"),
-        RequestAccepted(*ids, **executor),
-        AuthorityClaimed(task_id, task_id, "execution", peer, "acceptance"),
-        AuthorityClaimed(task_id, task_id, "audit", robot, "no trust scope"),
-        AuthorityClaimed(task_id, task_id, "audit", FLEET_SUPERVISOR, "no trust scope"),
-        ExecutionQueued(task_id, task_id, robot, peer, None, peer, robot, request.capability, 0, 1, True, False, False),
+        GapDetected(
+            Subject(task_id, task_id),
+            parties,
+            request.capability,
+        ),
+        RegistryQueried(
+            subject=Subject(task_id, task_id),
+            principals=parties,
+            capability=request.capability,
+            candidates=(peer,),
+        ),
+        RequestIssued(
+            subject=subject, principals=parties.decided(robot), capability=request.capability, carried_policy="allow"
+        ),
+        RequestAdmitted(subject=subject, principals=executor, outcome="allow"),
+        RequestAccepted(subject, executor),
+        AuthorityClaimed(Subject(task_id, task_id), "execution", peer, "acceptance"),
+        AuthorityClaimed(Subject(task_id, task_id), "audit", robot, "no trust scope"),
+        AuthorityClaimed(Subject(task_id, task_id), "audit", FLEET_SUPERVISOR, "no trust scope"),
+        ExecutionQueued(
+            subject=Subject(task_id, task_id),
+            principals=Parties(requested_by=robot, executed_by=peer, supervised_by=None),
+            robot=peer,
+            on_behalf_of=robot,
+            capability=request.capability,
+            step=0,
+            attempt=1,
+            is_delegated=True,
+            has_approach=False,
+            is_supervised=False,
+        ),
     )
 
 
-def _refused(state: State, task_id: str, robot: str, peer: str, capability: str) -> RegistryQueried:
+def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: str) -> RegistryQueried:
     """The registry's answer to an outsider: not the robot that was asked for, by the filter that leaves it out (shown to nobody: visibility)."""
     record = advertisement(state.registry, peer, capability)
     by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
     return RegistryQueried(
-        task_id,
-        task_id,
-        robot,
-        peer,
-        on_shift(state, robot),
-        capability,
-        (),
+        subject=Subject(task_id, task_id),
+        principals=Parties(requested_by=robot, executed_by=peer, supervised_by=on_shift(state, robot)),
+        capability=capability,
+        candidates=(),
         rejected=(peer,),
         rejected_by=(by or "visibility",),
     )
@@ -122,7 +145,11 @@ def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(CloseExecution(event.action_id)),) if event.action_id in state.authority.claims else ()
+    return (
+        (Scheduled(CloseExecution(event.subject.action_id)),)
+        if event.subject.action_id in state.authority.claims
+        else ()
+    )
 
 
 def _on_context(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:

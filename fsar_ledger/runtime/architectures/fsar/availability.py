@@ -7,7 +7,7 @@ moment at which somebody waited for its answer in vain until its own word that i
 from collections.abc import Iterable
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Availability
+from fsar_ledger.events.envelope import Availability, Robot
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.supervision import ActuatorServiced
@@ -21,17 +21,17 @@ from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reac
 class ReportActuator(Command):
     """The robot's word about its actuator has reached the registry: degraded, or (False) in order again."""
 
-    robot: str
+    robot: Robot
     is_degraded: bool
 
 
 class ReportBack(Command):
     """The robot's word that it can be asked again has reached the registry."""
 
-    robot: str
+    robot: Robot
 
 
-def found_silent(state: State, robots: Iterable[str]) -> tuple[AvailabilityChanged, ...]:
+def found_silent(state: State, robots: Iterable[Robot]) -> tuple[AvailabilityChanged, ...]:
     """The registry has those offline who did not answer; without one nobody is told."""
     if "shared-registry" in state.fleet.without:
         return ()
@@ -40,7 +40,9 @@ def found_silent(state: State, robots: Iterable[str]) -> tuple[AvailabilityChang
         for robot in dict.fromkeys(robots)
         if robot not in state.registry.silent and any(surface(state.registry, robot))
     ]
-    return tuple(AvailabilityChanged(robot, None, "offline", NO_ANSWER) for robot in news)
+    return tuple(
+        AvailabilityChanged(robot=robot, capability=None, availability="offline", reason=NO_ANSWER) for robot in news
+    )
 
 
 def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged, ...]:
@@ -48,16 +50,20 @@ def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged,
     return _present(state, command.robot)
 
 
-def _present(state: State, robot: str, is_serviced: bool = False) -> tuple[AvailabilityChanged, ...]:
+def _present(state: State, robot: Robot, is_serviced: bool = False) -> tuple[AvailabilityChanged, ...]:
     worn: dict[Availability, Availability] = (
         {"ready": "degraded", "busy": "degraded"} if robot in state.world.degraded else {}
     )
     since: dict[Availability, Availability] = {"degraded": "ready"} if is_serviced else worn
     now = {capability: since.get(before, before) for capability, before in state.registry.silent.get(robot, {}).items()}
     if len(set(now.values())) == 1 and len(now) == len(tuple(surface(state.registry, robot))):
-        return (AvailabilityChanged(robot, None, next(iter(now.values())), "answers again"),)
+        return (
+            AvailabilityChanged(
+                robot=robot, capability=None, availability=next(iter(now.values())), reason="answers again"
+            ),
+        )
     return tuple(
-        AvailabilityChanged(robot, capability, availability, "answers again")
+        AvailabilityChanged(robot=robot, capability=capability, availability=availability, reason="answers again")
         for capability, availability in now.items()
     )
 
@@ -76,8 +82,11 @@ def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
     shown = tuple(surface(state.registry, command.robot))
     changing = [record.capability for record in shown if record.availability in before]
     if changing and len(changing) == len(shown):
-        return (AvailabilityChanged(command.robot, None, after, "actuator"),)
-    return tuple(AvailabilityChanged(command.robot, capability, after, "actuator") for capability in changing)
+        return (AvailabilityChanged(robot=command.robot, capability=None, availability=after, reason="actuator"),)
+    return tuple(
+        AvailabilityChanged(robot=command.robot, capability=capability, availability=after, reason="actuator")
+        for capability in changing
+    )
 
 
 def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
@@ -87,7 +96,7 @@ def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Sch
         Scheduled(
             ReportActuator(event.robot, True),
             0,
-            (message(event.robot, f"{event.action_id}/{event.failure}", "degraded"),),
+            (message(event.robot, f"{event.subject.action_id}/{event.failure}", "degraded"),),
         ),
     )
 

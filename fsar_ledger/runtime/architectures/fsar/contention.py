@@ -6,7 +6,7 @@ refused. A request that has not reached the executor by then holds nobody up. Wi
 """
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principals, Robot
 from fsar_ledger.events.request import RequestDeferred
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.contention import Order
@@ -14,10 +14,8 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers.task import is_critical
 
-Context = tuple[str, str, str, str, str, str, str | None, tuple[str, ...]]  # the envelope of what the executor decides
 
-
-def put_in_order(state: State, request: Request, executor: str, context: Context) -> tuple[Event, ...]:
+def put_in_order(state: State, request: Request, executor: Robot, principals: Principals) -> tuple[Event, ...]:
     """H_F is called to order this admissible request and its rival, or it waits for an answer, or for whom H_F lets go first; nothing without a rival.
 
     Reading: a request competes from the detection of its gap until the executor has admitted it.
@@ -29,13 +27,17 @@ def put_in_order(state: State, request: Request, executor: str, context: Context
         (order, rival) for rival in rivals if (order := _order(state, request.action_id, rival.action_id)) is not None
     ]
     if any(not order.is_answered or _goes_first(state, order, rival) for order, rival in orders):
-        return (RequestDeferred(*context),)
+        return (RequestDeferred(request.request_subject, principals),)
     return (
         ()
         if orders
         else (
             SupervisorCalled(
-                request.task_id, request.action_id, FLEET_SUPERVISOR, "ordering", executor, rivals[0].action_id
+                subject=request.subject,
+                supervisor=FLEET_SUPERVISOR,
+                purpose="ordering",
+                robot=executor,
+                competing=rivals[0].action_id,
             ),
         )
     )
@@ -62,7 +64,7 @@ def _goes_first(state: State, order: Order, rival: Request) -> bool:
     return order.preferred == rival.action_id and rival.action_id in state.contention.arrived and rival.offered is None
 
 
-def _rivals(state: State, request: Request, executor: str) -> list[Request]:
+def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
     """The requests of other tasks that are not yet admitted, for the same robot, where one of both is time-critical."""
     if not any(task.is_time_critical for task in state.task.values()):
         return []

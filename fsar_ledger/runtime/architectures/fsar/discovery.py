@@ -1,6 +1,7 @@
 """FSAR: a robot that lacks a capability asks the registry, or the peers it met, who could help. Paper: sec:model:request, phases 1 and 2."""
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Principals, Robot
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, PeerSought, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
@@ -13,7 +14,7 @@ from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reac
 from fsar_ledger.runtime.handlers.registry import Answer, Query, candidates, queried, rejecting_filter
 from fsar_ledger.runtime.handlers.trust import trusts
 
-Found = tuple[tuple[str, ...], str | None]  # candidates, relay
+Found = tuple[tuple[Robot, ...], Robot | None]  # candidates, relay
 
 
 class DetectGap(Command):
@@ -28,7 +29,7 @@ class QueryRegistry(Command):
     action_id: str
 
 
-def discover(state: State, request: Request) -> tuple[Answer, str | None]:
+def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
     """What the registry may show the requester, idle first; else one robot behind a doubly trusted peer, and that peer.
 
     Paper: sec:architecture:registry, eq:nontransitive.
@@ -48,7 +49,7 @@ def discover(state: State, request: Request) -> tuple[Answer, str | None]:
     return answer, None
 
 
-def _untrusting(state: State, query: Query, answer: Answer) -> list[str]:
+def _untrusting(state: State, query: Query, answer: Answer) -> list[Robot]:
     """The robots that only their lack of trust left out, nearest team first: a peer that both trust may ask them."""
     found = []
     for name, by in zip(answer.rejected, answer.rejected_by, strict=True):
@@ -58,7 +59,7 @@ def _untrusting(state: State, query: Query, answer: Answer) -> list[str]:
     return found
 
 
-def _visible(state: State, request: Request) -> list[str]:
+def _visible(state: State, request: Request) -> list[Robot]:
     """Capable robots whose advertisement the requester's role may see, nearest team first. Paper: eq:advertise."""
     role = state.fleet.robots[request.requester].role
     roles = {offer.robot: offer.visible_to for offer in offers(state.registry.offers, request.capability)}
@@ -70,7 +71,7 @@ def _visible(state: State, request: Request) -> list[str]:
     ]
 
 
-def _relays(state: State, request: Request, name: str) -> list[str]:
+def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
     """Peers that both the requester and the executor trust, so that each link is admissible by itself, nearest team first."""
     others = [
         peer
@@ -94,16 +95,13 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
         peers, relay = _among_met(state, request, command.now_us)
         if not peers:
             if request.attempt > 1:
-                return (PeerSought(request.task_id, request.action_id, request.requester),)
+                return (PeerSought(request.subject, request.requester),)
             return (unanswered(state, request),)
         found = (_met(state, request, peers, relay),)
     return (
         GapDetected(
-            request.task_id,
-            request.action_id,
-            request.requester,
-            None,
-            on_shift(state, request.requester),
+            request.subject,
+            Parties(requested_by=request.requester, executed_by=None, supervised_by=on_shift(state, request.requester)),
             request.capability,
         ),
         *found,
@@ -114,7 +112,7 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
     """The same without a registry: only robots that were met lately, each link of a chain by itself."""
     met = state.knowledge.met
 
-    def knows(robot: str, peer: str) -> bool:
+    def knows(robot: Robot, peer: Robot) -> bool:
         return met.get((robot, peer), -1) >= now_us
 
     visible = _visible(state, request)
@@ -135,16 +133,18 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
     return (), None
 
 
-def unanswered(state: State, request: Request, executor: str | None = None) -> RequestUnanswered:
+def unanswered(state: State, request: Request, executor: Robot | None = None) -> RequestUnanswered:
     """The requester knows of nobody to ask, or has waited for the word of this executor in vain."""
     robot = request.requester
     supervisor = on_shift(state, robot)
     return RequestUnanswered(
-        request.task_id, request.action_id, robot, robot, executor, supervisor, (robot,), request.capability
+        request.subject,
+        Principals(decided_by=robot, requested_by=robot, executed_by=executor, supervised_by=supervisor, path=(robot,)),
+        request.capability,
     )
 
 
-def _met(state: State, request: Request, found: tuple[str, ...], relay: str | None) -> RegistryQueried:
+def _met(state: State, request: Request, found: tuple[Robot, ...], relay: Robot | None) -> RegistryQueried:
     """The record of an answer from memory: no registry, so nobody says why others were left out."""
     query = Query(request.requester, request.capability, request.task_id)
     answer = Answer(found, (request.capability,) * len(found), (), ())
@@ -162,18 +162,24 @@ def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DetectGap(event.action_id)),) if event.target_role is not None else ()
+    return (Scheduled(DetectGap(event.subject.action_id)),) if event.target_role is not None else ()
 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     if (
         "shared-registry" in state.fleet.without
-        or event.task_id not in state.task
-        or event.action_id not in state.request
+        or event.subject.task_id not in state.task
+        or event.subject.action_id not in state.request
     ):
         return ()  # a request that is no step names whom it asks
-    assert event.action_id is not None
-    return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.requested_by, event.action_id, 0),)),)
+    assert event.subject.action_id is not None
+    return (
+        Scheduled(
+            QueryRegistry(event.subject.action_id),
+            0,
+            (message(event.principals.requested_by, event.subject.action_id, 0),),
+        ),
+    )
 
 
 DECIDES: Decides = {DetectGap: detect_gap, QueryRegistry: query_registry}

@@ -1,7 +1,7 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY
+from fsar_ledger.events.envelope import POLICY, Parties, PolicyOutcome, Principal, Principals, Robot
 from fsar_ledger.events.execution import (
     ExecutionHeld,
     ExecutionPaused,
@@ -19,7 +19,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import named, requester
 from fsar_ledger.runtime.handlers.admissibility import holding
-from fsar_ledger.runtime.handlers.attribution import on_shift, principals
+from fsar_ledger.runtime.handlers.attribution import on_shift, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
@@ -44,8 +44,8 @@ class DecideOwnStep(Command):
 class LearnFleetRule(Command):
     """Word of the fleet's rule has reached the robot."""
 
-    robot: str
-    outcome: str
+    robot: Robot
+    outcome: PolicyOutcome
     as_of_us: int
 
 
@@ -55,11 +55,26 @@ def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot = request.requester
-    task_id, action_id, supervisor = request.task_id, request.action_id, on_shift(state, robot)
-    queued = (robot, robot, request.capability, request.step, request.attempt, False, False, True)
+    supervisor = on_shift(state, robot)
+    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=supervisor)
     return (
-        OwnStepDecided(task_id, action_id, robot, robot, robot, supervisor, (robot,), request.capability),
-        ExecutionQueued(task_id, action_id, robot, robot, supervisor, *queued),
+        OwnStepDecided(
+            request.subject,
+            parties.decided(robot),
+            request.capability,
+        ),
+        ExecutionQueued(
+            subject=request.subject,
+            principals=parties,
+            robot=robot,
+            on_behalf_of=robot,
+            capability=request.capability,
+            step=request.step,
+            attempt=request.attempt,
+            is_delegated=False,
+            has_approach=False,
+            is_supervised=True,
+        ),
     )
 
 
@@ -88,47 +103,47 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     return (started(state, action, command),)
 
 
-def _held(state: State, action: Action, outcome: str, reason: str, decided_by: str | None) -> ExecutionHeld:
-    path = () if decided_by is None else (decided_by,)
-    return ExecutionHeld(
-        action.task_id,
-        action.action_id,
-        decided_by,
-        **principals(state, action),
-        path=path,
-        robot=action.robot,
-        outcome=outcome,  # type: ignore[arg-type]
-        reason=reason,
+def _held(
+    state: State, action: Action, outcome: PolicyOutcome, reason: str, decided_by: Principal | None
+) -> ExecutionHeld:
+    principals = Principals(
+        decided_by=decided_by,
+        requested_by=action.requested_by,
+        executed_by=action.executed_by,
+        supervised_by=supervisor_of(state, action),
+        path=() if decided_by is None else (decided_by,),
     )
+    return ExecutionHeld(action.subject, principals, action.robot, outcome, reason)
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """The robot has done its routine operation; a motion only if its own policy and the fleet's rule are clear."""
     robot = command.robot
-    context = (robot, robot, robot, on_shift(state, robot), (robot,), robot, command.operation)
+    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot))
+    principals = parties.decided(robot)
     if command.operation == "motion" and (
         own_policy(state, robot, None, None) != "allow" or fleet_policy(state, robot, None, None) != "allow"
     ):
-        return (RoutineWithheld(*context),)  # type: ignore[arg-type]
-    return (RoutinePerformed(*context),)  # type: ignore[arg-type]
+        return (RoutineWithheld(principals, robot, command.operation),)
+    return (RoutinePerformed(principals, robot, command.operation),)
 
 
 def learn_fleet_rule(state: State, command: LearnFleetRule) -> tuple[Event, ...]:
     """The robot knows the rule, unless newer word has overtaken this one."""
     if command.as_of_us < state.knowledge.fleet_rule_as_of_us.get(command.robot, 0):
         return ()
-    return (FleetRuleLearned(command.robot, command.outcome, command.as_of_us),)  # type: ignore[arg-type]
+    return (FleetRuleLearned(command.robot, command.outcome, command.as_of_us),)
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DecideOwnStep(event.action_id)),) if event.target_role is None else ()
+    return (Scheduled(DecideOwnStep(event.subject.action_id)),) if event.target_role is None else ()
 
 
 def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Scheduled, ...]:
     if event.reason != "fleet-rule":
         return ()
-    capability = state.execution.actions[event.action_id].capability
-    return (start_action(event.action_id, capability, state.fleet.structure.poll_us),)
+    capability = state.execution.actions[event.subject.action_id].capability
+    return (start_action(event.subject.action_id, capability, state.fleet.structure.poll_us),)
 
 
 def _on_window_closed(state: State, event: PolicyWindowClosed, now_us: int) -> tuple[Scheduled, ...]:
@@ -147,7 +162,7 @@ def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: in
     return tuple(start for robot in robots for start in _let_go(state, robot))
 
 
-def _let_go(state: State, robot: str) -> tuple[Scheduled, ...]:
+def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
     """The robot starts what its own policy held, if nothing holds it any more."""
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
     if action is None or action.stage != "held" or holding(state, action)[0] != "allow":
@@ -164,7 +179,7 @@ def _on_fleet_rule(state: State, event: PolicyWindowOpened | PolicyWindowClosed,
 
 
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ResumeAction(event.action_id), state.fleet.structure.replan_us),)
+    return (Scheduled(ResumeAction(event.subject.action_id), state.fleet.structure.replan_us),)
 
 
 DECIDES: Decides = {

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import PolicyOutcome
+from fsar_ledger.events.envelope import Parties, PolicyOutcome, Robot
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.projections.authority import right_of
 from fsar_ledger.projections.execution import Action
@@ -42,15 +42,15 @@ ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does no
 class Found(NamedTuple):
     """Who, or why nobody; and who of those that would come before does not answer."""
 
-    robot: str | None
+    robot: Robot | None
     reason: str
-    silent: tuple[str, ...] = ()
+    silent: tuple[Robot, ...] = ()
 
 
 class Candidate(NamedTuple):
     """A robot that could help, the capability of its own that it would use (the step's where its body is enough), and what leaves it out."""
 
-    robot: str
+    robot: Robot
     capability: str
     left_out_by: Filter | None
 
@@ -72,7 +72,7 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
         return ()
     found = _stand_ins(state, action, action.robot)
     fit = tuple(dict.fromkeys(one.robot for one in found if one.left_out_by is None))
-    left_out: dict[str, Filter] = {
+    left_out: dict[Robot, Filter] = {
         name: "contract" for name in kin(state, action.robot, action.capability) if name not in stand_ins(state, action)
     }
     for one in found:
@@ -80,13 +80,12 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
             left_out.setdefault(one.robot, one.left_out_by)
     return (
         RegistryQueried(
-            action.task_id,
-            action.action_id,
-            action.robot,
-            action.executed_by,
-            on_shift(state, action.robot),
-            family(action.capability),
-            fit,
+            subject=action.subject,
+            principals=Parties(
+                requested_by=action.robot, executed_by=action.executed_by, supervised_by=on_shift(state, action.robot)
+            ),
+            capability=family(action.capability),
+            candidates=fit,
             rejected=tuple(left_out),
             rejected_by=tuple(left_out.values()),
         ),
@@ -118,7 +117,7 @@ def _bodies(state: State, action: Action) -> list[Candidate]:
     return found
 
 
-def _stand_ins(state: State, action: Action, asking: str) -> list[Candidate]:
+def _stand_ins(state: State, action: Action, asking: Robot) -> list[Candidate]:
     """Every other robot with each capability that it could do the step with, as the registry would answer the robot that asks."""
     found: list[Candidate] = []
     for name in stand_ins(state, action):
@@ -129,7 +128,7 @@ def _stand_ins(state: State, action: Action, asking: str) -> list[Candidate]:
     return found
 
 
-def _left_out_by(state: State, action: Action, asking: str, record: Advertisement) -> Filter | None:
+def _left_out_by(state: State, action: Action, asking: Robot, record: Advertisement) -> Filter | None:
     """The filter that leaves the record out: who is not there before who does not trust. Recovery keeps its trust gate in every configuration."""
     by = rejecting_filter(state, Query(asking, record.capability, action.task_id), record)
     if by == "visibility":
@@ -144,7 +143,7 @@ def _left_out_by(state: State, action: Action, asking: str, record: Advertisemen
 
 
 def _first(
-    state: State, action: Action, asking: str, found: list[Candidate], kind: str, carried: PolicyOutcome | None = None
+    state: State, action: Action, asking: Robot, found: list[Candidate], kind: str, carried: PolicyOutcome | None = None
 ) -> Found:
     """The nearest idle candidate that passes every check, or the check after which nobody remained."""
     able = [one for one in found if one.left_out_by not in ("visibility", "availability")]
@@ -157,7 +156,7 @@ def _first(
 
 
 def _chosen(
-    state: State, action: Action, asking: str, able: list[Candidate], kind: str, carried: PolicyOutcome | None
+    state: State, action: Action, asking: Robot, able: list[Candidate], kind: str, carried: PolicyOutcome | None
 ) -> Found:
     """Who is chosen of those that answer."""
     if not able:
@@ -174,7 +173,7 @@ def _chosen(
     return Found(*_first_idle(state, willing, "policy", f"{kind} busy"))
 
 
-def _is_allowed(state: State, asking: str, one: Candidate, action: Action, carried: PolicyOutcome | None) -> bool:
+def _is_allowed(state: State, asking: Robot, one: Candidate, action: Action, carried: PolicyOutcome | None) -> bool:
     """True when the policies compose to allow: what the request carried, if there was one, and the asking robot's own beside it."""
     for capability in {one.capability, action.capability}:
         about = (capability, action.task_id)
@@ -189,7 +188,7 @@ def _is_allowed(state: State, asking: str, one: Candidate, action: Action, carri
     return True
 
 
-def _may_ask(state: State, asking: str, one: Candidate, action: Action) -> bool:
+def _may_ask(state: State, asking: Robot, one: Candidate, action: Action) -> bool:
     """A revoked right stays revoked when something fails. Paper: sec:model:recovery."""
     rights = (
         right_of(state.authority, asking, one.robot, capability, action.task_id)
@@ -198,7 +197,9 @@ def _may_ask(state: State, asking: str, one: Candidate, action: Action) -> bool:
     return not any(isinstance(right, AuthorityRevoked) for right in rights)
 
 
-def _first_idle(state: State, willing: Iterable[str], nobody_willing: str, nobody_idle: str) -> tuple[str | None, str]:
+def _first_idle(
+    state: State, willing: Iterable[Robot], nobody_willing: str, nobody_idle: str
+) -> tuple[Robot | None, str]:
     reason = nobody_willing
     for name in willing:
         if is_idle(state, name):

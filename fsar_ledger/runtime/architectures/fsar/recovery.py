@@ -3,10 +3,8 @@
 A failure creates no authority: who helps or takes over is judged by the trust and the policy that were there before it.
 """
 
-from typing import Any
-
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, RecoveryLevel
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, Parties, Principals, RecoveryLevel, Robot
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -27,7 +25,7 @@ from fsar_ledger.projections.task import checkpoint
 from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers import recovery as shared
 from fsar_ledger.runtime.handlers.actors import body, nobody
-from fsar_ledger.runtime.handlers.attribution import is_cross_robot, on_shift, principals
+from fsar_ledger.runtime.handlers.attribution import is_cross_robot, on_shift, parties, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
@@ -89,28 +87,12 @@ class CallNext(Command):
     calls: int
 
 
-def _context(state: State, action: Action, decided_by: str, is_decision: bool = True) -> dict[str, Any]:
-    path = (decided_by,) if is_decision else ()
-    return {
-        "task_id": action.task_id,
-        "action_id": action.action_id,
-        "decided_by": decided_by,
-        **principals(state, action),
-        "path": path,
-    }
-
-
 def _escalated(
-    state: State,
-    action: Action,
-    recovery: Recovery,
-    to_level: RecoveryLevel,
-    decided_by: str,
-    reason: str,
-    is_decision: bool = True,
+    action: Action, recovery: Recovery, principals: Principals, to_level: RecoveryLevel, reason: str
 ) -> RecoveryEscalated:
     return RecoveryEscalated(
-        **_context(state, action, decided_by, is_decision),
+        subject=action.subject,
+        principals=principals,
         robot=action.robot,
         failure=recovery.failure,
         level=recovery.level,
@@ -122,7 +104,8 @@ def _escalated(
 
 def _attempted(state: State, action: Action, recovery: Recovery, deadline_us: int) -> RecoveryAttempted:
     return RecoveryAttempted(
-        **_context(state, action, action.robot),
+        subject=action.subject,
+        principals=parties(state, action).decided(action.robot),
         robot=action.robot,
         failure=recovery.failure,
         number=recovery.number + 1,
@@ -136,13 +119,14 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """The robot has begun to recover by itself, if it may; without layered recovery H_F is called at once. Paper: sec:model:recovery, level 1."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "local" and recovery.number == 0:
+            by_robot = parties(state, action).decided(action.robot)
             if "layered-recovery" in state.fleet.without:
-                called = SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery")
-                return (_escalated(state, action, recovery, "human", action.robot, "no layered recovery"), called)
+                called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
+                return (_escalated(action, recovery, by_robot, "human", "no layered recovery"), called)
             allowed = budget(state, action.robot, "local")
             deadline_us = recovery.detected_us + allowed.t_max_us
             if allowed.n_max == 0 or command.now_us >= deadline_us:
-                return (_escalated(state, action, recovery, "peer", action.robot, EXHAUSTED),)
+                return (_escalated(action, recovery, by_robot, "peer", EXHAUSTED),)
             return (_attempted(state, action, recovery, deadline_us),)
         case _:
             return ()
@@ -152,13 +136,21 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """The failure is resolved, or the next attempt has begun, or the budget is spent and recovery goes to the peers."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
-            about = (action.task_id, action.action_id, action.robot, recovery.failure)
             if attempt_succeeds(state, recovery, command):
-                return (FailureResolved(*about, "local"),)
-            failed = RecoveryAttemptFailed(*about, command.number, *attempt_result(state, action, recovery))
+                return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
+            result, achieved = attempt_result(state, action, recovery)
+            failed = RecoveryAttemptFailed(
+                subject=action.subject,
+                robot=action.robot,
+                failure=recovery.failure,
+                number=command.number,
+                result=result,
+                achieved=achieved,
+            )
             if recovery.number < budget(state, action.robot, "local").n_max and command.now_us < recovery.deadline_us:
                 return (failed, _attempted(state, action, recovery, recovery.deadline_us))
-            return (failed, _escalated(state, action, recovery, "peer", action.robot, EXHAUSTED))
+            by_robot = parties(state, action).decided(action.robot)
+            return (failed, _escalated(action, recovery, by_robot, "peer", EXHAUSTED))
         case _:
             return ()
 
@@ -174,8 +166,10 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
         case action, recovery if recovery.level == "peer" and not (
             command.is_last and (command.failure, command.asked) != (recovery.failure, len(recovery.tried))
         ):
+            named = parties(state, action)
+            by_service = named.decided(RECOVERY)
             if _is_exhausted(state, action, "peer", command.now_us - command.since_us, len(recovery.tried)):
-                return (_escalated(state, action, recovery, "fleet", RECOVERY, EXHAUSTED),)
+                return (_escalated(action, recovery, by_service, "fleet", EXHAUSTED),)
             helper, reason, silent = peer(state, action, recovery)
             if silent and not command.is_last:
                 return ()
@@ -183,21 +177,34 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
             if helper is None:
                 return (
                     *query,
-                    _escalated(state, action, recovery, "fleet", RECOVERY, reason),
+                    _escalated(action, recovery, by_service, "fleet", reason),
                     *found_silent(state, silent),
                 )
-            about: dict[str, Any] = {"robot": action.robot, "helper": helper, "failure": recovery.failure}
-            admitting = {**_context(state, action, helper), "supervised_by": on_shift(state, helper)}
+            admitting = Parties(
+                requested_by=action.requested_by,
+                executed_by=action.executed_by,
+                supervised_by=on_shift(state, helper),
+            )
             return (
                 *query,
                 AssistanceRequested(
-                    **_context(state, action, action.robot),
-                    **about,
+                    subject=action.subject,
+                    principals=named.decided(action.robot),
+                    robot=action.robot,
+                    helper=helper,
+                    failure=recovery.failure,
                     level="peer",
                     failed_action=action.action_id,
                     since_us=command.since_us,
                 ),
-                AssistanceAdmitted(**admitting, **about, level="peer"),
+                AssistanceAdmitted(
+                    subject=action.subject,
+                    principals=admitting.decided(helper),
+                    robot=action.robot,
+                    helper=helper,
+                    failure=recovery.failure,
+                    level="peer",
+                ),
                 *found_silent(state, silent),
             )
         case _:
@@ -224,7 +231,8 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
             if silent and not command.is_last:
                 return ()
             decided = ReassignmentDecided(
-                **_context(state, action, RECOVERY),
+                subject=action.subject,
+                principals=parties(state, action).decided(RECOVERY),
                 robot=action.robot,
                 helper=helper,
                 failure=recovery.failure,
@@ -242,34 +250,45 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
             return ()
 
 
-def _handed_over(state: State, action: Action, recovery: Recovery, helper: str, resume_at: str) -> tuple[Event, ...]:
+def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot, resume_at: str) -> tuple[Event, ...]:
     """The helper holds the state of the task, and the step waits at it; the robot that failed is free."""
-    about = (action.task_id, action.action_id, action.robot)
     done = state.task[action.task_id].steps[: action.step - 1]
-    queued = (
-        action.on_behalf_of,
-        helper,
-        on_shift(state, helper),
-        helper,
-        action.on_behalf_of,
-        action.capability,
-        action.step,
-        action.attempt,
-    )
     return (
-        FailureResolved(*about, recovery.failure, "fleet"),
+        FailureResolved(action.subject, action.robot, recovery.failure, "fleet"),
         *released(state, action.action_id),
-        ExecutionWithdrawn(*about),
-        TaskStateTransferred(*about, helper, resume_at, done),
-        ExecutionQueued(action.task_id, action.action_id, *queued, True, True, True),
+        ExecutionWithdrawn(action.subject, action.robot),
+        TaskStateTransferred(
+            subject=action.subject, robot=action.robot, helper=helper, checkpoint=resume_at, completed=done
+        ),
+        ExecutionQueued(
+            subject=action.subject,
+            principals=Parties(
+                requested_by=action.on_behalf_of, executed_by=helper, supervised_by=on_shift(state, helper)
+            ),
+            robot=helper,
+            on_behalf_of=action.on_behalf_of,
+            capability=action.capability,
+            step=action.step,
+            attempt=action.attempt,
+            is_delegated=True,
+            has_approach=True,
+            is_supervised=True,
+        ),
     )
 
 
 def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> tuple[Event, ...]:
     """H_i is called about what is the robot's own matter, H_F about what concerns others. Paper: sec:model:recovery, level 4."""
     supervisor = supervisor_for(state, action.robot, is_cross_robot(state, action))
-    called = SupervisorCalled(action.task_id, action.action_id, supervisor, "recovery")
-    return (_escalated(state, action, recovery, "human", RECOVERY, reason, is_decision=False), called)
+    called = SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery")
+    principals = Principals(  # the service does not decide here, it passes on
+        decided_by=RECOVERY,
+        requested_by=action.requested_by,
+        executed_by=action.executed_by,
+        supervised_by=supervisor_of(state, action),
+        path=(),
+    )
+    return (_escalated(action, recovery, principals, "human", reason), called)
 
 
 def call_next(state: State, command: CallNext) -> tuple[Event, ...]:
@@ -278,13 +297,13 @@ def call_next(state: State, command: CallNext) -> tuple[Event, ...]:
         case action, recovery if (recovery.failure, recovery.calls) == (command.failure, command.calls):
             if recovery.calls >= budget(state, action.robot, "human").n_max:
                 return ()
-            return (SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery"),)
+            return (SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery"),)
         case _:
             return ()
 
 
 def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(StartRecovery(event.action_id)),)
+    return (Scheduled(StartRecovery(event.subject.action_id)),)
 
 
 def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -319,24 +338,24 @@ def _asking(state: State, action_id: str, since_us: int, told: tuple[Draw, ...])
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    answer = message(event.helper, f"{event.action_id}/{event.failure}", "answer")
+    answer = message(event.helper, f"{event.subject.action_id}/{event.failure}", "answer")
     return (assistance.end_of(event, state.fleet.structure.assistance_us, (answer, at_once(event.robot))),)
 
 
 def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
     """The robot is told, and turns to the next peer as long as the budget of the level lasts."""
-    recovery, key = state.recovery[event.action_id], f"{event.action_id}/{event.failure}"
+    recovery, key = state.recovery[event.subject.action_id], f"{event.subject.action_id}/{event.failure}"
     told = (
         message(event.helper, key, f"no help/{event.helper}"),
         message(event.robot, key, f"peer/{len(recovery.tried)}"),
     )
-    return _asking(state, event.action_id, recovery.since_us, told)
+    return _asking(state, event.subject.action_id, recovery.since_us, told)
 
 
 def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
-    match open_failure(state, event.action_id):
+    match open_failure(state, event.subject.action_id):
         case action, recovery if event.purpose == "recovery":
-            late = CallNext(event.action_id, recovery.failure, recovery.calls)
+            late = CallNext(event.subject.action_id, recovery.failure, recovery.calls)
             return (Scheduled(late, budget(state, action.robot, "human").t_max_us),)
         case _:
             return ()

@@ -2,7 +2,16 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR, REGISTRY
+from fsar_ledger.events.envelope import (
+    COORDINATION,
+    FLEET_SUPERVISOR,
+    REGISTRY,
+    Parties,
+    Principals,
+    RequestSubject,
+    Robot,
+    Subject,
+)
 from fsar_ledger.events.execution import ApproachStarted, ExecutionFinished, ExecutionPreempted, ExecutionQueued
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
@@ -92,17 +101,17 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     carried = own_policy(state, robot, request.capability, request.task_id)
     return (
         RequestIssued(
-            request.task_id,
-            request.action_id,
-            request.action_id,
-            robot,
-            robot,
-            executor,
-            on_shift(state, robot),
-            (robot,),
-            request.capability,
-            carried,
-            request.relay,
+            subject=request.request_subject,
+            principals=Principals(
+                decided_by=robot,
+                requested_by=robot,
+                executed_by=executor,
+                supervised_by=on_shift(state, robot),
+                path=(robot,),
+            ),
+            capability=request.capability,
+            carried_policy=carried,
+            relay=request.relay,
         ),
     )
 
@@ -115,22 +124,16 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     if request.silent:  # too late, as of an executor
         return report_back(state, ReportBack(request.silent[0]))
     relay, about = request.relay, (request.capability, request.task_id)
-    supervisor = on_shift(state, relay)
-    ids = (
-        request.task_id,
-        request.action_id,
-        request.action_id,
-        relay,
-        request.requester,
-        request.candidates[0],
-        supervisor,
+    parties = Parties(
+        requested_by=request.requester, executed_by=request.candidates[0], supervised_by=on_shift(state, relay)
     )
+    subject, principals = request.request_subject, parties.decided(request.requester, relay)
     if not trusts(state, relay, request.requester, *about):
-        return (RequestDenied(*ids, (request.requester, relay), reason="trust"),)
+        return (RequestDenied(subject, principals, "trust"),)
     if is_revoked(state, request, relay):
-        return (RequestDenied(*ids, (request.requester, relay), reason="authority"),)
+        return (RequestDenied(subject, principals, "authority"),)
     carried = stricter(request.carried, own_policy(state, relay, *about))
-    return (RequestRelayed(*ids, (request.requester, relay), carried),)
+    return (RequestRelayed(subject, principals, carried),)
 
 
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
@@ -150,7 +153,7 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
         return ()
     executor = request.candidates[0]
     if not command.approves:
-        return (RequestDenied(*_context(state, request, executor), reason="review"),)
+        return (RequestDenied(request.request_subject, _principals(state, request, executor), "review"),)
     return _judged(
         state, request, evaluate(state, request, executor, is_reviewed=True), command.now_us, is_reviewed=True
     )
@@ -186,65 +189,63 @@ def _judged(
     state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False
 ) -> tuple[Event, ...]:
     executor = request.candidates[0]
-    context = _context(state, request, executor)
+    subject, principals = request.request_subject, _principals(state, request, executor)
     if found.verdict == "reject":
         clash = (
             conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability)
             if found.conjunct == "policy"
             else ()
         )
-        return (*clash, RequestDenied(*context, reason=found.conjunct or ""))
+        return (*clash, RequestDenied(subject, principals, found.conjunct or ""))
     if found.verdict == "negotiate":
         if request.offers >= state.fleet.structure.negotiation_rounds:
-            return (RequestDenied(*context, reason="negotiation"),)
-        return (RequestCountered(*context, round=request.offers + 1, override=found.override),)
+            return (RequestDenied(subject, principals, "negotiation"),)
+        return (RequestCountered(subject, principals, round=request.offers + 1, override=found.override),)
     if found.verdict == "review" or (not is_reviewed and is_due_for_review(state, executor)):
-        return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
-    return put_in_order(state, request, executor, context) or _admitted(state, request, found, now_us)
+        return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
+    return put_in_order(state, request, executor, principals) or _admitted(state, request, found, now_us)
 
 
-def _context(
-    state: State, request: Request, executor: str
-) -> tuple[str, str, str, str, str, str, str | None, tuple[str, ...]]:
-    """The envelope of what the executor decides about the request."""
-    supervisor = on_shift(state, executor)
-    return (
-        request.task_id,
-        request.action_id,
-        request.action_id,
-        executor,
-        request.requester,
-        executor,
-        supervisor,
-        (executor,),
-    )
+def _parties(state: State, request: Request, executor: Robot) -> Parties:
+    """Return whom the record of what the executor does with the request names."""
+    return Parties(requested_by=request.requester, executed_by=executor, supervised_by=on_shift(state, executor))
+
+
+def _principals(state: State, request: Request, executor: Robot) -> Principals:
+    """Return the principals of what the executor decides about the request."""
+    return _parties(state, request, executor).decided(executor)
 
 
 def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
     """The request is admitted with its authority, and waits for the robot or takes it. Paper: eq:auth, eq:override."""
     executor = request.candidates[0]
-    context = _context(state, request, executor)
+    parties = _parties(state, request, executor)
+    principals = parties.decided(executor)
     admitted = RequestAdmitted(
-        *context, "allow", found.trust, found.may_request, found.may_execute, found.override, found.is_audited
+        subject=request.request_subject,
+        principals=principals,
+        outcome="allow",
+        trust=found.trust,
+        may_request=found.may_request,
+        may_execute=found.may_execute,
+        override=found.override,
+        is_audited=found.is_audited,
     )
     queued = ExecutionQueued(
-        request.task_id,
-        request.action_id,
-        request.requester,
-        executor,
-        on_shift(state, executor),
-        executor,
-        request.requester,
-        request.capability,
-        request.step,
-        request.attempt,
-        True,
-        True,
-        True,
-        found.override,
+        subject=request.subject,
+        principals=parties,
+        robot=executor,
+        on_behalf_of=request.requester,
+        capability=request.capability,
+        step=request.step,
+        attempt=request.attempt,
+        is_delegated=True,
+        has_approach=True,
+        is_supervised=True,
+        override=found.override,
     )
     if found.verdict == "defer":
-        return (admitted, RequestDeferred(*context), queued)
+        return (admitted, RequestDeferred(request.request_subject, principals), queued)
     interrupted = preemptible(state, executor, found.override)
     if interrupted is None:
         return (admitted, queued)
@@ -252,7 +253,7 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
         interrupted.stage
     )
     preempted = ExecutionPreempted(
-        interrupted.task_id, interrupted.action_id, executor, request.action_id, remaining_us
+        Subject(interrupted.task_id, interrupted.action_id), executor, request.action_id, remaining_us
     )
     return (admitted, preempted, queued)
 
@@ -263,26 +264,17 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
     if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state, action):
         return ()
     robot = action.robot
-    approach = ApproachStarted(action.task_id, action.action_id, robot)
+    approach = ApproachStarted(action.subject, robot)
     if any(
         claim.claimant == robot and claim.dimension == "execution"
         for claim in state.authority.claims.get(action.action_id, ())
     ):
         return (approach,)
-    context = (
-        action.task_id,
-        action.action_id,
-        action.action_id,
-        robot,
-        action.requested_by,
-        robot,
-        on_shift(state, robot),
-        (robot,),
-    )
+    parties = Parties(requested_by=action.requested_by, executed_by=robot, supervised_by=on_shift(state, robot))
     return (
-        RequestAccepted(*context),
-        AuthorityClaimed(action.task_id, action.action_id, "execution", robot, "acceptance"),
-        AuthorityClaimed(action.task_id, action.action_id, "override", robot, "acceptance"),
+        RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
+        AuthorityClaimed(action.subject, "execution", robot, "acceptance"),
+        AuthorityClaimed(action.subject, "override", robot, "acceptance"),
         approach,
     )
 
@@ -292,17 +284,12 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    supervisor = on_shift(state, request.requester)
-    context = (
-        request.task_id,
-        request.action_id,
-        request.action_id,
-        COORDINATION,
-        request.requester,
-        request.target,
-        supervisor,
+    parties = Parties(
+        requested_by=request.requester,
+        executed_by=request.target,
+        supervised_by=on_shift(state, request.requester),
     )
-    return (RequestClosed(*context, (COORDINATION,), request.result or "success"),)
+    return (RequestClosed(request.request_subject, parties.decided(COORDINATION), request.result or "success"),)
 
 
 def _is_step(state: State, request: Request | None) -> bool:
@@ -312,33 +299,40 @@ def _is_step(state: State, request: Request | None) -> bool:
 
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     if (
-        event.task_id not in state.task or event.action_id in state.recovery
+        event.subject.task_id not in state.task or event.subject.action_id in state.recovery
     ):  # an outsider's request is nobody's step; recovery asks for itself
         return ()
-    assert event.action_id is not None
+    assert event.subject.action_id is not None
     if "shared-registry" in state.fleet.without:
-        return (Scheduled(IssueRequest(event.action_id)),)
-    return (Scheduled(IssueRequest(event.action_id), 0, (message(REGISTRY, event.action_id, 1),)),)
+        return (Scheduled(IssueRequest(event.subject.action_id)),)
+    return (Scheduled(IssueRequest(event.subject.action_id), 0, (message(REGISTRY, event.subject.action_id, 1),)),)
 
 
 def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Scheduled, ...]:
-    assert event.action_id is not None
-    request = state.request.get(event.action_id)
+    assert event.subject.action_id is not None
+    request = state.request.get(event.subject.action_id)
     if request is None or not (request.is_adhoc or _is_step(state, request)):
         return ()
-    next_one: Command = RelayRequest(event.action_id) if event.relay else EvaluateRequest(event.action_id)
-    asked = Scheduled(next_one, 0, (message(request.requester, event.action_id, 2),))
-    return (asked, Scheduled(GoOnWithout(event.action_id), state.fleet.answer_us, (at_once(request.requester),)))
+    next_one: Command = (
+        RelayRequest(event.subject.action_id) if event.relay else EvaluateRequest(event.subject.action_id)
+    )
+    asked = Scheduled(next_one, 0, (message(request.requester, event.subject.action_id, 2),))
+    return (
+        asked,
+        Scheduled(GoOnWithout(event.subject.action_id), state.fleet.answer_us, (at_once(request.requester),)),
+    )
 
 
 def _on_relay(state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
-    asked = Scheduled(EvaluateRequest(event.action_id), 0, (message(event.decided_by, event.action_id, 3),))
-    late = GoOnWithout(event.action_id, is_relayed=True)
-    return (asked, Scheduled(late, state.fleet.answer_us, (at_once(event.requested_by),)))
+    asked = Scheduled(
+        EvaluateRequest(event.subject.action_id), 0, (message(event.principals.decided_by, event.subject.action_id, 3),)
+    )
+    late = GoOnWithout(event.subject.action_id, is_relayed=True)
+    return (asked, Scheduled(late, state.fleet.answer_us, (at_once(event.principals.requested_by),)))
 
 
 def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Scheduled, ...]:
-    return (*_again(state, event.action_id), *_let_pass(state, event, now_us))
+    return (*_again(state, event.subject.action_id), *_let_pass(state, event, now_us))
 
 
 def _let_pass(
@@ -348,18 +342,21 @@ def _let_pass(
     if not state.contention.orders:
         return ()
     return tuple(
-        Scheduled(EvaluateRequest(name), place) for place, name in enumerate(held_up(state, event.action_id), start=1)
+        Scheduled(EvaluateRequest(name), place)
+        for place, name in enumerate(held_up(state, event.subject.action_id), start=1)
     )
 
 
 def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Scheduled, ...]:
     """The executor judges the changed request; a step whose requester let go is tried again later."""
-    assert event.action_id is not None
+    assert event.subject.action_id is not None
     if event.override is None:
-        return _again(state, event.action_id)
+        return _again(state, event.subject.action_id)
     return (
         Scheduled(
-            EvaluateRequest(event.action_id), 0, (message(event.requested_by, event.action_id, f"offer{event.round}"),)
+            EvaluateRequest(event.subject.action_id),
+            0,
+            (message(event.principals.requested_by, event.subject.action_id, f"offer{event.round}"),),
         ),
     )
 
@@ -372,35 +369,41 @@ def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
 
 
 def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
 
 
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "ordering":
-        waiting = in_order(state, event.action_id, event.preferred)
+        waiting = in_order(state, event.subject.action_id, event.preferred)
         return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
     return (
-        (Scheduled(AdmitReviewed(event.action_id, event.approves), 1, (at_once(event.decided_by),)),)
+        (Scheduled(AdmitReviewed(event.subject.action_id, event.approves), 1, (at_once(event.principals.decided_by),)),)
         if event.purpose == "review"
         else ()
     )
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.action_id)
+    request = state.request.get(event.subject.action_id)
     if request is None or not (request.is_adhoc or _is_step(state, request)):
         return ()
     if event.robot != request.requester:
-        return (Scheduled(CloseRequest(event.action_id), 0, (message(event.robot, event.action_id, 4),)),)
-    return (Scheduled(CompleteStep(event.action_id)),) if event.result == "success" else _again(state, event.action_id)
+        return (
+            Scheduled(CloseRequest(event.subject.action_id), 0, (message(event.robot, event.subject.action_id, 4),)),
+        )
+    return (
+        (Scheduled(CompleteStep(event.subject.action_id)),)
+        if event.result == "success"
+        else _again(state, event.subject.action_id)
+    )
 
 
 def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
     """The step is done; one that did not succeed is tried again later."""
-    if not _is_step(state, state.request.get(event.action_id)):
+    if not _is_step(state, state.request.get(event.subject.action_id)):
         return ()
-    done = Scheduled(CompleteStep(event.action_id), 1, (at_once(event.decided_by),))
-    return (done,) if event.result == "success" else _again(state, event.action_id)
+    done = Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),))
+    return (done,) if event.result == "success" else _again(state, event.subject.action_id)
 
 
 DECIDES: Decides = {
