@@ -30,7 +30,8 @@ class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `scale` is what its value is: a share, a count, seconds, or yes-no (0 or 1 for each run). A pooled metric is the sum of its numerators
     over the sum of its denominators, `numerator_units` of which make one of the value; any other is the mean of the runs' values.
     `published_value` is what the paper counts for a run in which it is undefined. The printed number is the value times `factor`, with
-    `decimals` decimals; `counted` says what its denominator counts. `paper` is None for a metric that the paper does not print.
+    `decimals` decimals; `counted` says what its denominator counts. A metric that counts routine operations has a column
+    `value_without_routine`. `paper` is None for a metric that the paper does not print.
     """
 
     name: str
@@ -43,6 +44,7 @@ class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     decimals: int
     factor: int = 1
     is_pooled: bool = False
+    counts_routine: bool = False
     numerator_units: int = 1
     published_value: float | None = None
     paper: Paper | None = None
@@ -97,7 +99,14 @@ def concerns_sql() -> str:
 
 def measured_sql() -> str:
     """Return the SELECT of what every metric measures of each run."""
-    return "UNION ALL BY NAME\n".join(f"SELECT '{one.name}' AS metric, *\nFROM {one.name}\n" for one in metrics())
+    return "UNION ALL BY NAME\n".join(
+        f"SELECT\n    '{one.name}' AS metric,\n    {_measures(one)}\nFROM {one.name}\n" for one in metrics()
+    )
+
+
+def _measures(metric: Metric) -> str:
+    columns = ["run_id", "value", "numerator", "denominator", "not_observed"]
+    return ",\n    ".join([*columns, *(["value_without_routine"] if metric.counts_routine else [])])
 
 
 def _values(name: str, columns: str, rows: Iterable[str]) -> str:
