@@ -12,17 +12,13 @@
 -- Example: fsar-ledger query statistics/drawn_sums LEDGER
 WITH numbered AS (
     SELECT
-        run_id,
         kind,
-        observes,
         seed,
         architecture,
         configuration,
         scenario,
         fleet_size,
-        run,
         model_version,
-        parameters_sha256,
         source,
         setting,
         constants,
@@ -31,9 +27,6 @@ WITH numbered AS (
         value,
         numerator,
         denominator,
-        value_without_routine,
-        published_convention_value,
-        not_observed,
         dense_rank() OVER (PARTITION BY architecture, configuration, setting, seed, scenario ORDER BY run) - 1 AS place
     FROM run_metrics
     WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
