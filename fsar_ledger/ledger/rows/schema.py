@@ -13,6 +13,7 @@
 import hashlib
 from collections.abc import Iterable, Sequence
 from itertools import chain
+from operator import attrgetter
 from typing import Literal, get_origin
 
 import msgspec
@@ -67,13 +68,14 @@ class Layout(msgspec.Struct, frozen=True):
             TypeError: A part of an event is of another class.
         """
         found: list[Sequence[object]] = []
-        for member, values in zip(self.members, zip(*map(msgspec.structs.astuple, events), strict=True), strict=True):
+        for member in self.members:
+            values = list(map(attrgetter(member.name), events))
             if member.part is None:
                 found.append(values)
                 continue
             if set(map(type, values)) != {member.part}:
                 raise TypeError(f"{self.tag}: found {member.name} of another class, expected {member.part.__name__}")
-            found += zip(*map(msgspec.structs.astuple, values), strict=True)
+            found += [list(map(attrgetter(field.name), values)) for field in member.fields]
         return tuple(found)
 
     def events(self, columns: Iterable[Iterable[object]], count: int) -> list[Event]:
