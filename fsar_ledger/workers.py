@@ -7,16 +7,18 @@ Each worker holds the only other end of its own pipe. Wherever it dies, even hal
 import os
 import pickle
 import signal
+import sys
 import threading
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from multiprocessing import connection, get_context, parent_process, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
+from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
 from fsar_ledger.errors import WorkerDied
@@ -24,6 +26,7 @@ from fsar_ledger.errors import WorkerDied
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 _SPAWN = get_context("spawn")  # DuckDB and Polars do not survive a fork
+_STARTING = threading.Lock()
 
 
 class _Worker:
@@ -35,12 +38,29 @@ class _Worker:
         self.process: BaseProcess = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
         self.running: Future[Any] | None = None
         try:
-            self.process.start()
+            with _without_main():
+                self.process.start()
         except OSError:
             self.pipe.close()
             raise
         finally:
             theirs.close()
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """Keep processes that start meanwhile from importing the caller's main module.
+
+    Calls name functions of installed modules, so a worker needs nothing of it; and a script without
+    `if __name__ == "__main__"` would run again in each worker.
+    """
+    with _STARTING:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            yield
+        finally:
+            sys.modules["__main__"] = main
 
 
 class WorkerPool(Executor):

@@ -127,13 +127,12 @@ import os, time
 from fsar_ledger.workers import WorkerPool
 from tests.test_workers import squared
 
-if __name__ == "__main__":
-    pool = WorkerPool(2)
-    print(*{pool.submit(os.getpid).result() for _ in range(20)}, flush=True)
-    for _ in range(4):
-        pool.submit(time.sleep, 300)
-    print("begun", flush=True)
-    time.sleep(300)
+pool = WorkerPool(2)
+print(*{pool.submit(os.getpid).result() for _ in range(20)}, flush=True)
+for _ in range(4):
+    pool.submit(time.sleep, 300)
+print("begun", flush=True)
+time.sleep(300)
 """
 
 
