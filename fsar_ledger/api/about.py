@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 class About(msgspec.Struct, frozen=True):
     """The head of the ledger that was asked, and whether the rows that were read were compared with its root.
 
-    `plans` says what is there of what was planned, None where the answer does not rest on that. `not_observed` are concerns that runs do not
-    observe, so that the answer says nothing about them there.
+    `plans` says what is there of what was planned, None where the answer does not rest on that. `not_observed` are
+    concerns that runs do not observe, so that the answer says nothing about them there.
     """
 
     head: Head | None = None

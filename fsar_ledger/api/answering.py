@@ -9,7 +9,8 @@ from .workload import Progress, readers_of
 
 
 def demanded_head(ledger: Path, *, verified: bool, progress: Progress | None = None) -> str | None:
-    """Return the newest record whose rows are compared with its root, remembered or by a whole look now; None where that is not demanded.
+    """Return the newest record whose rows are compared with its root, remembered or by a whole look now; None where
+    that is not demanded.
 
     Raises:
         LedgerCorrupted: The look doubts something.

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 class Audit(msgspec.Struct, frozen=True):
     """What `audit` found: a row for each invariant, architecture and configuration.
 
-    `holds`: every invariant was shown to hold, by a case, and by every run; False: an event offends one; None: it cannot be told.
-    `runs_unreadable` are runs whose parameters cannot be read, so that no recovery budget of theirs is judged.
+    `holds`: every invariant was shown to hold, by a case, and by every run; False: an event offends one; None: it
+    cannot be told. `runs_unreadable` are runs whose parameters cannot be read, so that no recovery budget of theirs is
+    judged.
     """
 
     rows: list[AuditRow]

@@ -19,11 +19,16 @@ from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
 from .about import About, of_judgement
 
-NOTHING = "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met the same world"
+NOTHING = (
+    "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met "
+    "the same world"
+)
 
 
 class Compared(msgspec.Struct, frozen=True):
-    """What `statistics` has to say: the rows, the worlds that differ, why comparisons have no pairs, and what the rows do not show."""
+    """What `statistics` has to say: the rows, the worlds that differ, why comparisons have no pairs, and what the rows
+    do not show.
+    """
 
     rows: list[dict[str, Any]]
     columns: list[str]

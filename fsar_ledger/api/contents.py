@@ -1,7 +1,7 @@
 """What a ledger holds, in short: what was planned and what of it is there, which worlds met which architectures.
 
-A plan that is on record says what is missing. Where there is none (live runs, ledgers from before plans were recorded) nothing in a ledger does:
-then the shape of what is there is told, and never that it is complete.
+A plan that is on record says what is missing. Where there is none (live runs, ledgers from before plans were recorded)
+nothing in a ledger does: then the shape of what is there is told, and never that it is complete.
 """
 
 from collections.abc import Mapping
@@ -21,8 +21,10 @@ from fsar_ledger.metrics.plans import completeness
 from .about import About
 from .plans import Shown, plans, runs, shape
 
-# Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture and configuration; NULL where runs have none.
-# A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there; runs without a number make none.
+# Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture and
+# configuration; NULL where runs have none.
+# A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there;
+# runs without a number make none.
 GROUPS = """
 WITH sizes AS (
     SELECT run_id, count(*) AS event_count FROM events GROUP BY run_id
@@ -95,7 +97,8 @@ COLUMNS = (
 
 
 class Contents(msgspec.Struct, frozen=True):
-    """The runs of a ledger: `groups` by model, seed, fleet size, architecture and configuration; `models` with their constants; `plans` by what they name.
+    """The runs of a ledger: `groups` by model, seed, fleet size, architecture and configuration; `models` with their
+    constants; `plans` by what they name.
 
     `not_observed` are the concerns that some runs do not observe.
     """
@@ -193,18 +196,26 @@ class Contents(msgspec.Struct, frozen=True):
             return []
         of_all = f"{smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one"
         return [
-            f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root is not"
+            (
+                f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root "
+                "is not"
+            )
         ]
 
     def _unlike(self) -> list[str]:
-        """What can be said of the shape, where no plan says what is missing: for a comparison, and where there is no plan."""
+        """What can be said of the shape, where no plan says what is missing: for a comparison, and where there is no
+        plan.
+        """
         if self.is_complete is False:
             return []
         measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
         missing = sum(measured)
         if missing:
             return [
-                f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its model, seed and fleet size"
+                (
+                    f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its "
+                    "model, seed and fleet size"
+                )
             ]
         return (
             ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"]
@@ -257,7 +268,9 @@ def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:
 
 
 def _of_model(one: Model, letter: str | None) -> dict[str, Any]:
-    """What programs are told of a model; `differing` names the constants that other runs of the same kind, source and version have otherwise."""
+    """What programs are told of a model; `differing` names the constants that other runs of the same kind, source and
+    version have otherwise.
+    """
     return {
         "constants": letter,
         "kind": one.kind,

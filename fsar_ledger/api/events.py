@@ -28,7 +28,9 @@ NAMING = {name: kind for name, kind in COLUMNS.items() if name not in _ENVELOPE 
 
 
 class LoggedEvent(NamedTuple):
-    """An event with its envelope: the run, its seq there, when it happened, and the seq of the event that led to it (None: nothing did)."""
+    """An event with its envelope: the run, its seq there, when it happened, and the seq of the event that led to it
+    (None: nothing did).
+    """
 
     run: str
     seq: int
@@ -101,7 +103,8 @@ def names(event: Event, robot: str) -> bool:
 class Events:
     """Some events of a ledger; each way to take them reads the ledger anew.
 
-    Iterating yields a `LoggedEvent` for each, run by run in commit order, as its newest version, and holds one commit in memory at a time.
+    Iterating yields a `LoggedEvent` for each, run by run in commit order, as its newest version, and holds one commit
+    in memory at a time.
     """
 
     def __init__(self, path: Path, meant: Filter, demanded: str | None = None) -> None:

@@ -25,9 +25,11 @@ def experiment_of(
     fleet: str | None = None,
     settings: list[str] | None = None,
 ) -> "Experiment":
-    """The experiment that the options of `simulate` name; a mechanism is of one architecture, so with one the default is that architecture alone.
+    """The experiment that the options of `simulate` name; a mechanism is of one architecture, so with one the default
+    is that architecture alone.
 
-    `load` is how many teams work (None: all), and how many sets of tasks each of them gets; `fleet` and `settings` are as in `with_own`.
+    `load` is how many teams work (None: all), and how many sets of tasks each of them gets; `fleet` and `settings` are
+    as in `with_own`.
 
     Raises:
         InvalidExperiment: a name is unknown, or a number impossible.
@@ -80,11 +82,15 @@ def experiment_of(
 
 
 def _joined(asked: str) -> list[str]:
-    """The names that a + joins. Raises: InvalidExperiment, where one is missing, stands twice, or is joined otherwise."""
+    """The names that a + joins.
+
+    Raises: InvalidExperiment, where one is missing, stands twice, or is joined otherwise.
+    """
     names = [name.strip() for name in asked.split("+")]
     if "" in names or len(set(names)) < len(names) or "," in asked:
         raise InvalidExperiment(
-            f"--without {printable.value(asked)}: expected mechanisms, each once, with + between them, as in trust-evaluation+shared-registry"
+            f"--without {printable.value(asked)}: expected mechanisms, each once, with + between them, as in "
+            "trust-evaluation+shared-registry"
         )
     return names
 

@@ -41,7 +41,8 @@ class Account(msgspec.Struct, frozen=True):
     about: About
 
     def draw(self, file: "str | PathLike[str]", kind: Literal["svg", "pdf"] | None = None) -> None:
-        """Draw the account, of a failure its levels, as SVG or PDF, which the name of the file says unless `kind` does; replaced if it exists.
+        """Draw the account, of a failure its levels, as SVG or PDF, which the name of the file says unless `kind` does;
+        replaced if it exists.
 
         Raises:
             UsageError: Nothing says what it shall be, or the file lies inside a ledger.
@@ -76,7 +77,8 @@ def account(database: Database, ledger: Path, run: str, request: str | None, fai
     recovery = _asked(database, "failure_story", run, action)
     if failure is not None and not recovery:
         raise UsageError(
-            f"--failure {failure}: found no failure of this action in run {run}; --request {failure} tells what happened"
+            f"--failure {failure}: found no failure of this action in run {run}; --request {failure} tells what "
+            "happened"
         )
     return Account(run, action, parties, story, recovery, failure is not None, _about(database, run))
 
@@ -87,7 +89,10 @@ def requests(database: Database, run: str) -> Table:
 
 
 def chosen_run(database: Database, ledger: Path, asked: str | None, choose: Choose = run_named) -> str:
-    """Return the run that was asked for, the first of the ledger where none was. Raises: UsageError if there is none."""
+    """Return the run that was asked for, the first of the ledger where none was.
+
+    Raises: UsageError if there is none.
+    """
     names = [str(row["run_id"]) for row in database.rows("SELECT run_id FROM run_started")]
     if not names:
         raise UsageError(f"{ledger}: found no run, so there is nothing to explain")

@@ -1,4 +1,7 @@
-"""Rows as comma-separated values. Text of a ledger is escaped where it becomes a field (`printable`), unless it shall stay raw."""
+"""Rows as comma-separated values.
+
+Text of a ledger is escaped where it becomes a field (`printable`), unless it shall stay raw.
+"""
 
 import csv
 import io
@@ -14,7 +17,9 @@ Row = Mapping[str, object]
 
 
 def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
-    """The rows as comma-separated values under one line of column names; text is harmless for terminals and spreadsheets unless `raw`."""
+    """The rows as comma-separated values under one line of column names; text is harmless for terminals and
+    spreadsheets unless `raw`.
+    """
     text = io.StringIO()
     writer, quoting = (
         csv.writer(text, lineterminator="\n"),

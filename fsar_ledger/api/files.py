@@ -63,7 +63,10 @@ def write_text(out: Path, text: str) -> None:
 
 
 def require_place(out: Path) -> None:
-    """Raises: UsageError if rows cannot be written there. To be asked before any reading: a wrong name should not cost minutes."""
+    """Raises: UsageError if rows cannot be written there.
+
+    To be asked before any reading: a wrong name should not cost minutes.
+    """
     _format_of(out)
     require_outside(out, f"--out {out}")
 
@@ -71,7 +74,8 @@ def require_place(out: Path) -> None:
 def _format_of(out: Path) -> str:
     if out.suffix not in (".csv", ".parquet"):
         raise UsageError(
-            f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv or .parquet; choose one of them"
+            f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv or .parquet; choose "
+            "one of them"
         )
     return out.suffix
 
@@ -92,7 +96,8 @@ def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iter
         with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
             yield lambda table: writer.write_table(table)
     else:
-        # Text stands in quotes and NULL does not, so that an empty text can be told from NULL; names of columns need no quotes.
+        # Text stands in quotes and NULL does not, so that an empty text can be told from NULL; names of columns need no
+        # quotes.
         options = pa_csv.WriteOptions(quoting_header="none")
         with pa_csv.CSVWriter(temporary, _flat(schema.empty_table()).schema, write_options=options) as writer:
             yield lambda table: writer.write_table(_flat(table) if raw else _harmless(_flat(table)))
@@ -136,7 +141,8 @@ def _whole_file(out: Path) -> Iterator[Path]:
         os.replace(temporary, out)
     except OSError as problem:
         raise WriteFailed(
-            f"{out}: cannot be written ({problem.strerror or problem}); the file is as it was before: make room or choose another place"
+            f"{out}: cannot be written ({problem.strerror or problem}); the file is as it was before: make room or "
+            "choose another place"
         ) from problem
     finally:
         with suppress(OSError):  # where it could not be made, it cannot be taken away either

@@ -43,7 +43,8 @@ By = Literal["scenario"] | None
 class Ledger:
     """A ledger that can be asked. Each answer is about its newest commit at that moment, and says which in `head`.
 
-    Runs are given by name, or by a part of it that only one has; robots as `B1` or `robot/B1`; times in seconds of run time.
+    Runs are given by name, or by a part of it that only one has; robots as `B1` or `robot/B1`; times in seconds of run
+    time.
 
     Args:
         path: The folder of the ledger.
@@ -100,7 +101,8 @@ class Ledger:
         return Events(self.path, Filter(run, since_us, until_us, robot), self._demanded)
 
     def state(self, run: str, at: float | None = None) -> "State":
-        """Return what the events of a run up to this time, that of its end by default, make of it: tasks, queues, trust, policies.
+        """Return what the events of a run up to this time, that of its end by default, make of it: tasks, queues,
+        trust, policies.
 
         Raises:
             UsageError: There is no such run, or `at` is no time.
@@ -131,7 +133,9 @@ class Ledger:
             return Table(rows, of_rows(database, query))
 
     def queries(self) -> "Table":
-        """Return every packaged question: its name, title, and parameters with their defaults (None: a value must be given)."""
+        """Return every packaged question: its name, title, and parameters with their defaults (None: a value must be
+        given).
+        """
         import pyarrow as pa
 
         from fsar_ledger.metrics.library import library
@@ -150,7 +154,8 @@ class Ledger:
         """Answer a SELECT of your own, in a locked-down process that can read this ledger and nothing else.
 
         Args:
-            select: One SELECT in DuckDB's SQL, over `events`, a view for each event type, and the packaged queries by their last names.
+            select: One SELECT in DuckDB's SQL, over `events`, a view for each event type, and the packaged queries by
+                their last names.
             seconds: When to give it up; None: 60.
             memory_mib: The most memory that it may take, at least 1024; None: 4096.
 
@@ -179,7 +184,9 @@ class Ledger:
             yield About(found.head, found.rows_verified), found.columns, found.parts
 
     def requests(self, run: str | None = None) -> "Table":
-        """Return the requests of a run, the first by default: who asked, allowed, executed, supervised, and with what result."""
+        """Return the requests of a run, the first by default: who asked, allowed, executed, supervised, and with what
+        result.
+        """
         from .explaining import chosen_run, requests
 
         with self.database() as database:
@@ -217,7 +224,9 @@ class Ledger:
             return Table(rows, of_judgement(database))
 
     def statistics(self, pool: Pool = None) -> "Compared":
-        """Compare the architectures in pairs, and FSAR with itself without a mechanism: tests, effect sizes, and what is not compared."""
+        """Compare the architectures in pairs, and FSAR with itself without a mechanism: tests, effect sizes, and what
+        is not compared.
+        """
         from .comparing import compared
 
         pooled = _pool(pool)
@@ -232,7 +241,9 @@ class Ledger:
         by: By = None,
         pool: Pool = None,
     ) -> "Comparison":
-        """Compare two sides in pairs, as `ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]`; the second may be of another ledger."""
+        """Compare two sides in pairs, as `ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]`; the second may be of
+        another ledger.
+        """
         from .sides import compared_sides
 
         ledgers = [self] if other is None else [self, other if isinstance(other, Ledger) else Ledger(other)]
@@ -294,7 +305,8 @@ class Ledger:
         )
 
     def prove(self, event: str | int) -> "Proof":
-        """Prove that an event is in the ledger, given as `RUN:SEQ` or by its number; `str` of the answer is a C2SP tlog-proof.
+        """Prove that an event is in the ledger, given as `RUN:SEQ` or by its number; `str` of the answer is a C2SP
+        tlog-proof.
 
         Raises:
             UsageError: There is no such event, or more than one such run.
@@ -420,8 +432,8 @@ def open_ledger(path: Place, *, verified: bool = False, progress: Progress | Non
 
     Args:
         path: The folder.
-        verified: Compare all rows with the root first, as `verify` does, unless that is remembered of this head; answers about later
-            commits are then refused.
+        verified: Compare all rows with the root first, as `verify` does, unless that is remembered of this head;
+            answers about later commits are then refused.
         progress: Called with segments compared and in all.
 
     Raises:

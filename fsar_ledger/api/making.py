@@ -1,4 +1,6 @@
-"""What makes ledgers and the records beside them: `simulate`, `reproduce`, `calibrate`, `predict`, `judge`, `sensitivity`, `verify_proof`."""
+"""What makes ledgers and the records beside them: `simulate`, `reproduce`, `calibrate`, `predict`, `judge`,
+`sensitivity`, `verify_proof`.
+"""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -26,7 +28,9 @@ Names = str | Sequence[str] | None
 
 
 class Simulated(msgspec.Struct, frozen=True):
-    """What `simulate` made: of the runs that were asked for some may have been there before, and the ledger may hold others, too."""
+    """What `simulate` made: of the runs that were asked for some may have been there before, and the ledger may hold
+    others, too.
+    """
 
     ledger: Ledger
     made: "Made"
@@ -120,7 +124,8 @@ def reproduce(
         key: As in `simulate`.
         adopt: As in `simulate`.
         workers: As in `simulate`.
-        showing: Makes, for each step (what is done, of what unit), a context that yields what to call with the progress.
+        showing: Makes, for each step (what is done, of what unit), a context that yields what to call with the
+            progress.
 
     Raises:
         UsageError: The folder is a ledger, or lies inside one.

@@ -14,7 +14,8 @@ def pools_seeds(asked: str | None) -> bool:
     """Whether the runs of all seeds are taken together. Raises: UsageError for anything else that `--pool` names."""
     if asked not in (None, "seeds"):
         raise UsageError(
-            f"--pool {asked}: expected --pool seeds, or no --pool; runs of other constants, models or fleet sizes are never taken together"
+            f"--pool {asked}: expected --pool seeds, or no --pool; runs of other constants, models or fleet sizes are "
+            "never taken together"
         )
     return asked is not None
 
@@ -57,7 +58,8 @@ def run_named(asked: str, names: Sequence[str]) -> str:
     if found:
         shown = printable.some(map(printable.value, found))
         raise UsageError(
-            f"run {printable.value(asked)}: found {len(found):,} runs that have this in their names, expected one of {shown}"
+            f"run {printable.value(asked)}: found {len(found):,} runs that have this in their names, expected one of "
+            f"{shown}"
         )
     raise UsageError(
         f"run {printable.value(asked)}: there is no such run; {did_you_mean(asked, names)}the query `runs` lists them"

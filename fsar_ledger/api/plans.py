@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 
 MAX_RUNS = 9999  # of an experiment
 MAX_COUNTS = 32
-"""Of runs that `reproduce` may have been called with, which are tried, the largest first: each costs two milliseconds. `info` shows ledgers of others, too."""
+"""Of runs that `reproduce` may have been called with, which are tried, the largest first: each costs two milliseconds.
+
+`info` shows ledgers of others, too.
+"""
 PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
 
 
@@ -28,7 +31,9 @@ class Shown(NamedTuple):
 
 
 def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
-    """Every plan, the largest first, with the call that goes on with it where runs are missing and this version can make them, else None."""
+    """Every plan, the largest first, with the call that goes on with it where runs are missing and this version can
+    make them, else None.
+    """
     rows = database.rows(EXPERIMENTS)
     constants = (
         {row["run_id"]: row["parameters"] for row in database.rows(PARAMETERS)}
@@ -44,7 +49,8 @@ def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
 
 
 def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
-    """By plan the call of `reproduce` that goes on with a ledger beside the results, which it made; no key signs that one under its own name.
+    """By plan the call of `reproduce` that goes on with a ledger beside the results, which it made; no key signs that
+    one under its own name.
 
     `counts` are the runs that the ledger's plans name: `reproduce` was called with one of these, or with none.
     """
@@ -87,7 +93,9 @@ def _some(names: list[str], what: str) -> str:
 
 
 def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> str | None:
-    """The call that makes what is missing; None where no call of this version has this plan: another model, other constants, other names."""
+    """The call that makes what is missing; None where no call of this version has this plan: another model, other
+    constants, other names.
+    """
     from fsar_ledger.runtime.plan import plan_id
 
     asked = _asked(plan, parameters)
@@ -100,7 +108,9 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> s
 
 
 def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
-    """What `experiment_of` has to be given for such a plan, None where the default serves; None where its constants are not as they are written."""
+    """What `experiment_of` has to be given for such a plan, None where the default serves; None where its constants are
+    not as they are written.
+    """
     from fsar_ledger.constants import Load, read_constants
     from fsar_ledger.designs.registered import PAPER_SCENARIOS, workflows
     from fsar_ledger.parameters import BadParameters
@@ -144,7 +154,9 @@ def _options(asked: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _name(view: LedgerView) -> Iterator[str]:
-    """The options that let this ledger be written to: a key where the newest commit is signed, else the origin where it is not the usual one."""
+    """The options that let this ledger be written to: a key where the newest commit is signed, else the origin where it
+    is not the usual one.
+    """
     from fsar_ledger.runtime.experiment import ORIGIN
 
     if _is_signed(view):

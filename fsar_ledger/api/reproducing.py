@@ -54,10 +54,11 @@ def reproduced(
     only: Sequence[str] | None = None,
     runs: int | None = None,
 ) -> Reproduced:
-    """The folder holds a ledger of each experiment, the tables and the report; returns the table of metrics as text and the head of the results.
+    """The folder holds a ledger of each experiment, the tables and the report; returns the table of metrics as text and
+    the head of the results.
 
-    A signer signs the ledger of the results under its own name, and each other one under that name and the experiment's. The results are always made:
-    the tables and the report begin with them.
+    A signer signs the ledger of the results under its own name, and each other one under that name and the
+    experiment's. The results are always made: the tables and the report begin with them.
 
     Raises:
         UsageError: The folder is a ledger, or lies inside one.

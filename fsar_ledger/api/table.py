@@ -27,8 +27,8 @@ SHOWN_ROWS = 20
 class Table:
     """The rows of an answer. They are read-only; iterating gives a dictionary for each, with None for NULL.
 
-    `about` says which head of the ledger they hold for, whether the rows that were read were compared with its root (`Ledger.verify` does
-    that, and remembers it), which planned runs are missing, and what runs do not observe.
+    `about` says which head of the ledger they hold for, whether the rows that were read were compared with its root
+    (`Ledger.verify` does that, and remembers it), which planned runs are missing, and what runs do not observe.
     """
 
     def __init__(

@@ -23,7 +23,9 @@ Place = str | PathLike[str]
 
 
 class Verification(msgspec.Struct, frozen=True):
-    """What was found: `report` by deriving everything again, `replay` by playing the runs again, `witnessed` by asking witnesses; None: not asked."""
+    """What was found: `report` by deriving everything again, `replay` by playing the runs again, `witnessed` by asking
+    witnesses; None: not asked.
+    """
 
     report: VerifyReport
     replay: "ReplayReport | None" = None
@@ -59,7 +61,10 @@ def verification(
     workers: int | None,
     progress: Progress | None,
 ) -> Verification:
-    """Look at the ledger; `by_witnesses` are the policy, the notes at hand and the present time. Raises: as `Ledger.verify`."""
+    """Look at the ledger; `by_witnesses` are the policy, the notes at hand and the present time.
+
+    Raises: as `Ledger.verify`.
+    """
     if quick and replays:
         raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
     trusted, kept = trusted_of(trusted_key), anchor_of(anchor)
@@ -74,7 +79,10 @@ def verification(
 
 
 def replayed(ledger: Path, report: VerifyReport, workers: int | None, progress: Progress | None) -> "ReplayReport":
-    """Play every run that `verify` went through again; `NOT_REPLAYED` where it found a problem. Raises: LedgerCorrupted if it was damaged in between."""
+    """Play every run that `verify` went through again; `NOT_REPLAYED` where it found a problem.
+
+    Raises: LedgerCorrupted if it was damaged in between.
+    """
     from fsar_ledger.runtime.replay import NOT_REPLAYED, replay
 
     return replay(ledger, readers_of(workers, ledger), progress, report.commits) if report.ok else NOT_REPLAYED

@@ -42,7 +42,10 @@ class Seen(NamedTuple):
         size, statements = self.evidence.size, self.evidence.statements
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
         return [
-            f"witnessed: {min(size, events):,} of {events:,} events, by {self._heard()} (enough: {self.policy.rule()}){rest}",
+            (
+                f"witnessed: {min(size, events):,} of {events:,} events, by {self._heard()} (enough: "
+                f"{self.policy.rule()}){rest}"
+            ),
             *(
                 f"witness {one.witness}: its word does not count: {one.reason}"
                 for one in statements
@@ -56,7 +59,8 @@ class Seen(NamedTuple):
             f"{one.witness}: {one.reason}" for one in self.evidence.statements if one.reason is not None
         )
         return (
-            f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected {self.policy.rule()}; {ledger} may be "
+            f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected "
+            f"{self.policy.rule()}; {ledger} may be "
             "consistent, but whether it is what they saw nobody knows: ask again, or find out why they are silent"
         )
 
@@ -80,7 +84,8 @@ def seen_of(
     trusted: "VerifierKey | None",
     now_s: int | None,
 ) -> Seen | None:
-    """What the witnesses of the policy say of the ledger, asked now or as these files show; None where nobody wants to know.
+    """What the witnesses of the policy say of the ledger, asked now or as these files show; None where nobody wants to
+    know.
 
     Raises:
         UsageError: The policy, or what was asked for with it, makes no sense.
@@ -144,7 +149,8 @@ def _time(time_s: int) -> str:
 def witness_new(state: str | PathLike[str], name: str) -> "WitnessKey":
     """Make a witness of this name in a new folder; return its public key.
 
-    A witness that forgets is worth nothing: never copy the folder, never restore it from a backup; make a new witness instead.
+    A witness that forgets is worth nothing: never copy the folder, never restore it from a backup; make a new witness
+    instead.
 
     Raises:
         UsageError: There is something at this place, or it lies inside a ledger, or the name is none.

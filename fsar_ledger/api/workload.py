@@ -18,7 +18,8 @@ WORTH_BYTES = 400 << 10
 
 
 def workers_of(asked: int | None, worth: int | None = None) -> int:
-    """The number of processes: as asked, else one for each core that this process may use, but no more than the work is worth.
+    """The number of processes: as asked, else one for each core that this process may use, but no more than the work is
+    worth.
 
     Raises:
         UsageError: fewer than one was asked for.
@@ -32,7 +33,11 @@ def workers_of(asked: int | None, worth: int | None = None) -> int:
 
 
 def readers_of(asked: int | None, *ledgers: Path | None) -> int:
-    """The number of processes that read these ledgers: as asked, else one for each core, but no more than have enough to do. Raises: as `workers_of`."""
+    """The number of processes that read these ledgers: as asked, else one for each core, but no more than have enough
+    to do.
+
+    Raises: as `workers_of`.
+    """
     return workers_of(asked, stored(*ledgers) // WORTH_BYTES)
 
 

@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
 
 def opened(ledger: Path, *, verified: bool) -> "Ledger":
-    """Return the ledger, with `verified` after a look that compared its rows with the root. Raises: as `demanded_head`."""
+    """Return the ledger, with `verified` after a look that compared its rows with the root.
+
+    Raises: as `demanded_head`.
+    """
     from fsar_ledger.api.answering import demanded_head
     from fsar_ledger.api.ledger import Ledger
 
@@ -21,7 +24,9 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
 
 
 def warn(ledger: Path, about: "About") -> None:
-    """Say, a line each, what runs do not observe, that planned runs are missing, and that the rows were not compared with the root."""
+    """Say, a line each, what runs do not observe, that planned runs are missing, and that the rows were not compared
+    with the root.
+    """
     from fsar_ledger.metrics.observing import told
 
     if (line := told(about.not_observed)) is not None:
@@ -30,5 +35,6 @@ def warn(ledger: Path, about: "About") -> None:
         say(f"{ledger}: {missing}; `fsar-ledger info {ledger}` says how to go on")
     if not about.rows_verified:
         say(
-            f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and --verified demands it"
+            f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and "
+            "--verified demands it"
         )

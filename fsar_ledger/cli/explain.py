@@ -63,8 +63,8 @@ def explain(
 ) -> None:
     """Tell the story of a request: who asked, who allowed, who acted, who supervised.
 
-    For a request that failed also what recovery tried at each level, for how long, and why it went on. Without --request or --failure: the
-    requests of the run.
+    For a request that failed also what recovery tried at each level, for how long, and why it went on. Without
+    --request or --failure: the requests of the run.
     """
     from fsar_ledger.api.explaining import account, chosen_run, requests
     from fsar_ledger.ledger.store.paths import require_outside
@@ -147,7 +147,10 @@ def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
         show(printable.lines(f"run {printable.value(run)}", nothing))
     else:
         began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
-        hint = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request {printable.word(rows[0]['action_id'])}` tells one of them"
+        hint = (
+            f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request "
+            f"{printable.word(rows[0]['action_id'])}` tells one of them"
+        )
         table = table_text(began, COLUMNS)
         show(printable.joined(printable.lines(f"run {printable.value(run)}", ""), table, printable.lines("", hint)))
 

@@ -63,10 +63,10 @@ def multiverse(
 ) -> None:
     """Read a ledger in every way that the paper's text allows.
 
-    For each cell of the results table: what the paper prints, ours, the lowest and the highest mean over all combinations of readings, and the
-    reading that moves it most when it alone replaces ours. For each metric: whether the order of the architectures is the same under all of them,
-    under how many FSAR is the best one, and the smallest combinations under which it is not so. Nothing is simulated again. --json has the mean
-    under each combination, too.
+    For each cell of the results table: what the paper prints, ours, the lowest and the highest mean over all
+    combinations of readings, and the reading that moves it most when it alone replaces ours. For each metric: whether
+    the order of the architectures is the same under all of them, under how many FSAR is the best one, and the smallest
+    combinations under which it is not so. Nothing is simulated again. --json has the mean under each combination, too.
     """
     from fsar_ledger.api.fields import csv_text, plain
     from fsar_ledger.ledger.store.paths import require_outside
@@ -122,13 +122,21 @@ def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
         never = sum(getattr(row, counted) == 0 for row in judged)
         some = len(judged) - always - never
         if judged:
-            yield f"{what} under every combination in {always} of {printable.counted(len(judged), 'ranking')}, under some in {some}, under none in {never}"
+            yield (
+                f"{what} under every combination in {always} of {printable.counted(len(judged), 'ranking')}, under "
+                f"some in {some}, under none in {never}"
+            )
         else:
-            yield f"whether {what}: nothing to rank; that takes means of two architectures{', one of them FSAR' if counted == 'fsar_best' else ''}"
+            yield (
+                f"whether {what}: nothing to rank; that takes means of two "
+                f"architectures{', one of them FSAR' if counted == 'fsar_best' else ''}"
+            )
 
 
 def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
-    """The columns, with those of the setting that tell rows apart behind the first, and those that are not 0 throughout at the end."""
+    """The columns, with those of the setting that tell rows apart behind the first, and those that are not 0 throughout
+    at the end.
+    """
     telling = [name for name in WHERE_TELLING if name in rows[0] and len({row[name] for row in rows}) > 1]
     return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
 

@@ -59,7 +59,8 @@ def more_text(count: int) -> Shown:
 
 
 def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified: bool | None = None) -> Shown:
-    """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the answer.
+    """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the
+    answer.
 
     Of an answer from rows, `rows_verified` says whether they were compared with that root.
     """
@@ -68,7 +69,9 @@ def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified
 
 
 def signature_text(state: str, signer: str | None) -> str:
-    """What the signature of a note is worth, for people: `signer` is the trusted key that made it, or whom the note names."""
+    """What the signature of a note is worth, for people: `signer` is the trusted key that made it, or whom the note
+    names.
+    """
     if signer is None:
         return "unsigned"
     return (

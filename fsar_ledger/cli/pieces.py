@@ -65,7 +65,8 @@ def answer_pieces(
     limit: int = 0,
     more: Mapping[str, object] = {},
 ) -> Iterator[Shown]:
-    """The rows, of which each part holds some, as a table for people, or as what --json or --csv asks for; in JSON with `more` before them.
+    """The rows, of which each part holds some, as a table for people, or as what --json or --csv asks for; in JSON with
+    `more` before them.
 
     Raises:
         UsageError: As `check_form`.

@@ -60,8 +60,9 @@ def query(
 ) -> None:
     """Answer a question that has a name, or that stands in a file.
 
-    The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs mean. A file of
-    your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes, within --memory.
+    The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs
+    mean. A file of your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes,
+    within --memory.
     """
     from .output import queries_text
     from .pieces import Form
@@ -89,7 +90,8 @@ def _of_name(
     parameters = parameters_of(param)
     if name is None or ledger is None:
         raise UsageError(
-            "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names"
+            "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query "
+            "--list` shows the names"
         )
     form.check()
     found = opened(ledger, verified=verified).query(name, **parameters)
@@ -114,11 +116,13 @@ def _of_file(
 
     if parameters := parameters_of(param):
         raise UsageError(
-            f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the value into the file"
+            f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the "
+            "value into the file"
         )
     if name is None or ledger is not None:
         raise UsageError(
-            f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file {printable.word(file)} out/ledger`"
+            f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file "
+            f"{printable.word(file)} out/ledger`"
         )
     limits = limits_of(*most)
     try:

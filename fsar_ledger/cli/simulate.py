@@ -41,7 +41,10 @@ EXAMPLES = examples(
     "fsar-ledger simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
     "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
     "fsar-ledger simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
-    "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 --runs 2",
+    (
+        "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 "
+        "--runs 2"
+    ),
     "fsar-ledger simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
 )
 
@@ -67,7 +70,8 @@ def simulate(
 ) -> None:
     """Simulate fleets; every event is appended to the ledger OUT.
 
-    An interrupted simulation continues where it stopped when it is called again; with more --runs, or other scenarios, it enlarges what is there.
+    An interrupted simulation continues where it stopped when it is called again; with more --runs, or other scenarios,
+    it enlarges what is there.
     """
     from fsar_ledger.api.making import simulate as make
 
@@ -116,11 +120,17 @@ def before(made: "Made") -> list[str]:
     others = f", and {more:,} more" if more else ""
     if not made.made:
         return [
-            f"nothing to do: the {counted(made.asked, 'run')} asked for {'is' if made.asked == 1 else 'are'} there{others}"
+            (
+                f"nothing to do: the {counted(made.asked, 'run')} asked for {'is' if made.asked == 1 else 'are'} "
+                f"there{others}"
+            )
         ]
     if made.made < made.asked:
         return [
-            f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {made.asked - made.made:,} were there already{others}"
+            (
+                f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {made.asked - made.made:,} were there "
+                f"already{others}"
+            )
         ]
     return [f"made {counted(made.made, 'run')}, beside {more:,} of other experiments"] if more else []
 
@@ -136,5 +146,8 @@ def _signed(ledger: Path, key: Path) -> list[str]:
     if signers == read_signer(key).verifier.key:
         return [f"signed by {printable.value(signers)}"]
     return [
-        f"nothing was appended, so nothing was signed; the newest commit is {f'signed by {printable.value(signers)}' if signers else 'unsigned'}"
+        (
+            "nothing was appended, so nothing was signed; the newest commit is "
+            f"{f'signed by {printable.value(signers)}' if signers else 'unsigned'}"
+        )
     ]

@@ -1,7 +1,8 @@
 """The one place that prints: answers on stdout, messages on stderr.
 
-Only text whose values are escaped (`Shown`) can be shown, and it goes through a last net. On a terminal a line that is too long for it goes on in
-the next one behind a mark, so that no line of the screen begins with what somebody else wrote.
+Only text whose values are escaped (`Shown`) can be shown, and it goes through a last net. On a terminal a line that is
+too long for it goes on in the next one behind a mark, so that no line of the screen begins with what somebody else
+wrote.
 """
 
 import io
@@ -28,12 +29,17 @@ class Enough(Exception):
 
 
 def show(text: Shown, *, raw: bool = False) -> None:
-    """The text is on stdout; `raw` is for programs and may be anything, as long as stdout is no terminal. Raises: Enough where nobody reads it; WriteFailed."""
+    """The text is on stdout; `raw` is for programs and may be anything, as long as stdout is no terminal.
+
+    Raises: Enough where nobody reads it; WriteFailed.
+    """
     _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.sanitized(text))
 
 
 def say(*messages: str) -> None:
-    """The messages are on stderr, each after the name of the command; where one goes on in another line, that stands behind a mark, whoever broke it."""
+    """The messages are on stderr, each after the name of the command; where one goes on in another line, that stands
+    behind a mark, whoever broke it.
+    """
     with suppress(Enough, WriteFailed):
         _write(sys.stderr, "".join(map(_message, messages)))
 
@@ -71,7 +77,9 @@ def _write(stream: TextIO | None, text: str) -> None:
 
 
 def _write_whole(stream: TextIO, data: bytes, encoding: str) -> None:
-    """All of it: an unbuffered stream (PYTHONUNBUFFERED) takes what there is room for and says how much, and Python's text layer does not look."""
+    """All of it: an unbuffered stream (PYTHONUNBUFFERED) takes what there is room for and says how much, and Python's
+    text layer does not look.
+    """
     raw = getattr(stream, "buffer", None)
     if not isinstance(raw, io.RawIOBase):
         stream.write(data.decode(encoding))

@@ -61,10 +61,10 @@ def verify(
 ) -> None:
     """Re-derive every hash, count and record of a ledger.
 
-    Where anything does not hold, each place is named and the exit code is 3. What no ledger can show about itself, that all of it was
-    rewritten or its newest commits taken away, shows with a trusted key and an anchor, a copy of LEDGER/checkpoint that was kept elsewhere,
-    or with witnesses, who keep one.
-    A look at all rows that finds nothing is remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
+    Where anything does not hold, each place is named and the exit code is 3. What no ledger can show about itself, that
+    all of it was rewritten or its newest commits taken away, shows with a trusted key and an anchor, a copy of
+    LEDGER/checkpoint that was kept elsewhere, or with witnesses, who keep one. A look at all rows that finds nothing is
+    remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
     """
     from fsar_ledger.api.ledger import Ledger
 
@@ -120,7 +120,10 @@ def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -
     if again.ok:
         return [
             *lines,
-            f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as the world and the handlers make them",
+            (
+                f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as the world and the handlers "
+                "make them"
+            ),
             *again.remarks,
         ]
     count = f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"

@@ -32,8 +32,8 @@ def verify_proof(
 ) -> None:
     """Check a proof, without the ledger; shows the event.
 
-    Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key it shows only that the event is in the
-    tree whose root the proof itself names: compare that root, or give the key.
+    Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key it shows only that
+    the event is in the tree whose root the proof itself names: compare that root, or give the key.
     """
     from fsar_ledger.api import making as api
 

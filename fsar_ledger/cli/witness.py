@@ -1,4 +1,6 @@
-"""The commands of witnesses, and of those who ask them: `witness new`, `witness serve`, `witness ask`, and `verify --witness-policy`."""
+"""The commands of witnesses, and of those who ask them: `witness new`, `witness serve`, `witness ask`, and `verify
+--witness-policy`.
+"""
 
 import signal
 import time
@@ -39,8 +41,8 @@ def witness_new(
 ) -> None:
     """Make a witness; prints its public key.
 
-    STATE holds its secret key and, later, what it has seen. A witness that forgets is worth nothing: never copy STATE, never restore it
-    from a backup; make a new witness instead.
+    STATE holds its secret key and, later, what it has seen. A witness that forgets is worth nothing: never copy STATE,
+    never restore it from a backup; make a new witness instead.
     """
     from fsar_ledger.api.witnessed import witness_new as make
 
@@ -75,8 +77,8 @@ def witness_serve(
 ) -> None:
     """Cosign checkpoints, over HTTP, until interrupted.
 
-    Speaks C2SP tlog-witness: a checkpoint is cosigned if the log's key signed it and a proof shows that the log only grew since the last
-    one. It needs no ledger and sees no event. Prints its public key and URL.
+    Speaks C2SP tlog-witness: a checkpoint is cosigned if the log's key signed it and a proof shows that the log only
+    grew since the last one. It needs no ledger and sees no event. Prints its public key and URL.
     """
     from fsar_ledger.witness.cosignature import read_log_key
     from fsar_ledger.witness.server import WitnessServer
@@ -137,8 +139,8 @@ def witness_ask(
 ) -> None:
     """Have the newest checkpoint of a ledger cosigned.
 
-    Each witness in FILE that has a URL is sent the checkpoint and a proof that the ledger only grew; no event leaves. Exit code 1, and
-    nothing written, if fewer cosigned than FILE demands.
+    Each witness in FILE that has a URL is sent the checkpoint and a proof that the ledger only grew; no event leaves.
+    Exit code 1, and nothing written, if fewer cosigned than FILE demands.
     """
     from fsar_ledger.api.files import write_text
     from fsar_ledger.api.ledger import Ledger

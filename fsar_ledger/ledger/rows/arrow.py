@@ -14,7 +14,10 @@ def whole(column: pa.ChunkedArray) -> pa.Array:
 
 
 def coded(strings: pa.Array) -> pa.DictionaryArray:
-    """The strings as codes into a dictionary, which they may be already. A dictionary may hold a string twice, or one that no row has."""
+    """The strings as codes into a dictionary, which they may be already.
+
+    A dictionary may hold a string twice, or one that no row has.
+    """
     return strings if isinstance(strings, pa.DictionaryArray) else strings.dictionary_encode()
 
 

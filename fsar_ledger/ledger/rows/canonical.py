@@ -144,7 +144,9 @@ def hashes(rows: Sequence[bytes]) -> list[bytes]:
 
 
 def leaves(table: pa.Table) -> bytes:
-    """The packed RFC 6962 leaf hashes of the rows, of which only so many are written out at once as a batch of runs has."""
+    """The packed RFC 6962 leaf hashes of the rows, of which only so many are written out at once as a batch of runs
+    has.
+    """
     if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
         return b"".join(hashes(from_table(table)))
     most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))

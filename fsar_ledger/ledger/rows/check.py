@@ -45,7 +45,10 @@ _LITERALS: dict[str, list[tuple[int, Field]]] = {
 
 
 def first_flaw(table: pa.Table) -> Flaw | None:
-    """The flaw in the earliest row, or None if every row is as an event of its type, retired or not, is stored. Columns of strings may be dictionaries."""
+    """The flaw in the earliest row, or None if every row is as an event of its type, retired or not, is stored.
+
+    Columns of strings may be dictionaries.
+    """
     if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
         return Flaw(
             -1,
@@ -80,9 +83,11 @@ def first_flaw(table: pa.Table) -> Flaw | None:
 
 
 def unprintable(table: pa.Table) -> Flaw | None:
-    """A text that no writer stores: one with a character that is not printed, such as a control or a bidirectional one. None if there is none.
+    """A text that no writer stores: one with a character that is not printed, such as a control or a bidirectional one.
+    None if there is none.
 
-    Readers accept it, because 0.1.0 stored it, and show it escaped. The table has the columns of `CODED_SCHEMA`; each different text is looked at once.
+    Readers accept it, because 0.1.0 stored it, and show it escaped. The table has the columns of `CODED_SCHEMA`; each
+    different text is looked at once.
     """
     for name, kind in COLUMNS.items():
         if kind not in ("string", "strings"):
@@ -108,10 +113,11 @@ def unprintable(table: pa.Table) -> Flaw | None:
 
 
 def disordered(table: pa.Table) -> Flaw | None:
-    """An order of events that no writer stores: a run that does not begin as one does, or begins again; time that runs backwards. None if there is none.
+    """An order of events that no writer stores: a run that does not begin as one does, or begins again; time that runs
+    backwards. None if there is none.
 
-    Readers accept both, because 0.1.0 stored them; what stands alone in company, or is unobserved, they do not. The rows have the columns of
-    `CODED_SCHEMA`, each run in one block.
+    Readers accept both, because 0.1.0 stored them; what stands alone in company, or is unobserved, they do not. The
+    rows have the columns of `CODED_SCHEMA`, each run in one block.
     """
     columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes")}
     is_first = np.zeros(len(table), bool)
@@ -208,7 +214,9 @@ def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
 
 
 def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
-    """The rows that name a concern which there is not; those of a concern that their run, as it says at seq 0, does not observe."""
+    """The rows that name a concern which there is not; those of a concern that their run, as it says at seq 0, does not
+    observe.
+    """
     observes, types = columns["observes"], coded(columns["type"])
     if observes.null_count == len(observes):
         return []

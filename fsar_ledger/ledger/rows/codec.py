@@ -84,7 +84,10 @@ class _Texts:
 
 
 class _Rows:
-    """The rows of several runs, envelope in order and events sorted by type. Raises: InvalidRun, or another error for a value that `first_unfit` names."""
+    """The rows of several runs, envelope in order and events sorted by type.
+
+    Raises: InvalidRun, or another error for a value that `first_unfit` names.
+    """
 
     def __init__(self, runs: Sequence[RunRecord]):
         require_runs(runs)
@@ -129,7 +132,10 @@ class _Rows:
         return pa.Table.from_arrays([arrays[name] for name in COLUMNS], schema=CODED_SCHEMA)
 
     def _integers(self) -> dict[str, pa.Array]:
-        """The integers of the envelope. Raises: ValueError unless every event but the first of a run was caused by an earlier one."""
+        """The integers of the envelope.
+
+        Raises: ValueError unless every event but the first of a run was caused by an earlier one.
+        """
         times_us, causes = pa.array(self.times_us, pa.int64()), pa.array(self.causes, pa.int64())
         numbers = causes.fill_null(-1).to_numpy()
         _require_exact("time_us", times_us.to_numpy())
@@ -241,7 +247,9 @@ def _require_exact(name: str, numbers: Values) -> None:
 
 @contextmanager
 def _refusals(runs: Sequence[RunRecord]) -> Iterator[None]:
-    """What goes wrong inside becomes InvalidRun and names the first value that is at fault; it stays as it is if there is none."""
+    """What goes wrong inside becomes InvalidRun and names the first value that is at fault; it stays as it is if there
+    is none.
+    """
     try:
         yield
     except InvalidRun:
@@ -257,9 +265,10 @@ def encode(runs: Sequence[RunRecord]) -> pa.Table:
     """The rows of these runs in order (run, seq), with the columns of `SCHEMA`.
 
     Raises:
-        InvalidRun: A run has no events, or not as many times and causes as events, or is there twice; an event other than the first is not
-            caused by an earlier one; an event is of no type of today; a value is not exactly of the class of its field (msgspec constructors
-            do not check), not in its closed list, an integer beyond 2^53 - 1, or text with surrogates.
+        InvalidRun: A run has no events, or not as many times and causes as events, or is there twice; an event other
+            than the first is not caused by an earlier one; an event is of no type of today; a value is not exactly of
+            the class of its field (msgspec constructors do not check), not in its closed list, an integer beyond 2^53 -
+            1, or text with surrogates.
     """
     with _refusals(runs):
         return _Rows(runs).table().cast(SCHEMA)
@@ -290,7 +299,10 @@ def decode(table: pa.Table) -> Iterator[RunRecord]:
 
 
 def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Table | None:
-    """Only the rows of these retired types, as their newest version would be stored; None if there are none. Raises: as `decode`."""
+    """Only the rows of these retired types, as their newest version would be stored; None if there are none.
+
+    Raises: as `decode`.
+    """
     stored = table.filter(pc.is_in(table.column("type"), pa.array(tags, pa.string())))
     if not stored.num_rows:
         return None

@@ -1,4 +1,5 @@
-"""Why a footer or a page header is none of ours, for a message: what `grammar` did not match is read once more, field by field (Thrift compact protocol).
+"""Why a footer or a page header is none of ours, for a message: what `grammar` did not match is read once more, field
+by field (Thrift compact protocol).
 
 Nothing is decided here: a file that gets this far is refused, whatever is found.
 """
@@ -65,7 +66,10 @@ def explain_page(data: bytes, at: int) -> str:
         return f"a page at byte {at}: {error}"
     if 4 not in header:
         return f"a page at byte {at} without a checksum, expected one"
-    return f"a page in encoding {encoding!r:.40} with {_OTHERWISE} (byte {at}), expected PLAIN, RLE_DICTIONARY for text, DELTA_BINARY_PACKED for integers"
+    return (
+        f"a page in encoding {encoding!r:.40} with {_OTHERWISE} (byte {at}), expected PLAIN, RLE_DICTIONARY for "
+        "text, DELTA_BINARY_PACKED for integers"
+    )
 
 
 def _faults(footer: Struct, schema: pa.Schema) -> Iterator[str]:
@@ -155,7 +159,10 @@ def _text(value: Value) -> str:
 
 
 def read_struct(data: bytes, at: int, depth: int = 0) -> tuple[Struct, int]:
-    """The struct that begins here, its fields by number, and where it ends. Raises: ValueError or IndexError if there is none."""
+    """The struct that begins here, its fields by number, and where it ends.
+
+    Raises: ValueError or IndexError if there is none.
+    """
     if depth > _MAX_DEPTH:
         raise ValueError(f"more than {_MAX_DEPTH} structs in each other, expected fewer")
     found: Struct = {}

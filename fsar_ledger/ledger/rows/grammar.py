@@ -1,9 +1,11 @@
-"""The bytes of a segment's footer and page headers, spelled out as regular expressions: what they do not match is no segment.
+"""The bytes of a segment's footer and page headers, spelled out as regular expressions: what they do not match is no
+segment.
 
-A footer is Thrift (compact protocol), which can say one thing in many ways, and some things twice. Libraries choose differently among
-them, so that one file may have two contents. Here each struct is spelled out field by field, as the only writer that there is makes it
-(Apache Arrow's, called as `segment.to_parquet` calls it). Unknown, missing, repeated and reordered fields, negative counts, and numbers
-longer than they need be are then no matter of checks: they cannot be said. It takes microseconds besides.
+A footer is Thrift (compact protocol), which can say one thing in many ways, and some things twice. Libraries choose
+differently among them, so that one file may have two contents. Here each struct is spelled out field by field, as the
+only writer that there is makes it (Apache Arrow's, called as `segment.to_parquet` calls it). Unknown, missing, repeated
+and reordered fields, negative counts, and numbers longer than they need be are then no matter of checks: they cannot be
+said. It takes microseconds besides.
 
 | struct | in this order, fields by their numbers in Parquet's own definition; those in brackets may be left out |
 |---|---|
@@ -18,8 +20,9 @@ longer than they need be are then no matter of checks: they cannot be said. It t
 | PageHeader, dictionary | 1 type = 2, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc, 7: 1 num_values, 2 encoding = PLAIN, 3 is_sorted = false |
 | PageHeader, data | 1 type = 0, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc, 5: 1 num_values, 2 encoding, 3 and 4 levels in RLE, 5 statistics |
 
-Statistics of a page stand there empty, or as those of the column chunk. Encodings: strings and lists of strings PLAIN (dictionary, and data once the
-dictionary is full) and RLE_DICTIONARY; integers DELTA_BINARY_PACKED; booleans PLAIN. `encodings` and `encoding_stats` say what the pages say.
+Statistics of a page stand there empty, or as those of the column chunk. Encodings: strings and lists of strings PLAIN
+(dictionary, and data once the dictionary is full) and RLE_DICTIONARY; integers DELTA_BINARY_PACKED; booleans PLAIN.
+`encodings` and `encoding_stats` say what the pages say.
 """
 
 import re
@@ -66,7 +69,9 @@ DICTIONARY_PAGE = re.compile(rb"\x15\x04" + _SIZES + rb"\x3c\x15(%b)\x15\x00\x12
 
 
 def _data_page(encodings: bytes, end: bytes) -> re.Pattern[bytes]:
-    """The header of a data page: unpacked bytes, stored bytes, checksum, values, encoding; and nothing where statistics of text follow."""
+    """The header of a data page: unpacked bytes, stored bytes, checksum, values, encoding; and nothing where statistics
+    of text follow.
+    """
     return re.compile(
         rb"\x15\x00" + _SIZES + rb"\x1c\x15(%b)\x15([%b])\x15\x06\x15\x06\x1c" % (_N, encodings) + end, re.DOTALL
     )
@@ -136,8 +141,9 @@ def path_of(name: str) -> str:
 class Column(NamedTuple):
     """How a column stands in a segment.
 
-    `about` is its chunk in the footer up to its numbers; `chunk` matches these (values, unpacked bytes, stored bytes, place of the first data
-    page, place of the dictionary or nothing) and, but for `run_id`, all else (statistics or None, encoding and size statistics); `page` the header of a page.
+    `about` is its chunk in the footer up to its numbers; `chunk` matches these (values, unpacked bytes, stored bytes,
+    place of the first data page, place of the dictionary or nothing) and, but for `run_id`, all else (statistics or
+    None, encoding and size statistics); `page` the header of a page.
     """
 
     name: str
@@ -148,7 +154,9 @@ class Column(NamedTuple):
 
 
 class Footer:
-    """The footer of segments with these columns: `begin` up to the number of rows, `groups` that number, the columns, `end` all after them."""
+    """The footer of segments with these columns: `begin` up to the number of rows, `groups` that number, the columns,
+    `end` all after them.
+    """
 
     def __init__(self, schema: pa.Schema) -> None:
         self.schema = schema
@@ -211,7 +219,9 @@ RUN_ID_REST = re.compile(_rest("string", is_nullable=False), re.DOTALL)
 
 @cache
 def encoding_statistics(kind: Kind, dictionary: int, plain: int) -> bytes:
-    """What the encoding statistics say of a column with so many data pages whose values stand in a dictionary or not (integers: all count as `dictionary`)."""
+    """What the encoding statistics say of a column with so many data pages whose values stand in a dictionary or not
+    (integers: all count as `dictionary`).
+    """
     if kind in ("string", "strings"):
         counts = [(2, 0, 1), (0, 0, plain), (0, 8, dictionary)]
     else:

@@ -1,7 +1,9 @@
-"""Whether a segment lies on the disk in the one way that every reader reads alike: found out from its footer and page headers, before anything is unpacked.
+"""Whether a segment lies on the disk in the one way that every reader reads alike: found out from its footer and page
+headers, before anything is unpacked.
 
-The chunks of the columns fill the file from byte 4 to the footer, in the order of the schema, and pages fill their chunk: a dictionary first (strings
-only), then data. Every count and size that is said in two places is the same in both. How each struct is written, `grammar` says.
+The chunks of the columns fill the file from byte 4 to the footer, in the order of the schema, and pages fill their
+chunk: a dictionary first (strings only), then data. Every count and size that is said in two places is the same in
+both. How each struct is written, `grammar` says.
 """
 
 import re
@@ -39,7 +41,9 @@ _MAX_DICTIONARY_BYTES = 1 << 22
 
 
 class Said(NamedTuple):
-    """What statistics say of a column, as Parquet holds it; `rows` are those of the page that they are about, None for those of the column."""
+    """What statistics say of a column, as Parquet holds it; `rows` are those of the page that they are about, None for
+    those of the column.
+    """
 
     name: str
     least: bytes
@@ -48,7 +52,9 @@ class Said(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What a segment says of itself: its rows, columns and writer, statistics of columns and of pages, and sizes in each column (as Parquet holds them)."""
+    """What a segment says of itself: its rows, columns and writer, statistics of columns and of pages, and sizes in
+    each column (as Parquet holds them).
+    """
 
     rows: int
     schema: pa.Schema
@@ -122,7 +128,8 @@ def check_layout(path: Path, data: bytes) -> Layout:
     """What the segment with these bytes says of itself; the path is for messages only.
 
     Raises:
-        LedgerCorrupted: It lies otherwise than a segment does, contradicts itself, or asks for more than `bounds` allow.
+        LedgerCorrupted: It lies otherwise than a segment does, contradicts itself, or asks for more than `bounds`
+            allow.
     """
     try:
         return read_layout(data)
@@ -160,11 +167,13 @@ def read_layout(data: bytes) -> Layout:
         elements += chunk.values - rows
         if elements > bounds.MAX_LIST_VALUES:
             raise ValueError(
-                f"column {column.name}: {elements} elements of lists with those before, expected at most {bounds.MAX_LIST_VALUES}"
+                f"column {column.name}: {elements} elements of lists with those before, expected at most "
+                f"{bounds.MAX_LIST_VALUES}"
             )
         if unpacked > bounds.MAX_UNPACKED_BYTES:
             raise ValueError(
-                f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most {bounds.MAX_UNPACKED_BYTES}"
+                f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most "
+                f"{bounds.MAX_UNPACKED_BYTES}"
             )
         place = _check_pages(data, chunk, place, of_pages)
     end = GROUP_END.match(data, at)
@@ -189,10 +198,11 @@ def read_layout(data: bytes) -> Layout:
 
 
 def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
-    """The strings in the dictionary of `run_id`: all runs of a segment of so many rows, and perhaps others, since a dictionary may hold more than is used.
+    """The strings in the dictionary of `run_id`: all runs of a segment of so many rows, and perhaps others, since a
+    dictionary may hold more than is used.
 
-    `run_id` is the first column, so the beginning of a segment will do. None if it was cut off too early, lies otherwise than a segment does, or has
-    rows whose strings are in no dictionary.
+    `run_id` is the first column, so the beginning of a segment will do. None if it was cut off too early, lies
+    otherwise than a segment does, or has rows whose strings are in no dictionary.
     """
     header = DICTIONARY_PAGE.match(data, len(MAGIC))
     if header is None or _number[header[1]] > _MAX_DICTIONARY_BYTES:
@@ -241,7 +251,10 @@ def _footer_at(data: bytes) -> int:
 
 
 def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, int] | None:
-    """What the footer says of a column, and where it goes on; None if it says it otherwise than it may. Raises: ValueError for statistics that are none."""
+    """What the footer says of a column, and where it goes on; None if it says it otherwise than it may.
+
+    Raises: ValueError for statistics that are none.
+    """
     found = column.chunk.match(data, at + len(column.about)) if data.startswith(column.about, at) else None
     said = None
     rest = found
@@ -271,7 +284,10 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
 
 
 def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
-    """The statistics of `run_id` that begin or do not begin here, and where what comes `after` them ends. Raises: ValueError if they are not as they may be."""
+    """The statistics of `run_id` that begin or do not begin here, and where what comes `after` them ends.
+
+    Raises: ValueError if they are not as they may be.
+    """
     if data[at : at + 1] == b"\x29":
         return None, at + 1
     if data.startswith(without := UNBOUNDED + after, at):
@@ -291,7 +307,10 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
 
 
 def _page_bounds(data: bytes, name: str, header: re.Match[bytes]) -> tuple[Said | None, int]:
-    """The statistics of the page with this header, and where its body begins. Raises: ValueError if they are not as they may be."""
+    """The statistics of the page with this header, and where its body begins.
+
+    Raises: ValueError if they are not as they may be.
+    """
     if header[6] is None:
         return _text_bounds(data, header.end() - 1, b"\x00\x00")
     return _integer_bounds(name, header[7]) if header.lastindex == 7 else None, header.end()
@@ -309,7 +328,8 @@ def _integer_bounds(name: str, stated: bytes) -> Said:
     most, least, most_again, least_again = found.groups()
     if (most, least) != (most_again, least_again):
         raise ValueError(
-            f"statistics of column {name} that say {least!r} to {most!r} and {least_again!r} to {most_again!r}, expected them once"
+            f"statistics of column {name} that say {least!r} to {most!r} and {least_again!r} to {most_again!r}, "
+            "expected them once"
         )
     return Said(name, least, most)
 
@@ -329,7 +349,10 @@ def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
 
 
 def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -> int:
-    """The place where the pages of this chunk end, as it says; what they say of their rows is added. Raises: ValueError if they are not what it says."""
+    """The place where the pages of this chunk end, as it says; what they say of their rows is added.
+
+    Raises: ValueError if they are not what it says.
+    """
     name, has_dictionary = chunk.column.name, chunk.column.kind in ("string", "strings")
     at, end = place, place + chunk.stored
     values = plain = pages = unpacked = 0
@@ -367,14 +390,18 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -
 
 
 def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
-    """Where the dictionary that begins here ends, and the bytes that it unpacks to, header and all. Raises: ValueError if there is none."""
+    """Where the dictionary that begins here ends, and the bytes that it unpacks to, header and all.
+
+    Raises: ValueError if there is none.
+    """
     header = DICTIONARY_PAGE.match(data, at)
     if header is None:
         raise ValueError(f"column {name}: {explain_page(data, at)}")
     unpacked, stored, values = _number[header[1]], _number[header[2]], _number[header[4]]
     if values * MIN_ENTRY_BYTES > unpacked:
         raise ValueError(
-            f"column {name}: a dictionary of {values} values in {unpacked} bytes, expected at least {MIN_ENTRY_BYTES} bytes each"
+            f"column {name}: a dictionary of {values} values in {unpacked} bytes, expected at least {MIN_ENTRY_BYTES} "
+            "bytes each"
         )
     _check_sum(data, name, header.end(), stored, header[3])
     return header.end() + stored, unpacked + header.end() - at

@@ -1,8 +1,10 @@
-"""Which columns each release wrote. A commit record names the release whose events it holds, so that a reader knows whether it can read them.
+"""Which columns each release wrote.
 
-`columns/N.N.N.txt` holds the columns of one release as text; its SHA-256 is the `schema_sha256` of the records that name it.
-A release that changes no event type has no such file: its records name the release before. Columns are added and never
-changed or taken away, so rows of an earlier release are rows of today with NULL in what came later.
+A commit record names the release whose events it holds, so that a reader knows whether it can read them.
+
+`columns/N.N.N.txt` holds the columns of one release as text; its SHA-256 is the `schema_sha256` of the records that
+name it. A release that changes no event type has no such file: its records name the release before. Columns are added
+and never changed or taken away, so rows of an earlier release are rows of today with NULL in what came later.
 """
 
 from collections.abc import Sequence
@@ -29,7 +31,8 @@ def parse_columns(where: str, text: str) -> pa.Schema:
             "the columns in another order"
         ]
         raise TypeError(
-            f"{where}: found {changed[0]}, which today's columns do not have; keep each column as it was, and its event type in RETIRED_TYPES"
+            f"{where}: found {changed[0]}, which today's columns do not have; keep each column as it was, and its "
+            "event type in RETIRED_TYPES"
         )
     return schema
 

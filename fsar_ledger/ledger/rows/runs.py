@@ -1,7 +1,8 @@
-"""Runs as they are handed to a writer, and what none of them may hold: the first such value is named with run, seq and field.
+"""Runs as they are handed to a writer, and what none of them may hold: the first such value is named with run, seq and
+field.
 
-msgspec constructors do not check types, so an event may hold anything. The codec finds out by column that something is wrong with a batch;
-here it is looked for value by value, which nobody waits for twice.
+msgspec constructors do not check types, so an event may hold anything. The codec finds out by column that something is
+wrong with a batch; here it is looked for value by value, which nobody waits for twice.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -44,7 +45,9 @@ class Flaw(msgspec.Struct, frozen=True):
 
 
 class Allowed(NamedTuple):
-    """What a field of an event may hold: values of exactly this type, in a tuple exactly strings, perhaps None; of a closed list only those in it."""
+    """What a field of an event may hold: values of exactly this type, in a tuple exactly strings, perhaps None; of a
+    closed list only those in it.
+    """
 
     type: type
     is_nullable: bool
@@ -65,11 +68,15 @@ def _allowed(field: Field) -> Allowed:
 ALLOWED: dict[str, tuple[Allowed, ...]] = {
     layout.tag: tuple(map(_allowed, layout.fields)) for layout in LAYOUTS.values()
 }
-"""For each event type what its fields may hold, in the order of its constructor: from the structs, as all that `check` expects of stored rows."""
+"""For each event type what its fields may hold, in the order of its constructor: from the structs, as all that `check`
+expects of stored rows.
+"""
 
 
 def are_allowed(values: Sequence[object], allowed: Allowed) -> bool:
-    """Whether a field may hold each of these values, but for the size of integers and for surrogates in strings, which the columns find out."""
+    """Whether a field may hold each of these values, but for the size of integers and for surrogates in strings, which
+    the columns find out.
+    """
     kind, is_nullable, closed = allowed
     types = list(map(type, values))  # the quickest way to look at each
     if (found := types.count(kind)) != len(types) and not (
@@ -86,20 +93,24 @@ def _are_strings(values: Iterable[object]) -> bool:
 
 
 def require_runs(runs: Sequence[RunRecord]) -> None:
-    """Raises: InvalidRun if a run has no events or other numbers of times or causes, if its name is no text, or if two runs have the same one."""
+    """Raises: InvalidRun if a run has no events or other numbers of times or causes, if its name is no text, or if two
+    runs have the same one.
+    """
     seen: set[str] = set()
     for run in runs:
         if type(run.run_id) is not str:
             raise InvalidRun(f"field run_id: found {run.run_id!r:.80}, expected a string; give each run a name")
         if not _is_unicode(run.run_id):
             raise InvalidRun(
-                f"field run_id: found {run.run_id!r:.80}, expected text without surrogates; give each run a name that can be stored"
+                f"field run_id: found {run.run_id!r:.80}, expected text without surrogates; give each run a name that "
+                "can be stored"
             )
         sizes = len(run.events), len(run.times_us), len(run.caused_by)
         if not sizes[0] == sizes[1] == sizes[2] or not sizes[0]:
             found = "{} events, {} times and {} causes".format(*sizes)
             raise InvalidRun(
-                f"run {printable.value(run.run_id)}: found {found}, expected as many of each, at least 1; append finished runs only"
+                f"run {printable.value(run.run_id)}: found {found}, expected as many of each, at least 1; append "
+                "finished runs only"
             )
         if run.run_id in seen:
             raise refusal(Flaw(-1, run.run_id, 0, "run_id", "the run twice in one batch", "each run once"))
@@ -125,7 +136,10 @@ def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
 
 
 def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:
-    """The first run whose parameters nobody could read as constants. Readers accept it, because 0.1.0 and 0.2.0 stored any text."""
+    """The first run whose parameters nobody could read as constants.
+
+    Readers accept it, because 0.1.0 and 0.2.0 stored any text.
+    """
     for run in runs:
         text = getattr(run.events[0], "parameters", None)
         try:

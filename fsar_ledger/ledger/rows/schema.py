@@ -45,7 +45,9 @@ class Field(msgspec.Struct, frozen=True):
 
 
 class Member(msgspec.Struct, frozen=True):
-    """One field of the struct of an event: a column of its own, or a part (`part`) that is stored as the columns of its fields."""
+    """One field of the struct of an event: a column of its own, or a part (`part`) that is stored as the columns of its
+    fields.
+    """
 
     name: str
     part: type[Part] | None
@@ -53,7 +55,9 @@ class Member(msgspec.Struct, frozen=True):
 
 
 class Layout(msgspec.Struct, frozen=True):
-    """How one event type is stored: its members in the order of its constructor, and the columns that they come to (`fields`)."""
+    """How one event type is stored: its members in the order of its constructor, and the columns that they come to
+    (`fields`).
+    """
 
     tag: str
     cls: type[Event]
@@ -61,7 +65,8 @@ class Layout(msgspec.Struct, frozen=True):
     fields: tuple[Field, ...]
 
     def columns(self, events: Sequence[Event]) -> tuple[Sequence[object], ...]:
-        """Return the values of events of this type, one sequence a column, in the order of `fields`; `events` is the inverse.
+        """Return the values of events of this type, one sequence a column, in the order of `fields`; `events` is the
+        inverse.
 
         Raises:
             TypeError: A part of an event is of another class.
@@ -135,7 +140,8 @@ def _field(field: inspect.Field) -> Field:
         case (inspect.VarTupleType(item_type=item),) if _alternatives(item) == [inspect.StrType()]:
             return Field(field.name, "strings", is_nullable, None)
     raise TypeError(
-        f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], each or None"
+        f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], "
+        "each or None"
     )
 
 
@@ -149,7 +155,10 @@ def _member(field: inspect.Field) -> Member:
 
 
 def layout(cls: type[Event]) -> Layout:
-    """How this event type is stored. Raises: TypeError for a field that a ledger cannot hold or that would hide an envelope column."""
+    """How this event type is stored.
+
+    Raises: TypeError for a field that a ledger cannot hold or that would hide an envelope column.
+    """
     info = inspect.type_info(cls)
     assert isinstance(info, inspect.StructType)
     members = tuple(map(_member, info.fields))
@@ -172,7 +181,8 @@ def columns(layouts: tuple[Layout, ...]) -> dict[str, Kind]:
         for field in one.fields:
             if payload.setdefault(field.name, field.kind) != field.kind:
                 raise TypeError(
-                    f"{one.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; one name is one column"
+                    f"{one.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; one "
+                    "name is one column"
                 )
     return kinds | dict(sorted(payload.items()))
 
@@ -206,12 +216,15 @@ _REQUIRED = frozenset(field.name for field in ENVELOPE if not field.is_nullable)
 SCHEMA: pa.Schema = pa.schema(
     [pa.field(name, ARROW_TYPES[kind], nullable=name not in _REQUIRED) for name, kind in COLUMNS.items()]
 )
-"""The Arrow schema of every segment that is written, and of every table that is read; segments of earlier releases may lack columns."""
+"""The Arrow schema of every segment that is written, and of every table that is read; segments of earlier releases may
+lack columns.
+"""
 
 CODED_SCHEMA: pa.Schema = pa.schema(
     [field.with_type(pa.dictionary(pa.int32(), field.type)) if field.type == pa.string() else field for field in SCHEMA]
 )
-"""`SCHEMA` in memory before it is written: each column of strings as codes into a sorted dictionary of what is in it."""
+"""`SCHEMA` in memory before it is written: each column of strings as codes into a sorted dictionary of what is in it.
+"""
 
 
 def described(schema: pa.Schema) -> str:
