@@ -9,8 +9,9 @@ from .workload import Progress, readers_of
 
 
 def demanded_head(ledger: Path, *, verified: bool, progress: Progress | None = None) -> str | None:
-    """Return the newest record whose rows are compared with its root, remembered or by a whole look now; None where
-    that is not demanded.
+    """Return the newest record once its rows were compared with its root; None if `verified` is not demanded.
+
+    An earlier comparison that is remembered will do.
 
     Raises:
         LedgerCorrupted: The look doubts something.

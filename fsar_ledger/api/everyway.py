@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class EveryWay(Multiverse, frozen=True, kw_only=True):
-    """As `Multiverse`, and what it holds for."""
+    """A `Multiverse`, and what it holds for."""
 
     about: About
 

@@ -1,4 +1,4 @@
-"""Which experiment the names and numbers that `simulate` is given stand for."""
+"""The experiment that the names and numbers given to `simulate` stand for."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -25,8 +25,9 @@ def experiment_of(
     fleet: str | None = None,
     settings: list[str] | None = None,
 ) -> "Experiment":
-    """The experiment that the options of `simulate` name; a mechanism is of one architecture, so with one the default
-    is that architecture alone.
+    """Return the experiment that the options of `simulate` name.
+
+    A mechanism belongs to one architecture, so with one the default is that architecture alone.
 
     `load` is how many teams work (None: all), and how many sets of tasks each of them gets; `fleet` and `settings` are
     as in `with_own`.
@@ -82,10 +83,7 @@ def experiment_of(
 
 
 def _joined(asked: str) -> list[str]:
-    """The names that a + joins.
-
-    Raises: InvalidExperiment, where one is missing, stands twice, or is joined otherwise.
-    """
+    """Split names joined by a +. Raises: InvalidExperiment where one is missing, repeated or joined otherwise."""
     names = [name.strip() for name in asked.split("+")]
     if "" in names or len(set(names)) < len(names) or "," in asked:
         raise InvalidExperiment(
@@ -103,7 +101,7 @@ def _workflows_of(
     architectures: list[str] | None,
     fleet_size: int | None,
 ) -> "Experiment":
-    """The workflows that were asked for: FSAR's, with one robot of each role, and nothing beside them."""
+    """Return the experiment of these workflows: FSAR's, with one robot of each role, and nothing beside them."""
     from fsar_ledger.designs.registered import workflows
     from fsar_ledger.runtime.experiment import workflow_experiment
 

@@ -1,4 +1,4 @@
-"""Files that an answer is written to for other tools: CSV and Parquet. A file is whole or not there.
+"""Files that an answer is written to for other tools: CSV and Parquet, each whole or not there.
 
 Each is written under a temporary name beside its place and renamed when it is complete, so that neither
 Ctrl-C nor a full disk leaves half of one.
@@ -48,12 +48,12 @@ def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | 
 
 
 def write_table(out: Path, table: pa.Table, *, raw: bool = False) -> int:
-    """Write the rows, text as in `write_events`; return how many. Raises: as `write_events`."""
+    """Write the rows, text as in `write_events`; return how many. Raises: As `write_events`."""
     return _write_tables(out, table.schema, [table], raw=raw)
 
 
 def write_text(out: Path, text: str) -> None:
-    """The file holds the text, in UTF-8.
+    """Write the text in UTF-8.
 
     Raises:
         WriteFailed: the file cannot be written.
@@ -63,9 +63,9 @@ def write_text(out: Path, text: str) -> None:
 
 
 def require_place(out: Path) -> None:
-    """Raises: UsageError if rows cannot be written there.
+    """Check that rows can be written there, before any reading: a wrong name should not cost minutes.
 
-    To be asked before any reading: a wrong name should not cost minutes.
+    Raises: UsageError if they cannot.
     """
     _format_of(out)
     require_outside(out, f"--out {out}")
@@ -81,7 +81,7 @@ def _format_of(out: Path) -> str:
 
 
 def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, raw: bool) -> int:
-    """The tables stand one after the other in the file; memory holds one of them at a time."""
+    """Write the tables one after the other; memory holds one of them at a time."""
     rows = 0
     with _whole_file(out) as temporary, _writer(out, temporary, schema, raw=raw) as write:
         for table in tables:
@@ -104,7 +104,7 @@ def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iter
 
 
 def _flat(table: pa.Table) -> pa.Table:
-    """The same table with each list as JSON text, because a CSV field holds no list."""
+    """Return the table with each list as JSON text, because a CSV field holds no list."""
     for at, field in enumerate(table.schema):
         if pa.types.is_nested(field.type):
             texts = [
@@ -116,7 +116,7 @@ def _flat(table: pa.Table) -> pa.Table:
 
 
 def _harmless(table: pa.Table) -> pa.Table:
-    """The same table with each text as `printable.field` makes it: looked at once, however many rows hold it."""
+    """Return the table with each text as `printable.field` makes it; each different text is looked at once."""
     for at, field in enumerate(table.schema):
         if pa.types.is_string(field.type):
             chunks = [_harmless_chunk(chunk) for chunk in table.column(at).chunks]

@@ -46,7 +46,7 @@ def key_public(key: str, name: str) -> "VerifierKey":
 
 
 def signer_of(key: str | PathLike[str] | None, *, adopts: bool = False) -> "Signer | None":
-    """Return the key in this file, if one was given.
+    """Read the key in this file, if one was given.
 
     Raises:
         UsageError: There is none in it, or what others wrote shall be adopted without one.
@@ -61,7 +61,7 @@ def signer_of(key: str | PathLike[str] | None, *, adopts: bool = False) -> "Sign
 
 
 def origin_of(name: str | None, option: str = "--origin") -> str | None:
-    """Return the origin that was asked for, if any. Raises: UsageError if no ledger can have it."""
+    """Check the origin that was asked for, if any. Raises: UsageError if no ledger can have it."""
     from fsar_ledger.ledger.log.note import is_name
 
     if name is not None and not is_name(name):
@@ -70,7 +70,7 @@ def origin_of(name: str | None, option: str = "--origin") -> str | None:
 
 
 def short(option: str, name: str) -> str:
-    """Return the name, which people are shown whole. Raises: UsageError if it is too long for that."""
+    """Return the name if it is short enough to be shown whole. Raises: UsageError if not."""
     if len(name) > printable.MAX_VALUE:
         raise UsageError(
             f"{option} {name:.40}...: found {len(name):,} characters, expected at most {printable.MAX_VALUE}"
@@ -79,14 +79,14 @@ def short(option: str, name: str) -> str:
 
 
 def trusted_of(key: str | None) -> "VerifierKey | None":
-    """Return the public key that must have signed, if one was given. Raises: UsageError if it is none."""
+    """Read the public key that must have signed, if one was given. Raises: UsageError if it is none."""
     from fsar_ledger.ledger.store.keys import read_verifier
 
     return None if key is None else read_verifier(key)
 
 
 def anchor_of(file: str | PathLike[str] | None) -> "Anchor | None":
-    """Return the kept checkpoint in this file, if one was given. Raises: UsageError if it is none."""
+    """Read the kept checkpoint in this file, if one was given. Raises: UsageError if it is none."""
     from fsar_ledger.ledger.verify.notes import read_anchor
 
     return None if file is None else read_anchor(Path(file))

@@ -1,4 +1,4 @@
-"""A ledger as Python sees it: every question that the command line answers, by the same names."""
+"""A ledger in Python: every question that the command line answers, under the same names."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -60,7 +60,7 @@ class Ledger:
 
     @property
     def head(self) -> "Head":
-        """How far the ledger goes now: commits, events, and the root over them. Raises: as `open_ledger`."""
+        """Return how far the ledger goes now: commits, events, and the root over them. Raises: As `open_ledger`."""
         return open_for_answers(self.path).head
 
     # --- what it holds ---
@@ -101,8 +101,7 @@ class Ledger:
         return Events(self.path, Filter(run, since_us, until_us, robot), self._demanded)
 
     def state(self, run: str, at: float | None = None) -> "State":
-        """Return what the events of a run up to this time, that of its end by default, make of it: tasks, queues,
-        trust, policies.
+        """Return the state of a run at this time, or at its end: tasks, queues, trust, policies.
 
         Raises:
             UsageError: There is no such run, or `at` is no time.
@@ -116,7 +115,7 @@ class Ledger:
     # --- questions ---
 
     def query(self, name: str, /, **parameters: object) -> "Table":
-        """Answer a packaged question (`queries()` lists them); `at=` in seconds serves for its parameter `at_us`.
+        """Answer a packaged question (`queries()` lists them); `at=`, in seconds, sets its parameter `at_us`.
 
         Raises:
             UnknownQuery: There is no query or parameter of this name.
@@ -175,7 +174,7 @@ class Ledger:
     def stream(
         self, select: str, limits: "Limits"
     ) -> "Iterator[tuple[About, list[str], Iterator[list[dict[str, Any]]]]]":
-        """Yield the answer of `sql` with rows some at a time, so that a long one is never held as a whole."""
+        """Yield the answer of `sql` in parts, so that a long one is never held as a whole."""
         from fsar_ledger.metrics.untrusted import stream_untrusted
 
         from .about import About
@@ -184,8 +183,9 @@ class Ledger:
             yield About(found.head, found.rows_verified), found.columns, found.parts
 
     def requests(self, run: str | None = None) -> "Table":
-        """Return the requests of a run, the first by default: who asked, allowed, executed, supervised, and with what
-        result.
+        """Return the requests of a run, the first by default.
+
+        Each row says who asked, allowed, executed and supervised, and with what result.
         """
         from .explaining import chosen_run, requests
 
@@ -224,8 +224,9 @@ class Ledger:
             return Table(rows, of_judgement(database))
 
     def statistics(self, pool: Pool = None) -> "Compared":
-        """Compare the architectures in pairs, and FSAR with itself without a mechanism: tests, effect sizes, and what
-        is not compared.
+        """Compare the architectures in pairs, and FSAR with itself without a mechanism.
+
+        The answer has tests, effect sizes, and what is not compared.
         """
         from .comparing import compared
 
@@ -241,8 +242,9 @@ class Ledger:
         by: By = None,
         pool: Pool = None,
     ) -> "Comparison":
-        """Compare two sides in pairs, as `ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]`; the second may be of
-        another ledger.
+        """Compare two sides in pairs, as `ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]`.
+
+        The second side may be of another ledger.
         """
         from .sides import compared_sides
 
@@ -260,7 +262,7 @@ class Ledger:
     def audit(
         self, invariant: str | Sequence[str] | None = None, architecture: str | Sequence[str] | None = None
     ) -> "Audit":
-        """Check the invariants I1 to I5 and A1 to A5, or those named, on all runs, or those of these architectures."""
+        """Check the invariants I1 to I5 and A1 to A5, or those named, on all runs or those of these architectures."""
         from .auditing import audited
 
         with self.database() as database:
@@ -305,8 +307,9 @@ class Ledger:
         )
 
     def prove(self, event: str | int) -> "Proof":
-        """Prove that an event is in the ledger, given as `RUN:SEQ` or by its number; `str` of the answer is a C2SP
-        tlog-proof.
+        """Prove that an event, given as `RUN:SEQ` or by its number, is in the ledger.
+
+        `str` of the answer is a C2SP tlog-proof.
 
         Raises:
             UsageError: There is no such event, or more than one such run.
@@ -324,7 +327,7 @@ class Ledger:
         workers: int | None = None,
         progress: Progress | None = None,
     ) -> "Recovery":
-        """Mend what a crash left; after tampering, find what can be trusted, and copy that much `into` a new folder.
+        """Mend what a crash left; after tampering, find what can be trusted, and copy that `into` a new folder.
 
         Raises:
             UsageError: There is something at `into` already.
@@ -420,7 +423,7 @@ class Ledger:
 
     @contextmanager
     def database(self) -> "Iterator[Database]":
-        """Yield a DuckDB connection over the events and the packaged queries; what the questions are asked through."""
+        """Yield a DuckDB connection over the events and the packaged queries."""
         from fsar_ledger.metrics.database import connect
 
         with connect(self.path, demanded=self._demanded) as database:

@@ -1,4 +1,4 @@
-"""What a SELECT of the user's own may cost."""
+"""The limits of a SELECT of the user's own."""
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.locked import Limits
@@ -7,7 +7,7 @@ MEMORY_MIB_MIN = 1024
 
 
 def limits_of(seconds: int | None = None, memory_mib: int | None = None) -> Limits:
-    """Return the limits that are asked for, the default ones for the rest.
+    """Return the limits that are asked for, with defaults for the rest.
 
     Raises:
         UsageError: No second, or less memory than the process needs for the packaged queries.

@@ -1,6 +1,4 @@
-"""What makes ledgers and the records beside them: `simulate`, `reproduce`, `calibrate`, `predict`, `judge`,
-`sensitivity`, `verify_proof`.
-"""
+"""Functions that make ledgers and the records beside them, and `verify_proof`."""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -28,9 +26,7 @@ Names = str | Sequence[str] | None
 
 
 class Simulated(msgspec.Struct, frozen=True):
-    """What `simulate` made: of the runs that were asked for some may have been there before, and the ledger may hold
-    others, too.
-    """
+    """The result of `simulate`. Some runs may have been there before, and the ledger may hold others."""
 
     ledger: Ledger
     made: "Made"
@@ -156,7 +152,7 @@ def verify_proof(file: Place, trusted_key: str | None = None) -> "Proven":
 
 
 def calibrate(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
-    """Make the fit that is registered again, and write its record; takes the better part of an hour."""
+    """Make the registered fit again, and write its record; takes the better part of an hour."""
     from fsar_ledger.calibration import calibrate
 
     calibrate(Path(out), progress, workers_of(workers))
@@ -170,7 +166,7 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
 
 
 def judge(predictions: Place, out: Place) -> None:
-    """Lay predicted numbers beside the paper's, and write the comparison; nothing is played."""
+    """Lay predicted numbers beside the paper's, and write the comparison. Plays nothing."""
     from fsar_ledger.comparison import compare_predictions
 
     compare_predictions(Path(predictions), Path(out))
@@ -185,7 +181,9 @@ def sensitivity(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> "Sensitivity":
-    """Find out how much of each number hangs on each constant, and write the effects as Parquet; takes most of an hour.
+    """Find out how much of each number depends on each constant, and write the effects as Parquet.
+
+    Takes most of an hour.
 
     Args:
         out: The file. An interrupted study goes on from what is kept beside it.

@@ -11,7 +11,7 @@ _Name = TypeVar("_Name", bound=str)
 
 
 def pools_seeds(asked: str | None) -> bool:
-    """Whether the runs of all seeds are taken together. Raises: UsageError for anything else that `--pool` names."""
+    """Return whether the runs of all seeds are taken together. Raises: UsageError for another pool."""
     if asked not in (None, "seeds"):
         raise UsageError(
             f"--pool {asked}: expected --pool seeds, or no --pool; runs of other constants, models or fleet sizes are "
@@ -21,7 +21,7 @@ def pools_seeds(asked: str | None) -> bool:
 
 
 def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
-    """The names that were asked for, each once, in the order of `names`.
+    """Return the names that were asked for, each once, in the order of `names`.
 
     Raises:
         InvalidExperiment: one of them is none of `names`; the message suggests the nearest.
@@ -35,7 +35,7 @@ def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> t
 
 
 def did_you_mean(asked: str, names: Sequence[str]) -> str:
-    """A question about the nearest name: one that begins so, else one whose beginning is like it."""
+    """Return a question about the nearest name: one that begins so, else one whose beginning is like it."""
     ordered = sorted(names)
     near = [name for name in ordered if name.startswith(asked)] or get_close_matches(
         asked, [name[: len(asked)] for name in ordered], 1, 0.3
@@ -85,7 +85,7 @@ def names_of(asked: str | Sequence[str] | None) -> list[str] | None:
 
 
 def microseconds(what: str, seconds: float | None) -> int | None:
-    """Return a time given in seconds in whole microseconds; None stays None. Raises: UsageError if it is no time."""
+    """Convert seconds to whole microseconds; None stays None. Raises: UsageError if it is no time."""
     if seconds is None:
         return None
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds <= 9_007_199_254:

@@ -1,4 +1,4 @@
-"""Which event of a ledger a user means, and the proof of it."""
+"""The event of a ledger that a user means, and its proof."""
 
 from pathlib import Path
 
@@ -13,8 +13,9 @@ from .names import did_you_mean
 
 
 def proof_of(ledger: Path, event: str, demanded: str | None = None) -> Proof:
-    """Return the proof of the event of this name: `RUN:SEQ`, where the beginning of the run's name is enough if no
-    other begins so, or its number.
+    """Prove the event of this name: `RUN:SEQ`, or its number in the ledger.
+
+    The beginning of the run's name is enough if no other begins so.
 
     Raises:
         UsageError: There is no such event, or more than one such run.
@@ -28,7 +29,7 @@ def proof_of(ledger: Path, event: str, demanded: str | None = None) -> Proof:
 
 
 def _index_of(view: LedgerView, event: str) -> int:
-    """The number of this event in the ledger, from 0."""
+    """Return the number of this event in the ledger, from 0."""
     size = view.head.size
     if event.isascii() and event.isdecimal():
         if len(event) > 16 or int(event) >= size:
@@ -56,10 +57,9 @@ def _index_of(view: LedgerView, event: str) -> int:
 
 
 def _require_asked(view: LedgerView, event: str, proven: Proven) -> None:
-    """The proven event is itself of the run and seq that were asked for; where it is came from rows that no proof
-    covers.
+    """Require that the proven event is of the run and seq asked for: its place came from rows that no proof covers.
 
-    Raises: LedgerCorrupted.
+    Raises: LedgerCorrupted if it is not.
     """
     run, _, seq = event.rpartition(":")
     found = proven.event

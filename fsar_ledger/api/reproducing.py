@@ -1,4 +1,4 @@
-"""The paper's experiments, all of them: simulated, judged, typeset into one folder."""
+"""All the paper's experiments, simulated, judged and typeset into one folder."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -27,7 +27,7 @@ Showing = Callable[[str, str], AbstractContextManager[Progress | None]]
 
 
 class Reproduced(msgspec.Struct, frozen=True):
-    """What `reproduce` made: by name the ledgers and what was made of each, and the table of metrics of the results."""
+    """The result of `reproduce`: the ledgers by name, what was made of each, and the metrics of the results."""
 
     folder: Path
     made: Mapping[Name, Made]
@@ -35,12 +35,12 @@ class Reproduced(msgspec.Struct, frozen=True):
 
     @property
     def report(self) -> Path:
-        """The PDF."""
+        """Return the path of the PDF."""
         return self.folder / "report.pdf"
 
     @property
     def ledgers(self) -> dict[Name, Ledger]:
-        """The ledger of each experiment."""
+        """Return the ledger of each experiment."""
         return {name: Ledger(self.folder / name) for name in self.made}
 
 
@@ -54,8 +54,7 @@ def reproduced(
     only: Sequence[str] | None = None,
     runs: int | None = None,
 ) -> Reproduced:
-    """The folder holds a ledger of each experiment, the tables and the report; returns the table of metrics as text and
-    the head of the results.
+    """Write a ledger of each experiment, the tables and the report to the folder.
 
     A signer signs the ledger of the results under its own name, and each other one under that name and the
     experiment's. The results are always made: the tables and the report begin with them.
@@ -95,7 +94,7 @@ def reproduced(
 def _carried_out(
     out: Path, experiment: Named, workers: int, signer: Signer | None, showing: Showing, *, adopts: bool
 ) -> Made:
-    """All parts of an experiment are in its ledger, one after the other; says of the last what `carry_out` does."""
+    """Append all parts of an experiment to its ledger, one after the other; return what the last added."""
     origin = experiment.origin if signer is None else None
     for part in experiment.parts:
         with showing(f"{experiment.name}: simulated", "batches") as progress:

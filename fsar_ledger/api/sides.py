@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Comparison(Paired, frozen=True, kw_only=True):
-    """As `Paired`, with both sides, and what holds of each ledger."""
+    """A `Paired`, with both sides, and what holds of each ledger."""
 
     sides: tuple[Side, Side]
     abouts: tuple[About, ...]

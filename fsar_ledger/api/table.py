@@ -42,7 +42,7 @@ class Table:
 
     @property
     def columns(self) -> list[str]:
-        """The names of the columns."""
+        """Return the names of the columns."""
         return list(self.stored.column_names)
 
     def arrow(self) -> pa.Table:
@@ -104,7 +104,7 @@ def of_structs(rows: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> pa
 
 
 def _arrow_type(kind: msgspec.inspect.Type) -> pa.DataType | None:
-    """The Arrow type of a field; None where Arrow finds it out from the values."""
+    """Return the Arrow type of a field; None where Arrow finds it out from the values."""
     options = kind.types if isinstance(kind, msgspec.inspect.UnionType) else (kind,)
     named: dict[type, pa.DataType] = {
         msgspec.inspect.StrType: pa.string(),

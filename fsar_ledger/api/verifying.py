@@ -23,8 +23,10 @@ Place = str | PathLike[str]
 
 
 class Verification(msgspec.Struct, frozen=True):
-    """What was found: `report` by deriving everything again, `replay` by playing the runs again, `witnessed` by asking
-    witnesses; None: not asked.
+    """The findings of `verify`.
+
+    `report` comes from deriving everything again, `replay` from playing the runs again, `witnessed` from asking
+    witnesses; None: not asked for.
     """
 
     report: VerifyReport
@@ -33,7 +35,7 @@ class Verification(msgspec.Struct, frozen=True):
 
     @property
     def ok(self) -> bool:
-        """Whether nothing was found by any of them, and enough witnesses saw the ledger."""
+        """Return whether none of them found anything, and enough witnesses saw the ledger."""
         return (
             self.report.ok
             and (self.replay is None or self.replay.ok)
@@ -42,12 +44,12 @@ class Verification(msgspec.Struct, frozen=True):
 
     @property
     def problems(self) -> tuple[Problem, ...]:
-        """What contradicts itself; what a replay found differs is in `replay.differences`."""
+        """Return what contradicts itself; differences that a replay found are in `replay.differences`."""
         return self.report.problems
 
     @property
     def root(self) -> str | None:
-        """The Merkle root over the rows themselves, in hex; None where there is any doubt."""
+        """Return the Merkle root over the rows themselves, in hex; None where there is any doubt."""
         return self.report.root
 
 
@@ -79,9 +81,9 @@ def verification(
 
 
 def replayed(ledger: Path, report: VerifyReport, workers: int | None, progress: Progress | None) -> "ReplayReport":
-    """Play every run that `verify` went through again; `NOT_REPLAYED` where it found a problem.
+    """Play every run that `verify` went through again; return `NOT_REPLAYED` where it found a problem.
 
-    Raises: LedgerCorrupted if it was damaged in between.
+    Raises: LedgerCorrupted if the ledger was damaged in between.
     """
     from fsar_ledger.runtime.replay import NOT_REPLAYED, replay
 

@@ -29,16 +29,16 @@ class Seen(NamedTuple):
 
     @property
     def log(self) -> "VerifierKey | None":
-        """The key that must have signed the ledger, where there is no choice."""
+        """Return the key that must have signed the ledger, where there is no choice."""
         return self.logs[0] if len(self.logs) == 1 else None
 
     @property
     def is_enough(self) -> bool:
-        """Whether enough of them saw anything."""
+        """Return whether enough witnesses saw anything."""
         return self.evidence.size > 0
 
     def lines(self, events: int) -> list[str]:
-        """What they saw, for people; `events` is the ledger's number."""
+        """Describe for people what they saw; `events` is the ledger's number."""
         size, statements = self.evidence.size, self.evidence.statements
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
         return [
@@ -54,7 +54,7 @@ class Seen(NamedTuple):
         ]
 
     def doubt(self, ledger: Path) -> str:
-        """That too few of them saw anything."""
+        """Say that too few of them saw anything."""
         reasons = "; ".join(
             f"{one.witness}: {one.reason}" for one in self.evidence.statements if one.reason is not None
         )
@@ -68,7 +68,7 @@ class Seen(NamedTuple):
         return listed({one.witness: one.time_s for one in self.evidence.statements if one.time_s is not None})
 
     def json(self) -> dict[str, object]:
-        """What they saw, for programs."""
+        """Return what they saw, for programs."""
         return {
             "policy": self.policy.file,
             "ok": self.is_enough,
@@ -84,8 +84,9 @@ def seen_of(
     trusted: "VerifierKey | None",
     now_s: int | None,
 ) -> Seen | None:
-    """What the witnesses of the policy say of the ledger, asked now or as these files show; None where nobody wants to
-    know.
+    """Return what the witnesses of the policy saw of the ledger; None without a policy.
+
+    They are asked now, or have answered in these files.
 
     Raises:
         UsageError: The policy, or what was asked for with it, makes no sense.
@@ -121,7 +122,7 @@ def seen_of(
 
 
 def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["VerifierKey", ...]:
-    """The keys of which one must have signed what the witnesses cosigned."""
+    """Return the keys of which one must have signed what the witnesses cosigned."""
     if policy.quorum is None:
         raise UsageError(
             f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is shown"

@@ -1,4 +1,4 @@
-"""A ledger that a command asks, and what is said on stderr of the answer: what it rests on and leaves open."""
+"""Opening the ledger that a command asks, and saying on stderr what its answer rests on and leaves open."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,10 +12,7 @@ if TYPE_CHECKING:
 
 
 def opened(ledger: Path, *, verified: bool) -> "Ledger":
-    """Return the ledger, with `verified` after a look that compared its rows with the root.
-
-    Raises: as `demanded_head`.
-    """
+    """Return the ledger; with `verified`, after comparing its rows with the root. Raises: As `demanded_head`."""
     from fsar_ledger.api.answering import demanded_head
     from fsar_ledger.api.ledger import Ledger
 
@@ -24,9 +21,7 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
 
 
 def warn(ledger: Path, about: "About") -> None:
-    """Say, a line each, what runs do not observe, that planned runs are missing, and that the rows were not compared
-    with the root.
-    """
+    """Say, a line each, what runs do not observe, that planned runs are missing, and that rows were not compared."""
     from fsar_ledger.metrics.observing import told
 
     if (line := told(about.not_observed)) is not None:

@@ -111,7 +111,7 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def run(arguments: Sequence[str]) -> int:
-    """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
+    """Run a command; return its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
         require_text(arguments)
         code = _commands().main(

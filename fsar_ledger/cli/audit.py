@@ -52,7 +52,8 @@ def audit(
         of_budgets = (
             [
                 (
-                    f"{runs(found.runs_unreadable)} with parameters that cannot be read: recovery budgets that they set "
+                    f"{runs(found.runs_unreadable)} with parameters that cannot be read: recovery budgets that they "
+                    "set "
                     "are unknown, and none is judged"
                 )
             ]
@@ -80,7 +81,7 @@ def _shown(row: "AuditRow") -> "Row":
 
 
 def _word(row: "AuditRow") -> str:
-    """What was shown of one invariant, and by how many cases."""
+    """Say what was shown of one invariant, and by how many cases."""
     cases = "1 case" if row.cases == 1 else f"{row.cases or 0:,} cases"
     from fsar_ledger.api.auditing import is_empty
 
@@ -94,7 +95,7 @@ def _word(row: "AuditRow") -> str:
 
 
 def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
-    """How many invariants hold; which of them had no case, cannot be observed or do not hold, and how to see more."""
+    """Yield how many invariants hold, which had no case, cannot be observed or do not hold, and how to see more."""
     names = list(dict.fromkeys(row.invariant for row in rows))
     broken = [name for name in names if any(row.holds is False for row in rows if row.invariant == name)]
     unseen = [

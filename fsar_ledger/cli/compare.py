@@ -58,8 +58,9 @@ def compare(
     as_csv: CsvOption = False,
     raw: RawOption = False,
 ) -> None:
-    """Compare any two sides in pairs: architectures, configurations, constants, models or fleet sizes, of one ledger or
-    of two.
+    """Compare any two sides in pairs, of one ledger or of two.
+
+    A side is an architecture with its configuration, constants, model and fleet size.
 
     Runs are paired by seed, scenario and number. For each metric: both means, first minus second with its 95 %
     interval, in how many pairs the runs differ at all, p of the paired t-test, or of the exact sign test where few
@@ -133,7 +134,7 @@ def _show_text(both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool,
 
 
 def _pairing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
-    """What is compared, what the pairs have in common, and in which constants the sides differ."""
+    """Say what is compared, what the pairs have in common, and in which constants the sides differ."""
     first, second = both
     lines = [f"first: {_described(first)}", f"second: {_described(second)}"]
     if not found.pairs:
@@ -167,7 +168,7 @@ def _described(side: "Side") -> str:
 
 
 def _shared(found: "Paired") -> str:
-    """How many pairs share what of their world."""
+    """Say how many pairs share what of their world."""
     parts = {
         "met the same facts of the world": found.same_facts,
         "share what was drawn, not the facts, which their constants or robots make others": found.same_draws,
@@ -184,7 +185,7 @@ def _left_out(one: "LeftOut") -> str:
 
 
 def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
-    """What has no part in the numbers."""
+    """Say what has no part in the numbers."""
     lines = []
     for side, alone, which in zip(both, (found.first_alone, found.second_alone), ("first", "second"), strict=True):
         nameless = side.run_count - side.named_count
@@ -203,7 +204,7 @@ def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
 
 
 def _how_to_read(found: "Paired") -> list[str]:
-    """What the numbers are; and for rows without one, why."""
+    """Say what the numbers are, and why some rows have none."""
     from fsar_ledger.metrics.definitions import metric_named
 
     if not found.rows:

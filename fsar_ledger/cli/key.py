@@ -52,8 +52,9 @@ def key_public(
         str, typer.Option(metavar="NAME", help="The origin of the ledger that it shall verify.", show_default=False)
     ],
 ) -> None:
-    """Print a public key under another name, for `verify --trusted-key`: `reproduce` signs each ledger with one secret
-    under a name of its own.
+    """Print a public key under another name, for `verify --trusted-key`.
+
+    `reproduce` signs each ledger with one secret under a name of its own.
     """
     from fsar_ledger.api import keys as api
 

@@ -1,4 +1,4 @@
-"""How much memory a command that reads ledgers may take, and what is said when that is not enough."""
+"""The memory that a command which reads ledgers may take, and the message when that is not enough."""
 
 import inspect
 import os
@@ -32,7 +32,7 @@ MACHINE_SHARE = 0.8
 
 
 def reading(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option --memory, and never with more memory than that."""
+    """Give the command the option --memory, and hold it to that much."""
 
     @wraps(command)
     def limited(memory: int | None, **given: Any) -> None:
@@ -49,8 +49,9 @@ def reading(command: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = None) -> Iterator[None]:
-    """Within, the command takes no more memory than was asked for, or than ledgers of this size need; else it ends with
-    one message and exit code 2.
+    """Limit the memory of the command to what was asked for, or to what ledgers of this size need.
+
+    Beyond that it ends with one message and exit code 2.
 
     Raises:
         UsageError: It asks for less than a command needs to begin.
@@ -78,8 +79,9 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
 
 
 def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
-    """What a command over these ledgers may take, given its workers: in proportion to what their segments take on disk,
-    and never all of the machine.
+    """Return the memory that a command over these ledgers may take, given its workers.
+
+    It grows with what their segments take on disk, and is never all of the machine.
     """
     more = max(0, (workers_of(None) if workers is None else workers) - 2)
     return min(

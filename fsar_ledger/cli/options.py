@@ -1,6 +1,4 @@
-"""What can be asked of a command, and what the answer to that means: names are checked here, with the nearest one
-suggested.
-"""
+"""The arguments and options of the commands, and checks of their text."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -355,12 +353,12 @@ NumbersOption = Annotated[
 
 
 def examples(*lines: str) -> str:
-    """The end of a command's help: calls that run."""
+    """Return the end of a command's help: calls that run."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
 def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
-    """The values of `--param name=value`, by name.
+    """Return the values of `--param name=value`, by name.
 
     Raises:
         QueryFailed: one of them is not a name, an equals sign and a value, or a name is there twice.
@@ -379,7 +377,10 @@ def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
 
 
 def require_text(arguments: Sequence[str]) -> None:
-    """Raises: UsageError if an argument, perhaps a path, is not UTF-8: neither DuckDB nor JSON can name it."""
+    """Require that every argument, perhaps a path, is UTF-8: neither DuckDB nor JSON can name another.
+
+    Raises: UsageError if one is not.
+    """
     for argument in arguments:
         if argument.encode("utf-8", "replace").decode() != argument:
             raise UsageError(

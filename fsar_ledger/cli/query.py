@@ -84,7 +84,7 @@ def query(
 def _of_name(
     name: str | None, ledger: Path | None, param: list[str] | None, form: "Form", *, verified: bool
 ) -> Iterable[Shown]:
-    """The answer of the packaged query."""
+    """Answer the packaged query."""
     from .answering import opened, warn
 
     parameters = parameters_of(param)
@@ -109,7 +109,7 @@ def _of_file(
     *,
     verified: bool,
 ) -> Iterable[Shown]:
-    """The answer of the SELECT in the file; beside it LEDGER is the first argument."""
+    """Answer the SELECT in the file; beside it LEDGER is the first argument."""
     from fsar_ledger.api.limits import limits_of
 
     from .sql import answer_select
@@ -132,7 +132,7 @@ def _of_file(
 
 
 def _text_of(file: Path, most: int) -> str:
-    """What the file holds, up to one byte more than SQL may have. Raises: UsageError, QueryFailed."""
+    """Read the file, up to one byte more than SQL may have. Raises: UsageError, QueryFailed."""
     try:
         if str(file) == "-":
             data = sys.stdin.buffer.read(most + 1)

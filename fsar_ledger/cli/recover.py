@@ -69,7 +69,7 @@ def recover(
 
 
 def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> Shown:
-    """What was found and done, for programs: the head is that of what can be trusted."""
+    """Return what was found and done, for programs; the head is that of what can be trusted."""
     from msgspec import to_builtins
 
     from .output import json_text
@@ -82,7 +82,7 @@ def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> Shown:
 
 
 def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | None) -> Shown:
-    """What was found and done, for people."""
+    """Return what was found and done, for people."""
     if found.report is not None and not found.problems:
         lines = [
             f"{ledger}: {'mended; nothing was deleted' if found.steps else 'whole, there is nothing to mend'}",
@@ -109,7 +109,7 @@ def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | 
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:
-    """What was done, by kind."""
+    """Yield what was done, by kind."""
     for did in dict.fromkeys(step.did for step in steps):
         chosen = [step for step in steps if step.did == did]
         yield did
@@ -117,14 +117,14 @@ def _done(steps: "Sequence[Step]") -> Iterator[str]:
 
 
 def _some(lines: list[str]) -> list[str]:
-    """The first lines, and how many more there are."""
+    """Return the first lines, and how many more there are."""
     return (
         lines if len(lines) <= SHOWN else [*lines[:SHOWN], f"  ... and {len(lines) - SHOWN:,} more; --json names all"]
     )
 
 
 def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
-    """What can be trusted, and on whose word."""
+    """Yield what can be trusted, and on whose word."""
     from .output import signature_text
 
     head = found.head
@@ -157,7 +157,7 @@ def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
 
 
 def _later(later: "Sequence[Later]") -> Iterator[str]:
-    """The commits after the trusted ones, those of a kind in one line."""
+    """Yield the commits after the trusted ones, those of a kind in one line."""
     for (what, _), group in groupby(later, lambda commit: (commit.found, commit.restore)):
         numbers = [commit.number for commit in group]
         yield (
@@ -167,7 +167,7 @@ def _later(later: "Sequence[Later]") -> Iterator[str]:
 
 
 def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
-    """How to go on."""
+    """Yield how to go on."""
     from fsar_ledger.ledger.store.paths import segment_path
 
     if into is not None:

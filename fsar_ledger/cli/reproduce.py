@@ -50,12 +50,13 @@ def reproduce(
 
 
 def beyond(made: "Made") -> list[str]:
-    """A line if the ledger holds runs beyond those asked for, so that what is judged rests on them, too."""
+    """Return a line if the ledger holds runs beyond those asked for, since those are judged too."""
     more = made.held - made.asked
     return (
         [
             (
-                f"the ledger holds {counted(more, 'run')} beyond the {made.asked:,} of the paper's experiment, and they "
+                f"the ledger holds {counted(more, 'run')} beyond the {made.asked:,} of the paper's experiment, and "
+                "they "
                 "are judged here, too"
             )
         ]

@@ -42,7 +42,8 @@ EXAMPLES = examples(
     "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
     "fsar-ledger simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
     (
-        "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 "
+        "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 "
+        "--teams-working 2 "
         "--runs 2"
     ),
     "fsar-ledger simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
@@ -99,7 +100,7 @@ def simulate(
 
 
 def _text(out: Path, made: "Made", signed: list[str], *, as_json: bool) -> Shown:
-    """The head of the ledger, what was there before, and the lines on its signature."""
+    """Return the head of the ledger, what was there before, and the lines on its signature."""
     from .output import json_text
 
     head = made.head
@@ -115,7 +116,7 @@ def _text(out: Path, made: "Made", signed: list[str], *, as_json: bool) -> Shown
 
 
 def before(made: "Made") -> list[str]:
-    """A line on the runs that were there already, if there were any."""
+    """Return a line on the runs that were there already, if there were any."""
     more = made.held - made.asked
     others = f", and {more:,} more" if more else ""
     if not made.made:
@@ -128,7 +129,8 @@ def before(made: "Made") -> list[str]:
     if made.made < made.asked:
         return [
             (
-                f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {made.asked - made.made:,} were there "
+                f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {made.asked - made.made:,} were "
+                "there "
                 f"already{others}"
             )
         ]
@@ -136,7 +138,7 @@ def before(made: "Made") -> list[str]:
 
 
 def _signed(ledger: Path, key: Path) -> list[str]:
-    """A line that says whether the newest commit of the ledger carries a signature of this key."""
+    """Return a line that says whether this key signed the newest commit of the ledger."""
     from fsar_ledger.ledger.log.note import signers_of
     from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.ledger.store.read import open_ledger

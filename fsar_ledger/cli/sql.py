@@ -57,9 +57,9 @@ def sql(
 
 
 def answer_select(ledger: Path, select: str, limits: "Limits", form: "Form", *, verified: bool) -> Iterable[Shown]:
-    """Return the answer of the SELECT as text, a piece at a time; the limit of time holds for making all of it.
+    """Return the answer of the SELECT as text, in pieces; the time limit covers making all of it.
 
-    Raises: as `Ledger.sql`.
+    Raises: As `Ledger.sql`.
     """
     from .answering import opened, warn
     from .pieces import Kept

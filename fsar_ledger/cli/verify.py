@@ -95,7 +95,7 @@ def verify(
 
 
 def _show_json(found: "Verification") -> None:
-    """The head is the one that the rows themselves give, its root null where some cannot be read."""
+    """Show the findings as JSON. The head is that of the rows themselves, its root null where some cannot be read."""
     from msgspec import to_builtins
 
     from .output import pretty
@@ -109,7 +109,7 @@ def _show_json(found: "Verification") -> None:
 
 
 def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -> list[str]:
-    """What was found, for people; `again` is None where no replay was asked for."""
+    """Return the findings as lines for people; `again` is None where no replay was asked for."""
     lines = _of_report(ledger, report)
     if again is None:
         return lines
@@ -121,7 +121,8 @@ def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -
         return [
             *lines,
             (
-                f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as the world and the handlers "
+                f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as the world and the "
+                "handlers "
                 "make them"
             ),
             *again.remarks,
@@ -134,7 +135,7 @@ def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -
 
 
 def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
-    """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
+    """Return the findings of `verify` as lines: one for each problem, or that there is none and what that covers."""
     from .output import signature_text
 
     if not report.ok:

@@ -49,7 +49,7 @@ def verify_proof(
 
 
 def _text(file: Path, proven: "Proven") -> Shown:
-    """What the proof shows, for people: the event and its principals, its place, and what the signature is worth."""
+    """Return what the proof shows, for people: the event, its principals and place, and what the signature is worth."""
     from fsar_ledger.ledger.rows.canonical import document
 
     from .output import signature_text
@@ -73,7 +73,7 @@ def _text(file: Path, proven: "Proven") -> Shown:
 
 
 def _json(file: Path, proven: "Proven") -> Shown:
-    """What the proof shows, for programs; `head` is that of the proof's checkpoint."""
+    """Return what the proof shows, for programs; `head` is that of the proof's checkpoint."""
     from .output import json_text
 
     event = proven.event

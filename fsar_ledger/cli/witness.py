@@ -1,6 +1,4 @@
-"""The commands of witnesses, and of those who ask them: `witness new`, `witness serve`, `witness ask`, and `verify
---witness-policy`.
-"""
+"""The commands of witnesses and of those who ask them: `witness new`, `witness serve` and `witness ask`."""
 
 import signal
 import time
@@ -94,7 +92,7 @@ def witness_serve(
 
 
 def _serve(server: "WitnessServer", greeting: Shown) -> None:
-    """The server has served until SIGTERM or Ctrl-C."""
+    """Serve until SIGTERM or Ctrl-C."""
 
     def end(*_: object) -> None:
         raise KeyboardInterrupt
@@ -110,7 +108,7 @@ def _serve(server: "WitnessServer", greeting: Shown) -> None:
 
 
 def _tell(line: str) -> None:
-    """The operator is told, if anybody still reads that."""
+    """Tell the operator, if anybody still reads that."""
     with suppress(OSError):
         say(line)
 
@@ -160,6 +158,6 @@ def witness_ask(
 
 
 def _clock(context: typer.Context) -> Callable[[], int]:
-    """The clock that `app.py` gave."""
+    """Return the clock that `app.py` gave."""
     clock: Callable[[], int] = context.obj
     return clock

@@ -38,8 +38,9 @@ file.
 
 
 def text_bytes(table: pa.Table) -> int:
-    """The bytes of all strings of the table if each were written out where it stands, whether or not they are held as
-    codes into dictionaries.
+    """Return the bytes of all strings of the table, each counted in every row that has it.
+
+    Codes into a dictionary count as the strings that they stand for.
     """
     size = 0
     for column in table.columns:
@@ -55,8 +56,9 @@ def text_bytes(table: pa.Table) -> int:
 
 
 def has_more_text_than(table: pa.Table, most: int) -> bool:
-    """Whether `text_bytes` is more than this; quickly, where every string could be as long as the longest of its
-    column.
+    """Return whether `text_bytes` is more than this.
+
+    Quick where even the longest string of each column in every row would not be.
     """
     longest = 0
     for column in table.columns:

@@ -1,5 +1,6 @@
-"""Whether a segment lies on the disk in the one way that every reader reads alike: found out from its footer and page
-headers, before anything is unpacked.
+"""The check that a segment lies on the disk in the one form that every reader reads alike.
+
+It takes the footer and the page headers, before anything is unpacked.
 
 The chunks of the columns fill the file from byte 4 to the footer, in the order of the schema, and pages fill their
 chunk: a dictionary first (strings only), then data. Every count and size that is said in two places is the same in
@@ -41,8 +42,9 @@ _MAX_DICTIONARY_BYTES = 1 << 22
 
 
 class Said(NamedTuple):
-    """What statistics say of a column, as Parquet holds it; `rows` are those of the page that they are about, None for
-    those of the column.
+    """The statistics of a column, as Parquet holds them.
+
+    `rows` are those of the page that they are about, None for those of the column.
     """
 
     name: str
@@ -52,8 +54,9 @@ class Said(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What a segment says of itself: its rows, columns and writer, statistics of columns and of pages, and sizes in
-    each column (as Parquet holds them).
+    """The layout of a segment, as it says itself: rows, columns and writer, statistics and sizes.
+
+    Statistics are those of columns and of pages; sizes are of each column, as Parquet holds them.
     """
 
     rows: int
@@ -65,7 +68,7 @@ class Layout(NamedTuple):
 
 
 class _Chunk(NamedTuple):
-    """The numbers of a column chunk. `place` is where it begins, in the file as in what follows: bytes."""
+    """The numbers of a column chunk. `place` is where it begins; the others count bytes or values."""
 
     column: Column
     values: int
@@ -78,7 +81,7 @@ class _Chunk(NamedTuple):
 
 
 class _Numbers(dict[bytes, int]):
-    """Thrift numbers, zigzag and not negative. The short ones, which most are, are kept."""
+    """Thrift numbers, zigzag and not negative. Short ones, which most are, are kept."""
 
     def __missing__(self, data: bytes) -> int:
         if len(data) < 3:
@@ -89,7 +92,7 @@ class _Numbers(dict[bytes, int]):
 
 
 def _unsigned(data: bytes) -> int:
-    """A Thrift number before it is made positive or negative."""
+    """Decode a Thrift number before its sign."""
     value = 0
     for byte in reversed(data):
         value = value << 7 | byte & 0x7F
@@ -101,7 +104,7 @@ _number = _Numbers()
 
 @cache
 def _footers() -> tuple[Footer, ...]:
-    """The footers of all releases whose columns differ."""
+    """Return the footers of all releases whose columns differ."""
     found: list[Footer] = []
     for schema in SCHEMAS.values():
         found += [] if any(schema.equals(other.schema) for other in found) else [Footer(schema)]
@@ -109,7 +112,7 @@ def _footers() -> tuple[Footer, ...]:
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of a segment, in one read: what is hashed, checked and decoded should be the same.
+    """Read the bytes of a segment at once: what is hashed, checked and decoded should be the same.
 
     Raises:
         LedgerCorrupted: It is larger than any segment.
@@ -125,7 +128,7 @@ def read_file(path: Path) -> bytes:
 
 
 def check_layout(path: Path, data: bytes) -> Layout:
-    """What the segment with these bytes says of itself; the path is for messages only.
+    """Check the segment with these bytes and return its layout; the path is for messages only.
 
     Raises:
         LedgerCorrupted: It lies otherwise than a segment does, contradicts itself, or asks for more than `bounds`
@@ -138,7 +141,7 @@ def check_layout(path: Path, data: bytes) -> Layout:
 
 
 def read_layout(data: bytes) -> Layout:
-    """What the segment with these bytes says of itself.
+    """Return the layout of the segment with these bytes.
 
     Raises:
         ValueError: It lies otherwise than a segment does, contradicts itself, or asks for more than `bounds` allow.
@@ -198,8 +201,9 @@ def read_layout(data: bytes) -> Layout:
 
 
 def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
-    """The strings in the dictionary of `run_id`: all runs of a segment of so many rows, and perhaps others, since a
-    dictionary may hold more than is used.
+    """Return the strings in the dictionary of `run_id`: all runs of a segment of so many rows, perhaps more.
+
+    A dictionary may hold more strings than are used.
 
     `run_id` is the first column, so the beginning of a segment will do. None if it was cut off too early, lies
     otherwise than a segment does, or has rows whose strings are in no dictionary.
@@ -227,7 +231,7 @@ def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
 
 
 def _strings(data: bytes, count: int) -> list[str]:
-    """So many strings, each after its length. Raises: ValueError if there are others."""
+    """Split so many strings, each after its length. Raises: ValueError if there are others."""
     found, at = [], 0
     for _ in range(count):
         end = at + MIN_ENTRY_BYTES + int.from_bytes(data[at : at + MIN_ENTRY_BYTES], "little")
@@ -239,7 +243,7 @@ def _strings(data: bytes, count: int) -> list[str]:
 
 
 def _footer_at(data: bytes) -> int:
-    """Where the footer begins. Raises: ValueError if there is none."""
+    """Return where the footer begins. Raises: ValueError if there is none."""
     size, length = len(data), int.from_bytes(data[-8:-4], "little")
     if size < 12 or data[-4:] != MAGIC or length > size - 12:
         raise ValueError(f"{size} bytes that end in {data[-4:]!r}, expected a Parquet file")
@@ -251,7 +255,7 @@ def _footer_at(data: bytes) -> int:
 
 
 def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, int] | None:
-    """What the footer says of a column, and where it goes on; None if it says it otherwise than it may.
+    """Read a column's chunk in the footer, and where it goes on; None if it is not written as it must be.
 
     Raises: ValueError for statistics that are none.
     """
@@ -284,7 +288,7 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
 
 
 def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
-    """The statistics of `run_id` that begin or do not begin here, and where what comes `after` them ends.
+    """Read the statistics of `run_id` that may begin here; return them, and where what comes `after` them ends.
 
     Raises: ValueError if they are not as they may be.
     """
@@ -307,7 +311,7 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
 
 
 def _page_bounds(data: bytes, name: str, header: re.Match[bytes]) -> tuple[Said | None, int]:
-    """The statistics of the page with this header, and where its body begins.
+    """Read the statistics of the page with this header; return them, and where its body begins.
 
     Raises: ValueError if they are not as they may be.
     """
@@ -317,12 +321,12 @@ def _page_bounds(data: bytes, name: str, header: re.Match[bytes]) -> tuple[Said 
 
 
 def _length(data: bytes) -> int:
-    """A Thrift length."""
+    """Decode a Thrift length."""
     return data[0] if len(data) == 1 else data[0] & 0x7F | data[1] << 7
 
 
 def _integer_bounds(name: str, stated: bytes) -> Said:
-    """The statistics of a column of integers. Raises: ValueError if they say two things."""
+    """Read the statistics of a column of integers. Raises: ValueError if they say two things."""
     found = INTEGER_BOUNDS.fullmatch(stated)
     assert found is not None
     most, least, most_again, least_again = found.groups()
@@ -335,7 +339,7 @@ def _integer_bounds(name: str, stated: bytes) -> Said:
 
 
 def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
-    """The chunk has a value for each row and begins at this place. Raises: ValueError if not."""
+    """Check that the chunk begins at this place and has a value for each row. Raises: ValueError if not."""
     name, kind = chunk.column.name, chunk.column.kind
     if kind == "strings":
         if chunk.values < rows:
@@ -349,7 +353,7 @@ def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
 
 
 def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -> int:
-    """The place where the pages of this chunk end, as it says; what they say of their rows is added.
+    """Check the pages of this chunk, collect what they say of their rows, and return where they end.
 
     Raises: ValueError if they are not what it says.
     """
@@ -390,7 +394,7 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -
 
 
 def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
-    """Where the dictionary that begins here ends, and the bytes that it unpacks to, header and all.
+    """Return where the dictionary that begins here ends, and the bytes that it unpacks to, header included.
 
     Raises: ValueError if there is none.
     """
@@ -408,7 +412,7 @@ def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
 
 
 def _check_sum(data: bytes, name: str, at: int, stored: int, said: bytes) -> None:
-    """The stored bytes of a page have the checksum that its header says. Raises: ValueError if not."""
+    """Compare the stored bytes of a page with the checksum in its header. Raises: ValueError if they differ."""
     value = _unsigned(said)
     if (found := crc32(data[at : at + stored])) != (value >> 1 ^ -(value & 1)) & 0xFFFFFFFF:
         raise ValueError(f"column {name}: a page at byte {at} with the checksum {found}, expected that of its header")

@@ -1,5 +1,6 @@
-"""Runs as they are handed to a writer, and what none of them may hold: the first such value is named with run, seq and
-field.
+"""Runs as they are handed to a writer, and what they may not hold.
+
+The first such value is named with run, seq and field.
 
 msgspec constructors do not check types, so an event may hold anything. The codec finds out by column that something is
 wrong with a batch; here it is looked for value by value, which nobody waits for twice.
@@ -29,7 +30,7 @@ class RunRecord(msgspec.Struct, frozen=True):
 
 
 class Flaw(msgspec.Struct, frozen=True):
-    """The first thing that is wrong with some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
+    """The first fault in some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
 
     row: int
     run: str | None
@@ -45,8 +46,9 @@ class Flaw(msgspec.Struct, frozen=True):
 
 
 class Allowed(NamedTuple):
-    """What a field of an event may hold: values of exactly this type, in a tuple exactly strings, perhaps None; of a
-    closed list only those in it.
+    """What a field of an event may hold: values of exactly this type, perhaps None.
+
+    In a tuple these are exactly strings; of a closed list only those in it are allowed.
     """
 
     type: type
@@ -74,8 +76,9 @@ expects of stored rows.
 
 
 def are_allowed(values: Sequence[object], allowed: Allowed) -> bool:
-    """Whether a field may hold each of these values, but for the size of integers and for surrogates in strings, which
-    the columns find out.
+    """Return whether a field may hold each of these values.
+
+    The size of integers and surrogates in strings are found out by column.
     """
     kind, is_nullable, closed = allowed
     types = list(map(type, values))  # the quickest way to look at each
@@ -93,8 +96,9 @@ def _are_strings(values: Iterable[object]) -> bool:
 
 
 def require_runs(runs: Sequence[RunRecord]) -> None:
-    """Raises: InvalidRun if a run has no events or other numbers of times or causes, if its name is no text, or if two
-    runs have the same one.
+    """Check that each run has events, as many times and causes, and a name of its own.
+
+    Raises: InvalidRun if not.
     """
     seen: set[str] = set()
     for run in runs:
@@ -118,12 +122,12 @@ def require_runs(runs: Sequence[RunRecord]) -> None:
 
 
 def refusal(flaw: Flaw) -> InvalidRun:
-    """The error that says so."""
+    """Return the error for this flaw."""
     return InvalidRun(f"{flaw}; nothing was written: correct the run")
 
 
 def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
-    """The first value that no row can hold, run by run and event by event."""
+    """Find the first value that no row can hold, run by run and event by event."""
     return next(
         (
             Flaw(-1, run.run_id, seq, *unfit)
@@ -136,7 +140,7 @@ def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
 
 
 def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:
-    """The first run whose parameters nobody could read as constants.
+    """Find the first run whose parameters cannot be read as constants.
 
     Readers accept it, because 0.1.0 and 0.2.0 stored any text.
     """
@@ -151,7 +155,7 @@ def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:
 
 
 def _unfit(run: RunRecord, seq: int) -> Iterator[tuple[str, str, str]]:
-    """What is wrong with this event: field, found, expected."""
+    """Return what is wrong with this event: field, found, expected."""
     for name, value, allowed in (("time_us", run.times_us[seq], TIME), ("caused_by", run.caused_by[seq], CAUSE)):
         yield from _unfit_value(name, value, allowed)
     cause, event = run.caused_by[seq], run.events[seq]

@@ -2,7 +2,7 @@
 
 The steps in their order, each durable before the next. A reader, or a crash between any two, sees a whole ledger:
 1. `stage` (any number of workers): the segment is in `staging/` under its SHA-256.
-2. `append` (one parent): the record is written in `staging/` and linked to its number in `commits/`. This is the commit.
+2. `append` (one parent): the record is written in `staging/` and linked to its number in `commits/`: the commit.
 3. The segment moves to `segments/`. The next Writer mends a crash before this; until then readers look in staging.
 4. The tiles and the checkpoint follow (see `derived.py`); the next Writer mends these as well.
 

@@ -124,7 +124,7 @@ def write_durably(path: Path, data: bytes | memoryview) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return an unused name beside this one. Process numbers would not do: two containers on one volume may share them."""
+    """Return an unused name beside this one. Containers on one volume may share process numbers, so it has none."""
     return path.with_name(f"{path.name}.{secrets.token_hex(8)}{TEMPORARY}")
 
 

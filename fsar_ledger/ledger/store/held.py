@@ -49,7 +49,7 @@ class HeldRuns:
             self._plans.update(runs.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
 
     def add(self, number: int, path: Path, rows: int, runs: list[str] | None = None) -> None:
-        """Add the runs of this commit; read them from its segment, of so many rows at this path, unless they are given."""
+        """Add the runs of this commit; unless they are given, read them from its segment, of so many rows."""
         for run in _read(path, rows) if runs is None else runs:
             self._commits.setdefault(run, (number, path))
 

@@ -131,7 +131,7 @@ def _require_free(path: Path, into: Path | None) -> None:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """Lock out every writer, where the file system has locks. Raises: WriteFailed if one is at work, or the lock fails."""
+    """Lock out writers, where the file system has locks. Raises: WriteFailed if one is at work, or locking fails."""
     with disk.refusals(path, "locking"):
         handle = os.open(
             path, os.O_RDONLY | os.O_DIRECTORY

@@ -113,7 +113,7 @@ def _leave(name: str) -> None:
 
 
 def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[str]:
-    """Write each file that is not there with these bytes, durably; return the names of those written. Raises: OSError."""
+    """Write each file that is not there with these bytes, durably; return their names. Raises: OSError."""
     wrong = {name: data for name, data in files.items() if not is_as(ledger, name, data)}
 
     def make_way(path: Path) -> None:
@@ -158,7 +158,7 @@ def is_tile(name: str) -> bool:
 
 
 def grown_beyond(ledger: Path, head: Head, origin: str) -> Iterator[Problem]:
-    """Yield a problem for what is there only if the ledger had more commits: those were durable before it was derived."""
+    """Yield a problem for what is there only because the ledger had more commits, which were durable first."""
     expected = (
         f"nothing of a tree of more than the {head.size} events that are committed: the newest commits were removed"
     )
