@@ -2,26 +2,22 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.opening import open_for_answers
 
-from .answering import demanded_head
 from .asked import parameters_of, robot_of, run_of
-from .names import microseconds, names_of
+from .evidence import Evidence
+from .names import By, Place, Pool, by_scenario, microseconds, names_of, pools_seeds
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.store.proof import Proof
     from fsar_ledger.ledger.store.read import Head
-    from fsar_ledger.ledger.verify.recover import Recovery
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.locked import Limits
     from fsar_ledger.projections.fold import State
-    from fsar_ledger.witness.cosign import Cosigned
 
     from .about import About
     from .auditing import Audit
@@ -33,14 +29,9 @@ if TYPE_CHECKING:
     from .files import Written
     from .sides import Comparison
     from .table import Table
-    from .verifying import Verification
-
-Place = str | PathLike[str]
-Pool = Literal["seeds"] | None
-By = Literal["scenario"] | None
 
 
-class Ledger:
+class Ledger(Evidence):
     """A ledger that can be asked. Each answer is about its newest commit at that moment, and says which in `head`.
 
     Runs are given by name, or by a part of it that only one has; robots as `B1` or `robot/B1`; times in seconds of run
@@ -132,8 +123,9 @@ class Ledger:
             return Table(rows, of_rows(database, query))
 
     def queries(self) -> "Table":
-        """Return every packaged question: its name, title, and parameters with their defaults (None: a value must be
-        given).
+        """Return every packaged question: its name, title, and parameters.
+
+        Parameters come with their defaults; None: a value must be given.
         """
         import pyarrow as pa
 
@@ -217,10 +209,10 @@ class Ledger:
         from .about import of_judgement
         from .table import Table, of_structs
 
-        by_scenario, pooled = _by(by), _pool(pool)
+        per_scenario, pooled = by_scenario(by), pools_seeds(pool)
         with self.database() as database:
-            rows = of_structs(metric_rows(database, by_scenario=by_scenario, pools_seeds=pooled), MetricRow)
-            rows = rows if by_scenario else rows.drop_columns(["scenario"])
+            rows = of_structs(metric_rows(database, by_scenario=per_scenario, pools_seeds=pooled), MetricRow)
+            rows = rows if per_scenario else rows.drop_columns(["scenario"])
             return Table(rows, of_judgement(database))
 
     def statistics(self, pool: Pool = None) -> "Compared":
@@ -230,7 +222,7 @@ class Ledger:
         """
         from .comparing import compared
 
-        pooled = _pool(pool)
+        pooled = pools_seeds(pool)
         with self.database() as database:
             return compared(database, pooled=pooled)
 
@@ -249,13 +241,13 @@ class Ledger:
         from .sides import compared_sides
 
         ledgers = [self] if other is None else [self, other if isinstance(other, Ledger) else Ledger(other)]
-        return compared_sides(ledgers, (first, second), by_scenario=_by(by), pooled=_pool(pool))
+        return compared_sides(ledgers, (first, second), by_scenario=by_scenario(by), pooled=pools_seeds(pool))
 
     def multiverse(self, metric: str | Sequence[str] | None = None, pool: Pool = None) -> "EveryWay":
         """Read the results table in every way that the paper's text allows."""
         from .everyway import every_way
 
-        pooled = _pool(pool)
+        pooled = pools_seeds(pool)
         with self.database() as database:
             return every_way(database, names_of(metric), pools_seeds=pooled)
 
@@ -267,90 +259,6 @@ class Ledger:
 
         with self.database() as database:
             return audited(database, names_of(invariant) or (), names_of(architecture) or ())
-
-    # --- evidence ---
-
-    def verify(
-        self,
-        *,
-        quick: bool = False,
-        anchor: Place | None = None,
-        trusted_key: str | None = None,
-        witness_policy: Place | None = None,
-        cosigned: Sequence[Place] = (),
-        replay: bool = False,
-        workers: int | None = None,
-        progress: Progress | None = None,
-        now_s: int | None = None,
-    ) -> "Verification":
-        """Derive every hash, count and record again. Damage does not raise: see `ok` and `problems` of the answer.
-
-        Args:
-            quick: Read no rows.
-            anchor: A copy of `checkpoint` that was kept elsewhere; the ledger must only have grown since.
-            trusted_key: A public key that must have signed, as a .pub file or text.
-            witness_policy: A C2SP tlog-policy; enough of its witnesses must have seen the ledger. Takes `now_s`.
-            cosigned: Notes that show what witnesses saw; none: ask them.
-            replay: Play every run again, too.
-            workers: Processes at once; None: one per core, if there is enough to do.
-            progress: Called with segments done and in all.
-            now_s: The present time in seconds since 1970.
-
-        Raises:
-            NotALedger: There is none.
-            UsageError: What was asked for makes no sense.
-        """
-        from .verifying import verification
-
-        return verification(
-            self.path, quick, anchor, trusted_key, (witness_policy, cosigned, now_s), replay, workers, progress
-        )
-
-    def prove(self, event: str | int) -> "Proof":
-        """Prove that an event, given as `RUN:SEQ` or by its number, is in the ledger.
-
-        `str` of the answer is a C2SP tlog-proof.
-
-        Raises:
-            UsageError: There is no such event, or more than one such run.
-        """
-        from .proving import proof_of
-
-        return proof_of(self.path, str(event), self._demanded)
-
-    def recover(
-        self,
-        into: Place | None = None,
-        *,
-        anchor: Place | None = None,
-        trusted_key: str | None = None,
-        workers: int | None = None,
-        progress: Progress | None = None,
-    ) -> "Recovery":
-        """Mend what a crash left; after tampering, find what can be trusted, and copy that `into` a new folder.
-
-        Raises:
-            UsageError: There is something at `into` already.
-            LedgerCorrupted: No commit can be trusted.
-            WriteFailed: Another writer is at work, or the disk refused.
-        """
-        from fsar_ledger.ledger.verify.recover import recover
-        from fsar_ledger.ledger.verify.verify import Asked
-
-        from .keys import anchor_of, trusted_of
-
-        asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
-        return recover(self.path, readers_of(workers, self.path), progress, asked, None if into is None else Path(into))
-
-    def witness_ask(self, policy: Place) -> "Cosigned":
-        """Have the newest checkpoint cosigned by the witnesses of a C2SP tlog-policy; no event leaves.
-
-        Raises:
-            NotCosigned: Fewer cosigned than the policy demands.
-        """
-        from .witnessed import cosigned
-
-        return cosigned(self.path, Path(policy))
 
     # --- files ---
 
@@ -416,7 +324,7 @@ class Ledger:
             readers_of(workers, self.path),
             progress,
             beside=list(map(Path, beside)),
-            pools_seeds=_pool(pool),
+            pools_seeds=pools_seeds(pool),
             sensitivity=path(sensitivity),
             numbers_out=path(numbers),
         )
@@ -428,33 +336,3 @@ class Ledger:
 
         with connect(self.path, demanded=self._demanded) as database:
             yield database
-
-
-def open_ledger(path: Place, *, verified: bool = False, progress: Progress | None = None) -> Ledger:
-    """Open the ledger in this folder.
-
-    Args:
-        path: The folder.
-        verified: Compare all rows with the root first, as `verify` does, unless that is remembered of this head;
-            answers about later commits are then refused.
-        progress: Called with segments compared and in all.
-
-    Raises:
-        NotALedger, FormatVersionMismatch: There is none that this version reads.
-        LedgerCorrupted: It contradicts itself.
-    """
-    if not verified:
-        open_for_answers(Path(path))
-    return Ledger(path, demanded=demanded_head(Path(path), verified=verified, progress=progress))
-
-
-def _by(by: str | None) -> bool:
-    if by not in (None, "scenario"):
-        raise UsageError(f"--by {by}: expected --by scenario, or no --by")
-    return by is not None
-
-
-def _pool(pool: str | None) -> bool:
-    from .names import pools_seeds
-
-    return pools_seeds(pool)

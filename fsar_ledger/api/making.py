@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ import msgspec
 from .experiments import experiment_of
 from .keys import origin_of, signer_of, trusted_of
 from .ledger import Ledger
-from .names import names_of
+from .names import Place, names_of
 from .workload import WORTH_ROBOTS, Progress, workers_of
 
 if TYPE_CHECKING:
@@ -21,7 +20,6 @@ if TYPE_CHECKING:
 
     from .reproducing import Reproduced
 
-Place = str | PathLike[str]
 Names = str | Sequence[str] | None
 
 

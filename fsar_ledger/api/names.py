@@ -2,12 +2,24 @@
 
 from collections.abc import Sequence
 from difflib import get_close_matches
-from typing import TypeVar
+from os import PathLike
+from typing import Literal, TypeVar
 
 from fsar_ledger import printable
 from fsar_ledger.errors import InvalidExperiment, UsageError
 
 _Name = TypeVar("_Name", bound=str)
+
+Place = str | PathLike[str]
+Pool = Literal["seeds"] | None
+By = Literal["scenario"] | None
+
+
+def by_scenario(asked: str | None) -> bool:
+    """Return whether each scenario has rows of its own. Raises: UsageError for another division."""
+    if asked not in (None, "scenario"):
+        raise UsageError(f"--by {asked}: expected --by scenario, or no --by")
+    return asked is not None
 
 
 def pools_seeds(asked: str | None) -> bool:

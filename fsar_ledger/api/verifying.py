@@ -1,7 +1,6 @@
 """The answer of `verify`: the look at the ledger, the replay, and what witnesses saw."""
 
 from collections.abc import Sequence
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,13 +12,12 @@ from fsar_ledger.ledger.verify.verify import Asked, VerifyReport
 from fsar_ledger.metrics.verified import whole_look
 
 from .keys import anchor_of, trusted_of
+from .names import Place
 from .witnessed import Seen, seen_of
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.replay import ReplayReport
-
-Place = str | PathLike[str]
 
 
 class Verification(msgspec.Struct, frozen=True):

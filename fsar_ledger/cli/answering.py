@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 def opened(ledger: Path, *, verified: bool) -> "Ledger":
     """Return the ledger; with `verified`, after comparing its rows with the root. Raises: As `demanded_head`."""
-    from fsar_ledger.api.answering import demanded_head
     from fsar_ledger.api.ledger import Ledger
+    from fsar_ledger.api.opening import demanded_head
 
     with Progress("verified", "segments") as progress:
         return Ledger(ledger, demanded=demanded_head(ledger, verified=verified, progress=progress))

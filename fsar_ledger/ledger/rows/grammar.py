@@ -101,6 +101,29 @@ def number(value: int) -> bytes:
     return length(value << 1)
 
 
+class _Numbers(dict[bytes, int]):
+    """Thrift numbers, zigzag and not negative. Short ones, which most are, are kept."""
+
+    def __missing__(self, data: bytes) -> int:
+        if len(data) < 3:
+            return self.setdefault(data, unsigned(data) >> 1)
+        if len(data) == 3:  # most offsets are
+            return ((data[0] & 0x7F) | (data[1] & 0x7F) << 7 | data[2] << 14) >> 1
+        return unsigned(data) >> 1
+
+
+def unsigned(data: bytes) -> int:
+    """Decode a Thrift number before its sign."""
+    value = 0
+    for byte in reversed(data):
+        value = value << 7 | byte & 0x7F
+    return value
+
+
+DECODED = _Numbers()
+"""The Thrift numbers that `number` makes, by their bytes."""
+
+
 def length(value: int) -> bytes:
     """Return a Thrift length."""
     found = bytearray()

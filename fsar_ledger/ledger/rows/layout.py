@@ -20,6 +20,7 @@ from fsar_ledger.ledger.rows import bounds
 from fsar_ledger.ledger.rows.footer import explain_footer, explain_page
 from fsar_ledger.ledger.rows.grammar import (
     BOUNDS_END,
+    DECODED,
     DICTIONARY_PAGE,
     GROUP_END,
     INTEGER_BOUNDS,
@@ -32,6 +33,7 @@ from fsar_ledger.ledger.rows.grammar import (
     Column,
     Footer,
     encoding_statistics,
+    unsigned,
 )
 from fsar_ledger.ledger.rows.releases import SCHEMAS
 
@@ -78,28 +80,6 @@ class _Chunk(NamedTuple):
     dictionary_at: int
     encodings: bytes
     sizes: bytes
-
-
-class _Numbers(dict[bytes, int]):
-    """Thrift numbers, zigzag and not negative. Short ones, which most are, are kept."""
-
-    def __missing__(self, data: bytes) -> int:
-        if len(data) < 3:
-            return self.setdefault(data, _unsigned(data) >> 1)
-        if len(data) == 3:  # most offsets are
-            return ((data[0] & 0x7F) | (data[1] & 0x7F) << 7 | data[2] << 14) >> 1
-        return _unsigned(data) >> 1
-
-
-def _unsigned(data: bytes) -> int:
-    """Decode a Thrift number before its sign."""
-    value = 0
-    for byte in reversed(data):
-        value = value << 7 | byte & 0x7F
-    return value
-
-
-_number = _Numbers()
 
 
 @cache
@@ -150,7 +130,7 @@ def read_layout(data: bytes) -> Layout:
     known = next((footer for footer in _footers() if data.startswith(footer.begin, footer_at)), None)
     if known is None or (found := ROWS.match(data, at := footer_at + len(known.begin))) is None:
         raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
-    rows = _number[found[0]]
+    rows = DECODED[found[0]]
     if not 0 < rows <= bounds.MAX_ROWS:
         raise ValueError(f"{rows} rows, expected 1 to {bounds.MAX_ROWS}")
     at = found.end()
@@ -193,8 +173,8 @@ def read_layout(data: bytes) -> Layout:
         "bytes stored": (end[3], place - len(MAGIC)),
     }
     for what, (one, other) in said_twice.items():
-        if _number[one] != other:
-            raise ValueError(f"a row group of {_number[one]} {what}, expected {other}")
+        if DECODED[one] != other:
+            raise ValueError(f"a row group of {DECODED[one]} {what}, expected {other}")
     if place != footer_at:
         raise ValueError(f"{footer_at - place} bytes between the last page and the footer, expected none")
     return Layout(rows, known.schema, end[5].decode(), tuple(statistics), tuple(of_pages), tuple(sizes))
@@ -209,22 +189,22 @@ def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
     otherwise than a segment does, or has rows whose strings are in no dictionary.
     """
     header = DICTIONARY_PAGE.match(data, len(MAGIC))
-    if header is None or _number[header[1]] > _MAX_DICTIONARY_BYTES:
+    if header is None or DECODED[header[1]] > _MAX_DICTIONARY_BYTES:
         return None
-    at, values = header.end() + _number[header[2]], 0
+    at, values = header.end() + DECODED[header[2]], 0
     try:
-        _check_sum(data, "run_id", header.end(), _number[header[2]], header[3])
+        _check_sum(data, "run_id", header.end(), DECODED[header[2]], header[3])
         while values < rows:
             page = _footers()[-1].columns[0].page.match(data, at)
             if page is None or page[5] == b"\x00":
                 return None
             _, body = _page_bounds(data, "run_id", page)
-            at, values = body + _number[page[2]], values + _number[page[4]]
+            at, values = body + DECODED[page[2]], values + DECODED[page[4]]
         return _strings(
             pa.decompress(
-                data[header.end() : header.end() + _number[header[2]]], _number[header[1]], "zstd", asbytes=True
+                data[header.end() : header.end() + DECODED[header[2]]], DECODED[header[1]], "zstd", asbytes=True
             ),
-            _number[header[4]],
+            DECODED[header[4]],
         )
     except (ValueError, OSError):
         return None
@@ -274,11 +254,11 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
     return (
         _Chunk(
             column,
-            _number[values],
-            _number[unpacked],
-            _number[stored],
-            _number[data_at],
-            _number[dictionary_at],
+            DECODED[values],
+            DECODED[unpacked],
+            DECODED[stored],
+            DECODED[data_at],
+            DECODED[dictionary_at],
             encodings,
             sizes,
         ),
@@ -373,12 +353,12 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -
         if pages > bounds.MAX_PAGES:
             raise ValueError(f"column {name}: more than {bounds.MAX_PAGES} pages, expected fewer")
         said, body = _page_bounds(data, name, header)
-        of_pages += [said._replace(rows=(values, _number[header[4]]))] if said else []
-        stored = _number[header[2]]
+        of_pages += [said._replace(rows=(values, DECODED[header[4]]))] if said else []
+        stored = DECODED[header[2]]
         _check_sum(data, name, body, stored, header[3])
-        values += _number[header[4]]
+        values += DECODED[header[4]]
         plain += header[5] == b"\x00"
-        unpacked += _number[header[1]] + body - at
+        unpacked += DECODED[header[1]] + body - at
         at = body + stored
     if at != end:
         raise ValueError(f"column {name}: a page that ends at byte {at}, expected it to end by {end}")
@@ -401,7 +381,7 @@ def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
     header = DICTIONARY_PAGE.match(data, at)
     if header is None:
         raise ValueError(f"column {name}: {explain_page(data, at)}")
-    unpacked, stored, values = _number[header[1]], _number[header[2]], _number[header[4]]
+    unpacked, stored, values = DECODED[header[1]], DECODED[header[2]], DECODED[header[4]]
     if values * MIN_ENTRY_BYTES > unpacked:
         raise ValueError(
             f"column {name}: a dictionary of {values} values in {unpacked} bytes, expected at least {MIN_ENTRY_BYTES} "
@@ -413,6 +393,6 @@ def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
 
 def _check_sum(data: bytes, name: str, at: int, stored: int, said: bytes) -> None:
     """Compare the stored bytes of a page with the checksum in its header. Raises: ValueError if they differ."""
-    value = _unsigned(said)
+    value = unsigned(said)
     if (found := crc32(data[at : at + stored])) != (value >> 1 ^ -(value & 1)) & 0xFFFFFFFF:
         raise ValueError(f"column {name}: a page at byte {at} with the checksum {found}, expected that of its header")
