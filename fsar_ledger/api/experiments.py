@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from fsar_ledger import printable
-from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.errors import InvalidExperiment, UsageError, option
 
 from .names import known
 
@@ -38,12 +38,12 @@ def experiment_of(
     """
     if workflows:
         others = {
-            "--scenario": scenarios,
-            "--without": without,
-            "--teams-working": load[0],
-            "--task-sets": load[1] if load[1] != 1 else None,
-            "--fleet": fleet,
-            "--set": settings,
+            "scenario": scenarios,
+            "without": without,
+            "teams_working": load[0],
+            "task_sets": load[1] if load[1] != 1 else None,
+            "fleet": fleet,
+            "settings": settings,
         }
         return _workflows_of(workflows, runs, seed, others, architectures, fleet_size)
     import msgspec
@@ -69,7 +69,10 @@ def experiment_of(
     size = team_size(constants.fleet) if fleet_size is None else fleet_size
     if load not in ((None, 1), (size // team_size(constants.fleet), 1)):
         if constants.load is not None:
-            raise UsageError("--set load and --teams-working or --task-sets: expected one or the other")
+            raise UsageError(
+                f"{option('settings', 'load')} and {option('teams_working')} or {option('task_sets')}: expected one "
+                "or the other"
+            )
         constants = msgspec.structs.replace(constants, load=Load(*load))
     return Experiment(
         architectures=known("architecture", architectures, REGISTERED) or whose or ARCHITECTURES,
@@ -87,7 +90,7 @@ def _joined(asked: str) -> list[str]:
     names = [name.strip() for name in asked.split("+")]
     if "" in names or len(set(names)) < len(names) or "," in asked:
         raise InvalidExperiment(
-            f"--without {printable.value(asked)}: expected mechanisms, each once, with + between them, as in "
+            f"{option('without', printable.value(asked))}: expected mechanisms, each once, with + between them, as in "
             "trust-evaluation+shared-registry"
         )
     return names
@@ -105,15 +108,19 @@ def _workflows_of(
     from fsar_ledger.designs.registered import workflows
     from fsar_ledger.runtime.experiment import workflow_experiment
 
-    for option, found in others.items():
+    for name, found in others.items():
         if found is not None and found != []:
             shown = found[0] if isinstance(found, list) else found
-            raise UsageError(f"--workflow and {option} {shown}: expected one or the other")
+            raise UsageError(f"{option('workflow')} and {option(name, shown)}: expected one or the other")
     for name in architectures or ():
         if name != "fsar":
-            raise UsageError(f"--workflow and --architecture {name}: expected fsar; the workflows are FSAR's")
+            raise UsageError(
+                f"{option('workflow')} and {option('architecture', name)}: expected fsar; the workflows are FSAR's"
+            )
     if fleet_size not in (None, 4):
-        raise UsageError(f"--workflow and --fleet-size {fleet_size}: expected 4, one robot of each role")
+        raise UsageError(
+            f"{option('workflow')} and {option('fleet_size', fleet_size)}: expected 4, one robot of each role"
+        )
     names = {name.removeprefix("workflow-"): name for name in workflows()}
     chosen = tuple(names[name] for name in known("workflow", asked, tuple(names)))
     return workflow_experiment(seed, 1 if runs is None else runs, chosen)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
@@ -78,7 +78,8 @@ def account(database: Database, ledger: Path, run: str, request: str | None, fai
     recovery = _asked(database, "failure_story", run, action)
     if failure is not None and not recovery:
         raise UsageError(
-            f"--failure {failure}: found no failure of this action in run {run}; --request {failure} tells what "
+            f"{option('failure', failure)}: found no failure of this action in run {run}; "
+            f"{option('request', failure)} tells what "
             "happened"
         )
     return Account(run, action, parties, story, recovery, failure is not None, _about(database, run))

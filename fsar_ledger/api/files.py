@@ -15,7 +15,7 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from fsar_ledger import printable
-from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.errors import UsageError, WriteFailed, option
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import require_outside
@@ -68,7 +68,7 @@ def require_place(out: Path) -> None:
     Raises: UsageError if they cannot.
     """
     _format_of(out)
-    require_outside(out, f"--out {out}")
+    require_outside(out, option("out", out))
 
 
 def _format_of(out: Path) -> str:

@@ -6,7 +6,7 @@ from os import PathLike
 from typing import Literal, TypeVar
 
 from fsar_ledger import printable
-from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.errors import InvalidExperiment, UsageError, option
 
 _Name = TypeVar("_Name", bound=str)
 
@@ -18,7 +18,7 @@ By = Literal["scenario"] | None
 def by_scenario(asked: str | None) -> bool:
     """Return whether each scenario has rows of its own. Raises: UsageError for another division."""
     if asked not in (None, "scenario"):
-        raise UsageError(f"--by {asked}: expected --by scenario, or no --by")
+        raise UsageError(f"{option('by', asked)}: expected {option('by', 'scenario')}, or no {option('by')}")
     return asked is not None
 
 
@@ -26,7 +26,8 @@ def pools_seeds(asked: str | None) -> bool:
     """Return whether the runs of all seeds are taken together. Raises: UsageError for another pool."""
     if asked not in (None, "seeds"):
         raise UsageError(
-            f"--pool {asked}: expected --pool seeds, or no --pool; runs of other constants, models or fleet sizes are "
+            f"{option('pool', asked)}: expected {option('pool', 'seeds')}, or no {option('pool')}; runs of other "
+            "constants, models or fleet sizes are "
             "never taken together"
         )
     return asked is not None

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from fsar_ledger.errors import option
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect
@@ -64,7 +65,7 @@ def reproduced(
         InvalidExperiment: An experiment of `only` is unknown, or the count of runs impossible.
         FsarLedgerError: As `simulate`, `required_look` and `write_report`.
     """
-    require_outside(out, f"--out {out}")
+    require_outside(out, option("out", out))
     chosen = [name for name in NAMES if name == "results" or not only or name in known("experiment", only, NAMES)]
     experiments = [named(name, SEED, runs) for name in chosen]
     made = {

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.verify.verify import Asked, VerifyReport
 from fsar_ledger.metrics.verified import whole_look
@@ -66,7 +66,10 @@ def verification(
     Raises: as `Ledger.verify`.
     """
     if quick and replays:
-        raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
+        raise UsageError(
+            f"{option('quick')} and {option('replay')}: expected one of them; a quick look reads no rows, a replay "
+            "all of them"
+        )
     trusted, kept = trusted_of(trusted_key), anchor_of(anchor)
     policy, cosigned, now_s = by_witnesses
     # Before the look: the ledger may grow meanwhile.

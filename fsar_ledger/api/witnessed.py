@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError
+from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError, option
 
 from .keys import short
 
@@ -95,7 +95,10 @@ def seen_of(
     """
     if policy is None:
         if cosigned:
-            raise UsageError("--cosigned: found no --witness-policy, expected the policy that names the witnesses")
+            raise UsageError(
+                f"{option('cosigned')}: found no {option('witness_policy')}, expected the policy that names the "
+                "witnesses"
+            )
         return None
     from fsar_ledger.ledger.store.paths import MANIFEST
     from fsar_ledger.ledger.store.read import read_manifest
@@ -112,7 +115,8 @@ def seen_of(
     logs = tuple(key for key in logs if key.name == origin)
     if not logs:
         raise LedgerCorrupted(
-            f"{ledger}: found a ledger of {origin}, expected one of a log that {policy} or --trusted-key names"
+            f"{ledger}: found a ledger of {origin}, expected one of a log that {policy} or {option('trusted_key')} "
+            "names"
         )
     if now_s is None:
         raise UsageError("witness policy: found no time, expected now_s, seconds since 1970; cosignatures have dates")
@@ -128,9 +132,9 @@ def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["Verifier
             f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is shown"
         )
     if trusted is None and not policy.logs:
-        raise UsageError(f"{policy.file}: found no log, expected a line `log KEY`, or --trusted-key KEY")
+        raise UsageError(f"{policy.file}: found no log, expected a line `log KEY`, or {option('trusted_key', 'KEY')}")
     if trusted is not None and policy.logs and trusted not in policy.logs:
-        raise UsageError(f"--trusted-key: found {trusted.key}, expected a log of {policy.file}")
+        raise UsageError(f"{option('trusted_key')}: found {trusted.key}, expected a log of {policy.file}")
     return policy.logs if trusted is None else (trusted,)
 
 
@@ -160,7 +164,7 @@ def witness_new(state: str | PathLike[str], name: str) -> "WitnessKey":
     from fsar_ledger.witness.state import new_state
 
     require_outside(Path(state), f"STATE {state}")
-    return new_state(Path(state), short("--name", name))
+    return new_state(Path(state), short("name", name))
 
 
 def cosigned(ledger: Path, policy: Path) -> "Cosigned":

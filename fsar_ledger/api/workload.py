@@ -5,7 +5,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import UsageError, option
 
 Progress = Callable[[int, int], None]
 """Called with how much is done, and of how much."""
@@ -27,7 +27,7 @@ def workers_of(asked: int | None, worth: int | None = None) -> int:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         return cores if worth is None else max(1, min(cores, worth))
     if asked < 1:
-        raise UsageError(f"--workers {asked}: expected at least 1; leave the option out for one per core")
+        raise UsageError(f"{option('workers', asked)}: expected at least 1; leave it out for one per core")
     return asked
 
 

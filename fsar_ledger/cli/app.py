@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.errors import FsarLedgerError, named_as_options
 
 from . import (
     audit,
@@ -114,12 +114,13 @@ def run(arguments: Sequence[str]) -> int:
     """Run a command; return its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
         require_text(arguments)
-        code = _commands().main(
-            args=list(arguments) or ["--help"],
-            prog_name="fsar-ledger",
-            standalone_mode=False,
-            obj=lambda: int(time.time()),
-        )
+        with named_as_options():
+            code = _commands().main(
+                args=list(arguments) or ["--help"],
+                prog_name="fsar-ledger",
+                standalone_mode=False,
+                obj=lambda: int(time.time()),
+            )
     except Enough:
         return 0
     except FsarLedgerError as problem:

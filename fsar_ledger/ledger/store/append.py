@@ -21,7 +21,7 @@ from types import TracebackType
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, UsageError, WriteFailed
+from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, UsageError, WriteFailed, option
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.log.note import Note, Signer, checkpoint_of, is_name
 from fsar_ledger.ledger.log.tiles import Tile
@@ -158,7 +158,7 @@ class Writer:
         if manifest.origin != origin:
             raise NotALedger(
                 f"{ledger / MANIFEST}: found a ledger of origin {manifest.origin!r}, expected {origin!r}; give "
-                "another path, or that origin with --origin"
+                f"another path, or that origin with {option('origin')}"
             )
         self._lock, is_alone = lock(ledger)
         try:

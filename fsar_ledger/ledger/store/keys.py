@@ -6,7 +6,7 @@ import os
 import stat
 from pathlib import Path
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.log.ed25519 import KEY_BYTES, flaw_of
 from fsar_ledger.ledger.log.note import ED25519, Signer, VerifierKey, is_name
 from fsar_ledger.ledger.store import disk
@@ -22,7 +22,7 @@ def new_key(path: Path, name: str) -> VerifierKey:
         WriteFailed: The disk refused; there is no key.
     """
     if not is_name(name):
-        raise UsageError(f"--name {name!r}: expected a printable name without spaces and plus signs")
+        raise UsageError(f"{option('name', repr(name))}: expected a printable name without spaces and plus signs")
     public = path.parent / (path.name + ".pub")
     for file in (path, public):
         if os.path.lexists(file):
@@ -76,7 +76,7 @@ def read_verifier(key: str) -> VerifierKey:
     name, _, rest = text.partition("+")
     key_id, _, data = rest.partition("+")
     public = _key_bytes(data)
-    where = "--trusted-key" if is_text else f"--trusted-key {key}"
+    where = option("trusted_key", None if is_text else key)
     if name == "PRIVATE" or public is None or not is_name(name):  # the text is not shown: it may be the secret half
         raise UsageError(
             f"{where}: found no public key, expected one as `fsar-ledger key new` prints, or its .pub file"
@@ -89,7 +89,7 @@ def read_verifier(key: str) -> VerifierKey:
     verifier = VerifierKey(name, public)
     if verifier.key_id.hex() != key_id:
         raise UsageError(
-            f"--trusted-key: found key id {key_id:.40}, expected {verifier.key_id.hex()} for this key; it was "
+            f"{where}: found key id {key_id:.40}, expected {verifier.key_id.hex()} for this key; it was "
             "altered, get it again"
         )
     return verifier

@@ -5,7 +5,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import NotALedger, UsageError
+from fsar_ledger.errors import NotALedger, UsageError, option
 from fsar_ledger.ledger.log.note import VerifierKey, doubt
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
@@ -46,7 +46,8 @@ def require_own(view: LedgerView, key: VerifierKey) -> None:
         raise UsageError(
             f"{commit_path(view.path, view.records[-1].number)}: found a newest checkpoint with {found}, expected one "
             f"of {key.key}; "
-            "its next signature would vouch for all that is there: verify the ledger, and say --adopt to sign on from "
+            f"its next signature would vouch for all that is there: verify the ledger, and say {option('adopt')} to "
+            "sign on from "
             "here"
         )
 

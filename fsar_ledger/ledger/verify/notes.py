@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, names, parse_note, signers_of
 from fsar_ledger.ledger.log.tiles import TILE, node_of
@@ -42,7 +42,7 @@ def read_anchor(path: Path) -> Anchor:
         return Anchor(str(path), parse_note("anchor", disk.read_document(Path(os.path.realpath(path))).decode()))
     except FileNotFoundError as error:
         raise UsageError(
-            f"--anchor {path}: found no file, expected a checkpoint of this ledger that was kept elsewhere"
+            f"{option('anchor', path)}: found no file, expected a checkpoint of this ledger that was kept elsewhere"
         ) from error
     except (OSError, UnicodeDecodeError, LedgerCorrupted) as error:
         return Anchor(str(path), None, (error.strerror or str(error)) if isinstance(error, OSError) else str(error))
@@ -146,7 +146,7 @@ def check_anchor(
     if missing:
         expected = (
             f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger "
-            "recover, or verify without --quick"
+            f"recover, or verify without {option('quick')}"
         )
         return [Problem(TILE, f"one that cannot be read ({missing})", expected)]
     if root_then is None:

@@ -20,7 +20,7 @@ from typing import Literal
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed
+from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed, option
 from fsar_ledger.ledger.log.tiles import TILE
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
@@ -86,7 +86,7 @@ def recover(
     _require_free(path, into)
     if asked.anchor is not None and asked.anchor.note is None:
         raise UsageError(
-            f"--anchor {asked.anchor.file}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
+            f"{option('anchor', asked.anchor.file)}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
         )
     with _alone(path):
         prefix = find_prefix(path, workers, progress, asked)
@@ -124,9 +124,11 @@ def _require_free(path: Path, into: Path | None) -> None:
     if into is None:
         return
     if os.path.lexists(into):
-        raise UsageError(f"--into {into}: found something there, expected a free path; give another one")
+        raise UsageError(f"{option('into', into)}: found something there, expected a free path; give another one")
     if path.resolve() in into.resolve().parents:
-        raise UsageError(f"--into {into}: found a path within {path}, expected one outside of it; give another one")
+        raise UsageError(
+            f"{option('into', into)}: found a path within {path}, expected one outside of it; give another one"
+        )
 
 
 @contextmanager
