@@ -239,7 +239,7 @@ def test_a_key_is_never_overwritten(tmp_path: Path, taken: str) -> None:
 
 @pytest.mark.parametrize("name", ["", "two words", "a+b", "tab\there", "line\nfeed", "no\u00a0break"])
 def test_a_name_that_no_note_can_hold_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(UsageError, match="^name="):
+    with pytest.raises(UsageError, match=r"^name="):
         new_key(tmp_path / "fleet.key", name)
     assert not list(tmp_path.iterdir())
 
