@@ -2,14 +2,11 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from fsar_ledger.errors import QueryFailed, UsageError
-
-if TYPE_CHECKING:
-    pass
 
 SHOWN_ROWS = 100
 
