@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from fsar_ledger.events import EVENT_TYPES
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import RunRecord
-from fsar_ledger.ledger.rows.schema import layout
+from fsar_ledger.ledger.rows.schema import stored_type
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
@@ -99,7 +99,7 @@ def domain_classes() -> dict[type, type[Any]]:
     metaclass: Any = type(DomainEvent)
     made: dict[type, type[Any]] = {}
     for kind in EVENT_TYPES:
-        fields = dict.fromkeys(("caused_by", "time_us", *(field.name for field in layout(kind).fields)), Any)
+        fields = dict.fromkeys(("caused_by", "time_us", *(field.name for field in stored_type(kind).fields)), Any)
         made[kind] = metaclass(
             kind.__name__,
             (DomainEvent,),

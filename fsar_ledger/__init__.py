@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explaining import Account
     from fsar_ledger.api.keys import key_new, key_public
-    from fsar_ledger.api.ledger import Ledger, open_ledger
+    from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.making import (
         Simulated,
         calibrate,
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         simulate,
         verify_proof,
     )
+    from fsar_ledger.api.opening import open_ledger
     from fsar_ledger.api.reproducing import Reproduced
     from fsar_ledger.api.table import Table
     from fsar_ledger.api.verifying import Verification
@@ -66,7 +67,7 @@ _HOMES = {
     "api.events": ("Events", "LoggedEvent"),
     "api.explaining": ("Account",),
     "api.keys": ("key_new", "key_public"),
-    "api.ledger": ("Ledger", "open_ledger"),
+    "api.ledger": ("Ledger",),
     "api.making": (
         "Simulated",
         "calibrate",
@@ -77,6 +78,7 @@ _HOMES = {
         "simulate",
         "verify_proof",
     ),
+    "api.opening": ("open_ledger",),
     "api.reproducing": ("Reproduced",),
     "api.table": ("Table",),
     "api.verifying": ("Verification",),
@@ -87,7 +89,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """Load what is asked for only now: to import the package takes no library."""
+    """Load a public name when it is first used, so that importing the package loads no library."""
     if name == "errors":
         return import_module(f"{__name__}.errors")
     if name not in _HOME_OF:

@@ -20,6 +20,34 @@ FsarLedgerError            every error that a user can meet          exit code
 ```
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_NAMED_IN_PYTHON = {"memory_mib": "memory", "settings": "set"}
+_is_command_line = ContextVar("is_command_line", default=False)
+
+
+@contextmanager
+def named_as_options() -> Iterator[None]:
+    """Name parameters as options of the command line in the errors raised inside."""
+    before = _is_command_line.set(True)
+    try:
+        yield
+    finally:
+        _is_command_line.reset(before)
+
+
+def option(name: str, value: object = None) -> str:
+    """Name a parameter, with its value if there is one, as the caller gave it.
+
+    In Python that is `trusted_key=KEY`, on the command line `--trusted-key KEY`.
+    """
+    if not _is_command_line.get():
+        return name if value is None else f"{name}={value}"
+    flag = f"--{_NAMED_IN_PYTHON.get(name, name).replace('_', '-')}"
+    return flag if value is None else f"{flag} {value}"
+
 
 class FsarLedgerError(Exception):
     """An error that a user can meet.

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 class About(msgspec.Struct, frozen=True):
     """The head of the ledger that was asked, and whether the rows that were read were compared with its root.
 
-    `plans` says what is there of what was planned, None where the answer does not rest on that. `not_observed` are concerns that runs do not
-    observe, so that the answer says nothing about them there.
+    `plans` says what is there of what was planned, None where the answer does not rest on that. `not_observed` are
+    concerns that runs do not observe, so that the answer says nothing about them there.
     """
 
     head: Head | None = None
@@ -26,17 +26,17 @@ class About(msgspec.Struct, frozen=True):
     not_observed: tuple[Unobserved, ...] = ()
 
     def answer(self) -> dict[str, object]:
-        """Return what JSON has of this beside the head."""
+        """Return the parts of this, other than the head, that JSON answers have."""
         missing: dict[str, object] = {"not_observed": self.not_observed} if self.not_observed else {}
         return missing if self.plans is None else {**self.plans.answer(), **missing}
 
 
 def of_rows(database: "Database", query: "Query | None" = None, run: str | None = None) -> About:
-    """Return what an answer holds for that is the rows of a query, of one run or of all."""
+    """Describe an answer that is the rows of a query, of one run or of all."""
     missing = () if query is None else tuple(unobserved(database, query, run))
     return About(database.head, database.rows_verified, None, missing)
 
 
 def of_judgement(database: "Database") -> About:
-    """Return what an answer holds for that judges all that was planned."""
+    """Describe an answer that judges all that was planned."""
     return About(database.head, database.rows_verified, completeness(database))

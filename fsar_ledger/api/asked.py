@@ -1,4 +1,4 @@
-"""Runs, robots and times in a question, as the ledger has them."""
+"""Runs, robots and times in a question, as the ledger names them."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +33,10 @@ def robot_of(database: "Database", asked: str, run: str | None) -> str:
 
 
 def parameters_of(database: "Database", known: Any, given: dict[str, object]) -> dict[str, str]:
-    """Return the parameters of a query as text, with whole names of runs and robots, and times in microseconds. Raises: UsageError for a name that is none."""
+    """Return the parameters of a query as text: whole names of runs and robots, times in microseconds.
+
+    Raises: UsageError for an unknown name.
+    """
     found = {name: str(value) for name, value in given.items()}
     if "at" in given and "at_us" in known and "at_us" not in given:
         at = given["at"]

@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 
 
 class Audit(msgspec.Struct, frozen=True):
-    """What `audit` found: a row for each invariant, architecture and configuration.
+    """The findings of `audit`: a row for each invariant, architecture and configuration.
 
-    `holds`: every invariant was shown to hold, by a case, and by every run; False: an event offends one; None: it cannot be told.
-    `runs_unreadable` are runs whose parameters cannot be read, so that no recovery budget of theirs is judged.
+    `holds`: every invariant was shown to hold, by a case, and by every run; False: an event offends one; None: it
+    cannot be told. `runs_unreadable` are runs whose parameters cannot be read, so that no recovery budget of theirs is
+    judged.
     """
 
     rows: list[AuditRow]
@@ -56,11 +57,11 @@ def audited(database: "Database", invariants: Sequence[str], architectures: Sequ
 
 
 def is_empty(row: AuditRow) -> bool:
-    """Whether all was observed that could offend, and there was nothing."""
+    """Return whether all was observed that could offend, and nothing happened that the invariant is about."""
     return row.holds is None and not row.runs_not_observed
 
 
 def all_shown(rows: Sequence[AuditRow]) -> bool:
-    """Whether each invariant holds by a case: of some architecture, and no other has anything but no case."""
+    """Return whether each invariant was shown to hold by a case of some architecture, and none is broken or untold."""
     shown = {row.invariant for row in rows if row.holds}
     return all(row.holds or (is_empty(row) and row.invariant in shown) for row in rows)

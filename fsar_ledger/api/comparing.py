@@ -1,4 +1,4 @@
-"""The answer of `statistics`: its rows, and what is said of what they leave out."""
+"""The answer of `statistics`: its rows, and remarks on what they leave out."""
 
 from typing import Any
 
@@ -19,11 +19,14 @@ from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
 from .about import About, of_judgement
 
-NOTHING = "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met the same world"
+NOTHING = (
+    "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met "
+    "the same world"
+)
 
 
 class Compared(msgspec.Struct, frozen=True):
-    """What `statistics` has to say: the rows, the worlds that differ, why comparisons have no pairs, and what the rows do not show."""
+    """The answer of `statistics`: rows, worlds that differ, reasons for comparisons without pairs, and remarks."""
 
     rows: list[dict[str, Any]]
     columns: list[str]
@@ -36,12 +39,12 @@ class Compared(msgspec.Struct, frozen=True):
 
     @property
     def before(self) -> list[str]:
-        """What is said before any number: whose worlds differ, and that nothing is compared."""
+        """Return what is said above the numbers: whose worlds differ, or that nothing is compared."""
         return [*map(str, self.differing), *([] if self.rows else [NOTHING, *self.not_compared])]
 
     @property
     def after(self) -> list[str]:
-        """What is said below the numbers: how Holm adjusts where there are several families, and what is missing."""
+        """Return what is said below the numbers: how Holm adjusts several families, and what is missing."""
         families = {(row["family"], row["family_tests"]) for row in self.rows if row["family_tests"] is not None}
         told = (
             [f"Holm adjusts together: {'; '.join(f'{count} tests of {name}' for name, count in sorted(families))}"]
@@ -52,7 +55,7 @@ class Compared(msgspec.Struct, frozen=True):
 
 
 def compared(database: Database, *, pooled: bool) -> Compared:
-    """All that the ledger has to say in pairs. Raises: as `Database.rows`."""
+    """Compare in pairs all that the ledger allows. Raises: As `Database.rows`."""
     found = statistic_rows(database, pools_seeds=pooled)
     metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
     columns = list(StatisticRow.__struct_fields__)

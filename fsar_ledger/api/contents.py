@@ -1,7 +1,7 @@
-"""What a ledger holds, in short: what was planned and what of it is there, which worlds met which architectures.
+"""What a ledger holds, in short: what was planned, what of it is there, and which worlds met which architectures.
 
-A plan that is on record says what is missing. Where there is none (live runs, ledgers from before plans were recorded) nothing in a ledger does:
-then the shape of what is there is told, and never that it is complete.
+A plan that is on record says what is missing. Where there is none (live runs, ledgers from before plans were recorded)
+nothing in a ledger does: then the shape of what is there is told, and never that it is complete.
 """
 
 from collections.abc import Mapping
@@ -21,8 +21,10 @@ from fsar_ledger.metrics.plans import completeness
 from .about import About
 from .plans import Shown, plans, runs, shape
 
-# Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture and configuration; NULL where runs have none.
-# A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there; runs without a number make none.
+# Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture and
+# configuration; NULL where runs have none.
+# A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there;
+# runs without a number make none.
 GROUPS = """
 WITH sizes AS (
     SELECT run_id, count(*) AS event_count FROM events GROUP BY run_id
@@ -44,7 +46,9 @@ groups AS (
         runs.configuration,
         coalesce(list(DISTINCT runs.scenario) FILTER (runs.scenario IS NOT NULL), []) AS scenarios,
         max(runs.run) AS last,
-        count(DISTINCT (runs.scenario, runs.run)) FILTER (runs.scenario IS NOT NULL AND runs.run IS NOT NULL) AS numbered,
+        count(DISTINCT (runs.scenario, runs.run)) FILTER (
+            runs.scenario IS NOT NULL AND runs.run IS NOT NULL
+        ) AS numbered,
         settings.kind AS made_as,
         count(*) AS runs,
         count(*) FILTER (planned.run_id IS NULL) AS runs_unplanned,
@@ -54,7 +58,15 @@ groups AS (
     INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
     LEFT JOIN planned ON runs.run_id = planned.run_id
     GROUP BY
-        runs.kind, runs.source, runs.model_version, settings.parameter_set, runs.seed, runs.fleet_size, runs.architecture, runs.configuration, settings.kind
+        runs.kind,
+        runs.source,
+        runs.model_version,
+        settings.parameter_set,
+        runs.seed,
+        runs.fleet_size,
+        runs.architecture,
+        runs.configuration,
+        settings.kind
 )
 
 SELECT
@@ -69,7 +81,8 @@ SELECT
     len(scenarios) AS scenarios,
     runs,
     runs_unplanned,
-    len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT * (max(last) OVER world + 1)::HUGEINT - numbered AS runs_to_rectangle,
+    len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT
+    * (max(last) OVER world + 1)::HUGEINT - numbered AS runs_to_rectangle,
     events
 FROM groups
 WINDOW world AS (PARTITION BY kind, source, model_version, parameter_set, seed, fleet_size, made_as)
@@ -95,7 +108,9 @@ COLUMNS = (
 
 
 class Contents(msgspec.Struct, frozen=True):
-    """The runs of a ledger: `groups` by model, seed, fleet size, architecture and configuration; `models` with their constants; `plans` by what they name.
+    """The runs of a ledger: groups of like runs, their models with constants, and the plans.
+
+    `groups` are by model, seed, fleet size, architecture and configuration; `plans` by what they name.
 
     `not_observed` are the concerns that some runs do not observe.
     """
@@ -111,12 +126,12 @@ class Contents(msgspec.Struct, frozen=True):
 
     @property
     def run_count(self) -> int:
-        """All runs, whatever their group."""
+        """Count all runs, whatever their group."""
         return sum(group["runs"] for group in self.groups)
 
     @property
     def unplanned(self) -> dict[str, int]:
-        """How many runs no plan names, by kind."""
+        """Count, by kind, the runs that no plan names."""
         found: dict[str, int] = {}
         for group in self.groups:
             found[group["kind"]] = found.get(group["kind"], 0) + group["runs_unplanned"]
@@ -124,13 +139,13 @@ class Contents(msgspec.Struct, frozen=True):
 
     @property
     def is_complete(self) -> bool | None:
-        """Whether every run of every plan is there; None where that says nothing of some run, or there is no plan."""
+        """Return whether every run of every plan is there; None where a run has no plan, or there is no plan."""
         if any(plan["missing_count"] for plan in self.plans):
             return False
         return None if self.unplanned or not self.plans else True
 
     def answer(self) -> dict[str, object]:
-        """All of it, for programs."""
+        """Return all of it, for programs."""
         return {
             "groups": self.groups,
             "models": self.models,
@@ -143,7 +158,7 @@ class Contents(msgspec.Struct, frozen=True):
         }
 
     def summary(self) -> list[str]:
-        """Some lines for people; the parameters are too many for that."""
+        """Return some lines for people; the parameters are too many for that."""
         return [
             *self._standing(),
             *self._unfinished(),
@@ -174,7 +189,7 @@ class Contents(msgspec.Struct, frozen=True):
         ]
 
     def _unfinished(self) -> list[str]:
-        """A line for each plan that lacks runs, but for those that a larger one covers."""
+        """Return a line for each plan that lacks runs, except those that a larger plan covers."""
         lines = []
         for plan in self.plans:
             if plan["missing_count"] and not plan["larger_plans"]:
@@ -193,18 +208,25 @@ class Contents(msgspec.Struct, frozen=True):
             return []
         of_all = f"{smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one"
         return [
-            f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root is not"
+            (
+                f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the "
+                "root "
+                "is not"
+            )
         ]
 
     def _unlike(self) -> list[str]:
-        """What can be said of the shape, where no plan says what is missing: for a comparison, and where there is no plan."""
+        """Describe the shape of what is there, where no plan says what is missing."""
         if self.is_complete is False:
             return []
         measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
         missing = sum(measured)
         if missing:
             return [
-                f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its model, seed and fleet size"
+                (
+                    f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its "
+                    "model, seed and fleet size"
+                )
             ]
         return (
             ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"]
@@ -225,7 +247,7 @@ class Contents(msgspec.Struct, frozen=True):
         return [f"not observed, so that no answer is about it: {shown(self.not_observed)}"] if self.not_observed else []
 
     def rows(self) -> list[dict[str, Any]]:
-        """The groups as people are shown them: only columns that say something."""
+        """Return the groups as people are shown them: only columns that say something."""
         is_dull = {"constants": len(self.models) == 1, "runs_unplanned": not self.plans or not self.unplanned}
         return [{name: group[name] for name in COLUMNS if not is_dull.get(name)} for group in self.groups]
 
@@ -257,7 +279,10 @@ def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:
 
 
 def _of_model(one: Model, letter: str | None) -> dict[str, Any]:
-    """What programs are told of a model; `differing` names the constants that other runs of the same kind, source and version have otherwise."""
+    """Describe a model for programs.
+
+    `differing` names the constants in which other runs of its kind, source and version differ.
+    """
     return {
         "constants": letter,
         "kind": one.kind,
@@ -271,7 +296,7 @@ def _of_model(one: Model, letter: str | None) -> dict[str, Any]:
 
 
 def _described(model: Mapping[str, Any]) -> str:
-    """What a model is, in words."""
+    """Describe a model in words."""
     version = (
         "no model" if model["model_version"] is None else f"model version {printable.value(model['model_version'])}"
     )
@@ -289,7 +314,7 @@ def _described(model: Mapping[str, Any]) -> str:
 
 
 def _among_others(model: Mapping[str, Any]) -> str:
-    """The same beside others: under its letter, with the constants that are not those of others."""
+    """Describe a model beside others: its letter, and the constants that differ from theirs."""
     letter = "no constants on record" if model["constants"] is None else f"constants {model['constants']}"
     differing = (
         f": {printable.value(model['differing'], MAX_DIFFERING)}"

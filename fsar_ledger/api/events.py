@@ -1,4 +1,4 @@
-"""The events of a ledger: some of them by run, robot and time, as typed objects or as a table."""
+"""The events of a ledger by run, robot and time, as typed objects or as a table."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,7 +28,10 @@ NAMING = {name: kind for name, kind in COLUMNS.items() if name not in _ENVELOPE 
 
 
 class LoggedEvent(NamedTuple):
-    """An event with its envelope: the run, its seq there, when it happened, and the seq of the event that led to it (None: nothing did)."""
+    """An event with its envelope.
+
+    The run, its seq there, when it happened, and the seq of the event that caused it (None: none did).
+    """
 
     run: str
     seq: int
@@ -38,12 +41,12 @@ class LoggedEvent(NamedTuple):
 
     @property
     def time_s(self) -> float:
-        """When it happened, in seconds of run time."""
+        """Return when it happened, in seconds of run time."""
         return self.time_us / 1_000_000
 
 
 class Filter(NamedTuple):
-    """Which events are meant; None takes all. Times are microseconds, from `since_us` and before `until_us`."""
+    """The events that are meant; None takes all. Times are microseconds, from `since_us` and before `until_us`."""
 
     run: str | None = None
     since_us: int | None = None
@@ -51,7 +54,7 @@ class Filter(NamedTuple):
     robot: str | None = None
 
     def takes(self, time_us: int, event: Event) -> bool:
-        """Whether an event of the run is meant."""
+        """Return whether an event of the run is meant."""
         return (
             (self.since_us is None or time_us >= self.since_us)
             and (self.until_us is None or time_us < self.until_us)
@@ -59,7 +62,7 @@ class Filter(NamedTuple):
         )
 
     def sql(self) -> tuple[str, dict[str, str | int]]:
-        """Return the same as a SELECT over `events`, and its parameters."""
+        """Return the same filter as a SELECT over `events`, and its parameters."""
         conditions: list[str] = []
         values: dict[str, str | int] = {}
         for name, value, condition in (
@@ -84,12 +87,12 @@ def _naming(name: str, kind: str) -> str:
 
 
 def _agents(robot: str) -> str:
-    """What the principals of a robot's agents begin with (DHMA splits a robot into four)."""
+    """Return the beginning of the principals of a robot's agents (DHMA splits a robot into four)."""
     return f"agent/{robot.removeprefix('robot/')}/"
 
 
 def names(event: Event, robot: str) -> bool:
-    """Whether a field of the event, or an item of one, is this robot or an agent of it."""
+    """Return whether a field of the event, or an item of one, is this robot or an agent of it."""
     agents = _agents(robot)
     for value in flat(event).values():
         for text in value if isinstance(value, tuple) else (value,):
@@ -101,7 +104,8 @@ def names(event: Event, robot: str) -> bool:
 class Events:
     """Some events of a ledger; each way to take them reads the ledger anew.
 
-    Iterating yields a `LoggedEvent` for each, run by run in commit order, as its newest version, and holds one commit in memory at a time.
+    Iterating yields a `LoggedEvent` for each, run by run in commit order, as its newest version, and holds one commit
+    in memory at a time.
     """
 
     def __init__(self, path: Path, meant: Filter, demanded: str | None = None) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class EveryWay(Multiverse, frozen=True, kw_only=True):
-    """As `Multiverse`, and what it holds for."""
+    """A `Multiverse`, and what it holds for."""
 
     about: About
 
@@ -27,7 +27,10 @@ class EveryWay(Multiverse, frozen=True, kw_only=True):
         return Table(of_structs(self.cells, Cell), self.about)
 
     def draw(self, file: str | PathLike[str]) -> None:
-        """Draw every cell under every combination of readings, as SVG. Raises: WriteFailed if the file cannot be written."""
+        """Draw every cell under every combination of readings, as SVG.
+
+        Raises: WriteFailed if the file cannot be written.
+        """
         from fsar_ledger.report import specification, typeset
 
         typeset.publish(Path(file), specification.curves(self))

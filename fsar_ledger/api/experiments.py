@@ -1,9 +1,9 @@
-"""Which experiment the names and numbers that `simulate` is given stand for."""
+"""The experiment that the names and numbers given to `simulate` stand for."""
 
 from typing import TYPE_CHECKING, Any
 
 from fsar_ledger import printable
-from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.errors import InvalidExperiment, UsageError, option
 
 from .names import known
 
@@ -25,9 +25,12 @@ def experiment_of(
     fleet: str | None = None,
     settings: list[str] | None = None,
 ) -> "Experiment":
-    """The experiment that the options of `simulate` name; a mechanism is of one architecture, so with one the default is that architecture alone.
+    """Return the experiment that the options of `simulate` name.
 
-    `load` is how many teams work (None: all), and how many sets of tasks each of them gets; `fleet` and `settings` are as in `with_own`.
+    A mechanism belongs to one architecture, so with one the default is that architecture alone.
+
+    `load` is how many teams work (None: all), and how many sets of tasks each of them gets; `fleet` and `settings` are
+    as in `with_own`.
 
     Raises:
         InvalidExperiment: a name is unknown, or a number impossible.
@@ -35,12 +38,12 @@ def experiment_of(
     """
     if workflows:
         others = {
-            "--scenario": scenarios,
-            "--without": without,
-            "--teams-working": load[0],
-            "--task-sets": load[1] if load[1] != 1 else None,
-            "--fleet": fleet,
-            "--set": settings,
+            "scenario": scenarios,
+            "without": without,
+            "teams_working": load[0],
+            "task_sets": load[1] if load[1] != 1 else None,
+            "fleet": fleet,
+            "settings": settings,
         }
         return _workflows_of(workflows, runs, seed, others, architectures, fleet_size)
     import msgspec
@@ -66,7 +69,10 @@ def experiment_of(
     size = team_size(constants.fleet) if fleet_size is None else fleet_size
     if load not in ((None, 1), (size // team_size(constants.fleet), 1)):
         if constants.load is not None:
-            raise UsageError("--set load and --teams-working or --task-sets: expected one or the other")
+            raise UsageError(
+                f"{option('settings', 'load')} and {option('teams_working')} or {option('task_sets')}: expected one "
+                "or the other"
+            )
         constants = msgspec.structs.replace(constants, load=Load(*load))
     return Experiment(
         architectures=known("architecture", architectures, REGISTERED) or whose or ARCHITECTURES,
@@ -80,11 +86,12 @@ def experiment_of(
 
 
 def _joined(asked: str) -> list[str]:
-    """The names that a + joins. Raises: InvalidExperiment, where one is missing, stands twice, or is joined otherwise."""
+    """Split names joined by a +. Raises: InvalidExperiment where one is missing, repeated or joined otherwise."""
     names = [name.strip() for name in asked.split("+")]
     if "" in names or len(set(names)) < len(names) or "," in asked:
         raise InvalidExperiment(
-            f"--without {printable.value(asked)}: expected mechanisms, each once, with + between them, as in trust-evaluation+shared-registry"
+            f"{option('without', printable.value(asked))}: expected mechanisms, each once, with + between them, as in "
+            "trust-evaluation+shared-registry"
         )
     return names
 
@@ -97,19 +104,23 @@ def _workflows_of(
     architectures: list[str] | None,
     fleet_size: int | None,
 ) -> "Experiment":
-    """The workflows that were asked for: FSAR's, with one robot of each role, and nothing beside them."""
+    """Return the experiment of these workflows: FSAR's, with one robot of each role, and nothing beside them."""
     from fsar_ledger.designs.registered import workflows
     from fsar_ledger.runtime.experiment import workflow_experiment
 
-    for option, found in others.items():
+    for name, found in others.items():
         if found is not None and found != []:
             shown = found[0] if isinstance(found, list) else found
-            raise UsageError(f"--workflow and {option} {shown}: expected one or the other")
+            raise UsageError(f"{option('workflow')} and {option(name, shown)}: expected one or the other")
     for name in architectures or ():
         if name != "fsar":
-            raise UsageError(f"--workflow and --architecture {name}: expected fsar; the workflows are FSAR's")
+            raise UsageError(
+                f"{option('workflow')} and {option('architecture', name)}: expected fsar; the workflows are FSAR's"
+            )
     if fleet_size not in (None, 4):
-        raise UsageError(f"--workflow and --fleet-size {fleet_size}: expected 4, one robot of each role")
+        raise UsageError(
+            f"{option('workflow')} and {option('fleet_size', fleet_size)}: expected 4, one robot of each role"
+        )
     names = {name.removeprefix("workflow-"): name for name in workflows()}
     chosen = tuple(names[name] for name in known("workflow", asked, tuple(names)))
     return workflow_experiment(seed, 1 if runs is None else runs, chosen)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
@@ -27,7 +27,7 @@ Choose = Callable[[str, Sequence[str]], str]
 
 
 class Account(msgspec.Struct, frozen=True):
-    """What happened to one request: who asked, who allowed, who acted, who supervised.
+    """The account of one request: who asked, who allowed, who acted, who supervised.
 
     `story` has a row for each step, `recovery` one for each thing that was tried after it failed, level by level.
     """
@@ -41,7 +41,9 @@ class Account(msgspec.Struct, frozen=True):
     about: About
 
     def draw(self, file: "str | PathLike[str]", kind: Literal["svg", "pdf"] | None = None) -> None:
-        """Draw the account, of a failure its levels, as SVG or PDF, which the name of the file says unless `kind` does; replaced if it exists.
+        """Draw the account, of a failure its levels, as SVG or PDF; the file is replaced if it exists.
+
+        The name of the file says which, unless `kind` does.
 
         Raises:
             UsageError: Nothing says what it shall be, or the file lies inside a ledger.
@@ -76,7 +78,9 @@ def account(database: Database, ledger: Path, run: str, request: str | None, fai
     recovery = _asked(database, "failure_story", run, action)
     if failure is not None and not recovery:
         raise UsageError(
-            f"--failure {failure}: found no failure of this action in run {run}; --request {failure} tells what happened"
+            f"{option('failure', failure)}: found no failure of this action in run {run}; "
+            f"{option('request', failure)} tells what "
+            "happened"
         )
     return Account(run, action, parties, story, recovery, failure is not None, _about(database, run))
 
@@ -87,7 +91,7 @@ def requests(database: Database, run: str) -> Table:
 
 
 def chosen_run(database: Database, ledger: Path, asked: str | None, choose: Choose = run_named) -> str:
-    """Return the run that was asked for, the first of the ledger where none was. Raises: UsageError if there is none."""
+    """Return the run that was asked for, or the first of the ledger. Raises: UsageError if there is none."""
     names = [str(row["run_id"]) for row in database.rows("SELECT run_id FROM run_started")]
     if not names:
         raise UsageError(f"{ledger}: found no run, so there is nothing to explain")

@@ -1,4 +1,7 @@
-"""Rows as comma-separated values. Text of a ledger is escaped where it becomes a field (`printable`), unless it shall stay raw."""
+"""Rows as comma-separated values.
+
+Text of a ledger is escaped as it becomes a field (`printable`), unless it shall stay raw.
+"""
 
 import csv
 import io
@@ -14,7 +17,10 @@ Row = Mapping[str, object]
 
 
 def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
-    """The rows as comma-separated values under one line of column names; text is harmless for terminals and spreadsheets unless `raw`."""
+    """Return the rows as comma-separated values under one line of column names.
+
+    Text is harmless for terminals and spreadsheets unless `raw`.
+    """
     text = io.StringIO()
     writer, quoting = (
         csv.writer(text, lineterminator="\n"),
@@ -31,7 +37,7 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) 
 
 
 def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
-    """The typed rows as mappings."""
+    """Return typed rows as mappings."""
     return [msgspec.structs.asdict(row) for row in rows]
 
 
@@ -45,7 +51,7 @@ def encodable(value: object) -> object:
 
 
 def field_text(value: object, *, raw: bool) -> str:
-    """The value in CSV."""
+    """Return the value as a field of CSV."""
     if isinstance(value, str):
         return value if raw else printable.field(value)
     if value is None:

@@ -1,4 +1,4 @@
-"""Files that an answer is written to for other tools: CSV and Parquet. A file is whole or not there.
+"""Files that an answer is written to for other tools: CSV and Parquet, each whole or not there.
 
 Each is written under a temporary name beside its place and renamed when it is complete, so that neither
 Ctrl-C nor a full disk leaves half of one.
@@ -15,7 +15,7 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from fsar_ledger import printable
-from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.errors import UsageError, WriteFailed, option
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import require_outside
@@ -48,12 +48,12 @@ def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | 
 
 
 def write_table(out: Path, table: pa.Table, *, raw: bool = False) -> int:
-    """Write the rows, text as in `write_events`; return how many. Raises: as `write_events`."""
+    """Write the rows, text as in `write_events`; return how many. Raises: As `write_events`."""
     return _write_tables(out, table.schema, [table], raw=raw)
 
 
 def write_text(out: Path, text: str) -> None:
-    """The file holds the text, in UTF-8.
+    """Write the text in UTF-8.
 
     Raises:
         WriteFailed: the file cannot be written.
@@ -63,21 +63,25 @@ def write_text(out: Path, text: str) -> None:
 
 
 def require_place(out: Path) -> None:
-    """Raises: UsageError if rows cannot be written there. To be asked before any reading: a wrong name should not cost minutes."""
+    """Check that rows can be written there, before any reading: a wrong name should not cost minutes.
+
+    Raises: UsageError if they cannot.
+    """
     _format_of(out)
-    require_outside(out, f"--out {out}")
+    require_outside(out, option("out", out))
 
 
 def _format_of(out: Path) -> str:
     if out.suffix not in (".csv", ".parquet"):
         raise UsageError(
-            f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv or .parquet; choose one of them"
+            f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv or .parquet; choose "
+            "one of them"
         )
     return out.suffix
 
 
 def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, raw: bool) -> int:
-    """The tables stand one after the other in the file; memory holds one of them at a time."""
+    """Write the tables one after the other; memory holds one of them at a time."""
     rows = 0
     with _whole_file(out) as temporary, _writer(out, temporary, schema, raw=raw) as write:
         for table in tables:
@@ -92,14 +96,15 @@ def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iter
         with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
             yield lambda table: writer.write_table(table)
     else:
-        # Text stands in quotes and NULL does not, so that an empty text can be told from NULL; names of columns need no quotes.
+        # Text stands in quotes and NULL does not, so that an empty text can be told from NULL; names of columns need no
+        # quotes.
         options = pa_csv.WriteOptions(quoting_header="none")
         with pa_csv.CSVWriter(temporary, _flat(schema.empty_table()).schema, write_options=options) as writer:
             yield lambda table: writer.write_table(_flat(table) if raw else _harmless(_flat(table)))
 
 
 def _flat(table: pa.Table) -> pa.Table:
-    """The same table with each list as JSON text, because a CSV field holds no list."""
+    """Return the table with each list as JSON text, because a CSV field holds no list."""
     for at, field in enumerate(table.schema):
         if pa.types.is_nested(field.type):
             texts = [
@@ -111,7 +116,7 @@ def _flat(table: pa.Table) -> pa.Table:
 
 
 def _harmless(table: pa.Table) -> pa.Table:
-    """The same table with each text as `printable.field` makes it: looked at once, however many rows hold it."""
+    """Return the table with each text as `printable.field` makes it; each different text is looked at once."""
     for at, field in enumerate(table.schema):
         if pa.types.is_string(field.type):
             chunks = [_harmless_chunk(chunk) for chunk in table.column(at).chunks]
@@ -136,7 +141,8 @@ def _whole_file(out: Path) -> Iterator[Path]:
         os.replace(temporary, out)
     except OSError as problem:
         raise WriteFailed(
-            f"{out}: cannot be written ({problem.strerror or problem}); the file is as it was before: make room or choose another place"
+            f"{out}: cannot be written ({problem.strerror or problem}); the file is as it was before: make room or "
+            "choose another place"
         ) from problem
     finally:
         with suppress(OSError):  # where it could not be made, it cannot be taken away either

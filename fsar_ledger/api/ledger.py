@@ -1,27 +1,23 @@
-"""A ledger as Python sees it: every question that the command line answers, by the same names."""
+"""A ledger in Python: every question that the command line answers, under the same names."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.opening import open_for_answers
 
-from .answering import demanded_head
 from .asked import parameters_of, robot_of, run_of
-from .names import microseconds, names_of
+from .evidence import Evidence
+from .names import By, Place, Pool, by_scenario, microseconds, names_of, pools_seeds
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.store.proof import Proof
     from fsar_ledger.ledger.store.read import Head
-    from fsar_ledger.ledger.verify.recover import Recovery
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.locked import Limits
     from fsar_ledger.projections.fold import State
-    from fsar_ledger.witness.cosign import Cosigned
 
     from .about import About
     from .auditing import Audit
@@ -33,17 +29,13 @@ if TYPE_CHECKING:
     from .files import Written
     from .sides import Comparison
     from .table import Table
-    from .verifying import Verification
-
-Place = str | PathLike[str]
-Pool = Literal["seeds"] | None
-By = Literal["scenario"] | None
 
 
-class Ledger:
+class Ledger(Evidence):
     """A ledger that can be asked. Each answer is about its newest commit at that moment, and says which in `head`.
 
-    Runs are given by name, or by a part of it that only one has; robots as `B1` or `robot/B1`; times in seconds of run time.
+    Runs are given by name, or by a part of it that only one has; robots as `B1` or `robot/B1`; times in seconds of run
+    time.
 
     Args:
         path: The folder of the ledger.
@@ -59,7 +51,7 @@ class Ledger:
 
     @property
     def head(self) -> "Head":
-        """How far the ledger goes now: commits, events, and the root over them. Raises: as `open_ledger`."""
+        """Return how far the ledger goes now: commits, events, and the root over them. Raises: As `open_ledger`."""
         return open_for_answers(self.path).head
 
     # --- what it holds ---
@@ -100,7 +92,7 @@ class Ledger:
         return Events(self.path, Filter(run, since_us, until_us, robot), self._demanded)
 
     def state(self, run: str, at: float | None = None) -> "State":
-        """Return what the events of a run up to this time, that of its end by default, make of it: tasks, queues, trust, policies.
+        """Return the state of a run at this time, or at its end: tasks, queues, trust, policies.
 
         Raises:
             UsageError: There is no such run, or `at` is no time.
@@ -114,7 +106,7 @@ class Ledger:
     # --- questions ---
 
     def query(self, name: str, /, **parameters: object) -> "Table":
-        """Answer a packaged question (`queries()` lists them); `at=` in seconds serves for its parameter `at_us`.
+        """Answer a packaged question (`queries()` lists them); `at=`, in seconds, sets its parameter `at_us`.
 
         Raises:
             UnknownQuery: There is no query or parameter of this name.
@@ -131,7 +123,10 @@ class Ledger:
             return Table(rows, of_rows(database, query))
 
     def queries(self) -> "Table":
-        """Return every packaged question: its name, title, and parameters with their defaults (None: a value must be given)."""
+        """Return every packaged question: its name, title, and parameters.
+
+        Parameters come with their defaults; None: a value must be given.
+        """
         import pyarrow as pa
 
         from fsar_ledger.metrics.library import library
@@ -150,7 +145,8 @@ class Ledger:
         """Answer a SELECT of your own, in a locked-down process that can read this ledger and nothing else.
 
         Args:
-            select: One SELECT in DuckDB's SQL, over `events`, a view for each event type, and the packaged queries by their last names.
+            select: One SELECT in DuckDB's SQL, over `events`, a view for each event type, and the packaged queries by
+                their last names.
             seconds: When to give it up; None: 60.
             memory_mib: The most memory that it may take, at least 1024; None: 4096.
 
@@ -170,7 +166,7 @@ class Ledger:
     def stream(
         self, select: str, limits: "Limits"
     ) -> "Iterator[tuple[About, list[str], Iterator[list[dict[str, Any]]]]]":
-        """Yield the answer of `sql` with rows some at a time, so that a long one is never held as a whole."""
+        """Yield the answer of `sql` in parts, so that a long one is never held as a whole."""
         from fsar_ledger.metrics.untrusted import stream_untrusted
 
         from .about import About
@@ -179,7 +175,10 @@ class Ledger:
             yield About(found.head, found.rows_verified), found.columns, found.parts
 
     def requests(self, run: str | None = None) -> "Table":
-        """Return the requests of a run, the first by default: who asked, allowed, executed, supervised, and with what result."""
+        """Return the requests of a run, the first by default.
+
+        Each row says who asked, allowed, executed and supervised, and with what result.
+        """
         from .explaining import chosen_run, requests
 
         with self.database() as database:
@@ -210,17 +209,20 @@ class Ledger:
         from .about import of_judgement
         from .table import Table, of_structs
 
-        by_scenario, pooled = _by(by), _pool(pool)
+        per_scenario, pooled = by_scenario(by), pools_seeds(pool)
         with self.database() as database:
-            rows = of_structs(metric_rows(database, by_scenario=by_scenario, pools_seeds=pooled), MetricRow)
-            rows = rows if by_scenario else rows.drop_columns(["scenario"])
+            rows = of_structs(metric_rows(database, by_scenario=per_scenario, pools_seeds=pooled), MetricRow)
+            rows = rows if per_scenario else rows.drop_columns(["scenario"])
             return Table(rows, of_judgement(database))
 
     def statistics(self, pool: Pool = None) -> "Compared":
-        """Compare the architectures in pairs, and FSAR with itself without a mechanism: tests, effect sizes, and what is not compared."""
+        """Compare the architectures in pairs, and FSAR with itself without a mechanism.
+
+        The answer has tests, effect sizes, and what is not compared.
+        """
         from .comparing import compared
 
-        pooled = _pool(pool)
+        pooled = pools_seeds(pool)
         with self.database() as database:
             return compared(database, pooled=pooled)
 
@@ -232,110 +234,31 @@ class Ledger:
         by: By = None,
         pool: Pool = None,
     ) -> "Comparison":
-        """Compare two sides in pairs, as `ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]`; the second may be of another ledger."""
+        """Compare two sides in pairs, as `ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]`.
+
+        The second side may be of another ledger.
+        """
         from .sides import compared_sides
 
         ledgers = [self] if other is None else [self, other if isinstance(other, Ledger) else Ledger(other)]
-        return compared_sides(ledgers, (first, second), by_scenario=_by(by), pooled=_pool(pool))
+        return compared_sides(ledgers, (first, second), by_scenario=by_scenario(by), pooled=pools_seeds(pool))
 
     def multiverse(self, metric: str | Sequence[str] | None = None, pool: Pool = None) -> "EveryWay":
         """Read the results table in every way that the paper's text allows."""
         from .everyway import every_way
 
-        pooled = _pool(pool)
+        pooled = pools_seeds(pool)
         with self.database() as database:
             return every_way(database, names_of(metric), pools_seeds=pooled)
 
     def audit(
         self, invariant: str | Sequence[str] | None = None, architecture: str | Sequence[str] | None = None
     ) -> "Audit":
-        """Check the invariants I1 to I5 and A1 to A5, or those named, on all runs, or those of these architectures."""
+        """Check the invariants I1 to I5 and A1 to A5, or those named, on all runs or those of these architectures."""
         from .auditing import audited
 
         with self.database() as database:
             return audited(database, names_of(invariant) or (), names_of(architecture) or ())
-
-    # --- evidence ---
-
-    def verify(
-        self,
-        *,
-        quick: bool = False,
-        anchor: Place | None = None,
-        trusted_key: str | None = None,
-        witness_policy: Place | None = None,
-        cosigned: Sequence[Place] = (),
-        replay: bool = False,
-        workers: int | None = None,
-        progress: Progress | None = None,
-        now_s: int | None = None,
-    ) -> "Verification":
-        """Derive every hash, count and record again. Damage does not raise: see `ok` and `problems` of the answer.
-
-        Args:
-            quick: Read no rows.
-            anchor: A copy of `checkpoint` that was kept elsewhere; the ledger must only have grown since.
-            trusted_key: A public key that must have signed, as a .pub file or text.
-            witness_policy: A C2SP tlog-policy; enough of its witnesses must have seen the ledger. Takes `now_s`.
-            cosigned: Notes that show what witnesses saw; none: ask them.
-            replay: Play every run again, too.
-            workers: Processes at once; None: one per core, if there is enough to do.
-            progress: Called with segments done and in all.
-            now_s: The present time in seconds since 1970.
-
-        Raises:
-            NotALedger: There is none.
-            UsageError: What was asked for makes no sense.
-        """
-        from .verifying import verification
-
-        return verification(
-            self.path, quick, anchor, trusted_key, (witness_policy, cosigned, now_s), replay, workers, progress
-        )
-
-    def prove(self, event: str | int) -> "Proof":
-        """Prove that an event is in the ledger, given as `RUN:SEQ` or by its number; `str` of the answer is a C2SP tlog-proof.
-
-        Raises:
-            UsageError: There is no such event, or more than one such run.
-        """
-        from .proving import proof_of
-
-        return proof_of(self.path, str(event), self._demanded)
-
-    def recover(
-        self,
-        into: Place | None = None,
-        *,
-        anchor: Place | None = None,
-        trusted_key: str | None = None,
-        workers: int | None = None,
-        progress: Progress | None = None,
-    ) -> "Recovery":
-        """Mend what a crash left; after tampering, find what can be trusted, and copy that much `into` a new folder.
-
-        Raises:
-            UsageError: There is something at `into` already.
-            LedgerCorrupted: No commit can be trusted.
-            WriteFailed: Another writer is at work, or the disk refused.
-        """
-        from fsar_ledger.ledger.verify.recover import recover
-        from fsar_ledger.ledger.verify.verify import Asked
-
-        from .keys import anchor_of, trusted_of
-
-        asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
-        return recover(self.path, readers_of(workers, self.path), progress, asked, None if into is None else Path(into))
-
-    def witness_ask(self, policy: Place) -> "Cosigned":
-        """Have the newest checkpoint cosigned by the witnesses of a C2SP tlog-policy; no event leaves.
-
-        Raises:
-            NotCosigned: Fewer cosigned than the policy demands.
-        """
-        from .witnessed import cosigned
-
-        return cosigned(self.path, Path(policy))
 
     # --- files ---
 
@@ -401,45 +324,15 @@ class Ledger:
             readers_of(workers, self.path),
             progress,
             beside=list(map(Path, beside)),
-            pools_seeds=_pool(pool),
+            pools_seeds=pools_seeds(pool),
             sensitivity=path(sensitivity),
             numbers_out=path(numbers),
         )
 
     @contextmanager
     def database(self) -> "Iterator[Database]":
-        """Yield a DuckDB connection over the events and the packaged queries; what the questions are asked through."""
+        """Yield a DuckDB connection over the events and the packaged queries."""
         from fsar_ledger.metrics.database import connect
 
         with connect(self.path, demanded=self._demanded) as database:
             yield database
-
-
-def open_ledger(path: Place, *, verified: bool = False, progress: Progress | None = None) -> Ledger:
-    """Open the ledger in this folder.
-
-    Args:
-        path: The folder.
-        verified: Compare all rows with the root first, as `verify` does, unless that is remembered of this head; answers about later
-            commits are then refused.
-        progress: Called with segments compared and in all.
-
-    Raises:
-        NotALedger, FormatVersionMismatch: There is none that this version reads.
-        LedgerCorrupted: It contradicts itself.
-    """
-    if not verified:
-        open_for_answers(Path(path))
-    return Ledger(path, demanded=demanded_head(Path(path), verified=verified, progress=progress))
-
-
-def _by(by: str | None) -> bool:
-    if by not in (None, "scenario"):
-        raise UsageError(f"--by {by}: expected --by scenario, or no --by")
-    return by is not None
-
-
-def _pool(pool: str | None) -> bool:
-    from .names import pools_seeds
-
-    return pools_seeds(pool)

@@ -1,8 +1,7 @@
-"""What makes ledgers and the records beside them: `simulate`, `reproduce`, `calibrate`, `predict`, `judge`, `sensitivity`, `verify_proof`."""
+"""Functions that make ledgers and the records beside them, and `verify_proof`."""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +10,7 @@ import msgspec
 from .experiments import experiment_of
 from .keys import origin_of, signer_of, trusted_of
 from .ledger import Ledger
-from .names import names_of
+from .names import Place, names_of
 from .workload import WORTH_ROBOTS, Progress, workers_of
 
 if TYPE_CHECKING:
@@ -21,12 +20,11 @@ if TYPE_CHECKING:
 
     from .reproducing import Reproduced
 
-Place = str | PathLike[str]
 Names = str | Sequence[str] | None
 
 
 class Simulated(msgspec.Struct, frozen=True):
-    """What `simulate` made: of the runs that were asked for some may have been there before, and the ledger may hold others, too."""
+    """The result of `simulate`. Some runs may have been there before, and the ledger may hold others."""
 
     ledger: Ledger
     made: "Made"
@@ -120,7 +118,8 @@ def reproduce(
         key: As in `simulate`.
         adopt: As in `simulate`.
         workers: As in `simulate`.
-        showing: Makes, for each step (what is done, of what unit), a context that yields what to call with the progress.
+        showing: Makes, for each step (what is done, of what unit), a context that yields what to call with the
+            progress.
 
     Raises:
         UsageError: The folder is a ledger, or lies inside one.
@@ -151,7 +150,7 @@ def verify_proof(file: Place, trusted_key: str | None = None) -> "Proven":
 
 
 def calibrate(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
-    """Make the fit that is registered again, and write its record; takes the better part of an hour."""
+    """Make the registered fit again, and write its record; takes the better part of an hour."""
     from fsar_ledger.calibration import calibrate
 
     calibrate(Path(out), progress, workers_of(workers))
@@ -165,7 +164,7 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
 
 
 def judge(predictions: Place, out: Place) -> None:
-    """Lay predicted numbers beside the paper's, and write the comparison; nothing is played."""
+    """Lay predicted numbers beside the paper's, and write the comparison. Plays nothing."""
     from fsar_ledger.comparison import compare_predictions
 
     compare_predictions(Path(predictions), Path(out))
@@ -180,7 +179,9 @@ def sensitivity(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> "Sensitivity":
-    """Find out how much of each number hangs on each constant, and write the effects as Parquet; takes most of an hour.
+    """Find out how much of each number depends on each constant, and write the effects as Parquet.
+
+    Takes most of an hour.
 
     Args:
         out: The file. An interrupted study goes on from what is kept beside it.

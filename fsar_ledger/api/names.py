@@ -2,25 +2,39 @@
 
 from collections.abc import Sequence
 from difflib import get_close_matches
-from typing import TypeVar
+from os import PathLike
+from typing import Literal, TypeVar
 
 from fsar_ledger import printable
-from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.errors import InvalidExperiment, UsageError, option
 
 _Name = TypeVar("_Name", bound=str)
 
+Place = str | PathLike[str]
+Pool = Literal["seeds"] | None
+By = Literal["scenario"] | None
+
+
+def by_scenario(asked: str | None) -> bool:
+    """Return whether each scenario has rows of its own. Raises: UsageError for another division."""
+    if asked not in (None, "scenario"):
+        raise UsageError(f"{option('by', asked)}: expected {option('by', 'scenario')}, or no {option('by')}")
+    return asked is not None
+
 
 def pools_seeds(asked: str | None) -> bool:
-    """Whether the runs of all seeds are taken together. Raises: UsageError for anything else that `--pool` names."""
+    """Return whether the runs of all seeds are taken together. Raises: UsageError for another pool."""
     if asked not in (None, "seeds"):
         raise UsageError(
-            f"--pool {asked}: expected --pool seeds, or no --pool; runs of other constants, models or fleet sizes are never taken together"
+            f"{option('pool', asked)}: expected {option('pool', 'seeds')}, or no {option('pool')}; runs of other "
+            "constants, models or fleet sizes are "
+            "never taken together"
         )
     return asked is not None
 
 
 def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
-    """The names that were asked for, each once, in the order of `names`.
+    """Return the names that were asked for, each once, in the order of `names`.
 
     Raises:
         InvalidExperiment: one of them is none of `names`; the message suggests the nearest.
@@ -34,7 +48,7 @@ def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> t
 
 
 def did_you_mean(asked: str, names: Sequence[str]) -> str:
-    """A question about the nearest name: one that begins so, else one whose beginning is like it."""
+    """Return a question about the nearest name: one that begins so, else one whose beginning is like it."""
     ordered = sorted(names)
     near = [name for name in ordered if name.startswith(asked)] or get_close_matches(
         asked, [name[: len(asked)] for name in ordered], 1, 0.3
@@ -57,7 +71,8 @@ def run_named(asked: str, names: Sequence[str]) -> str:
     if found:
         shown = printable.some(map(printable.value, found))
         raise UsageError(
-            f"run {printable.value(asked)}: found {len(found):,} runs that have this in their names, expected one of {shown}"
+            f"run {printable.value(asked)}: found {len(found):,} runs that have this in their names, expected one of "
+            f"{shown}"
         )
     raise UsageError(
         f"run {printable.value(asked)}: there is no such run; {did_you_mean(asked, names)}the query `runs` lists them"
@@ -83,7 +98,7 @@ def names_of(asked: str | Sequence[str] | None) -> list[str] | None:
 
 
 def microseconds(what: str, seconds: float | None) -> int | None:
-    """Return a time given in seconds in whole microseconds; None stays None. Raises: UsageError if it is no time."""
+    """Convert seconds to whole microseconds; None stays None. Raises: UsageError if it is no time."""
     if seconds is None:
         return None
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds <= 9_007_199_254:

@@ -1,4 +1,4 @@
-"""The plans of a ledger for people: what each names, in a few words, and the call that goes on with it."""
+"""The plans of a ledger for people: what each names, in a few words, and the call that continues it."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -16,19 +16,25 @@ if TYPE_CHECKING:
 
 MAX_RUNS = 9999  # of an experiment
 MAX_COUNTS = 32
-"""Of runs that `reproduce` may have been called with, which are tried, the largest first: each costs two milliseconds. `info` shows ledgers of others, too."""
+"""Of runs that `reproduce` may have been called with, which are tried, the largest first: each costs two milliseconds.
+
+`info` shows ledgers of others, too.
+"""
 PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
 
 
 class Shown(NamedTuple):
-    """The ledger as the user named it, and what is in it."""
+    """A ledger under the name that the user gave, and its content."""
 
     path: Path
     view: LedgerView
 
 
 def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
-    """Every plan, the largest first, with the call that goes on with it where runs are missing and this version can make them, else None."""
+    """Return every plan, the largest first, with the call that continues it.
+
+    The call is None where no run is missing or this version cannot make them.
+    """
     rows = database.rows(EXPERIMENTS)
     constants = (
         {row["run_id"]: row["parameters"] for row in database.rows(PARAMETERS)}
@@ -44,7 +50,9 @@ def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
 
 
 def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
-    """By plan the call of `reproduce` that goes on with a ledger beside the results, which it made; no key signs that one under its own name.
+    """Return, by plan, the call of `reproduce` that continues a ledger that it made beside the results.
+
+    No key signs such a ledger under its own name.
 
     `counts` are the runs that the ledger's plans name: `reproduce` was called with one of these, or with none.
     """
@@ -70,7 +78,7 @@ def _is_signed(view: LedgerView) -> bool:
 
 
 def shape(plan: Mapping[str, Any]) -> str:
-    """What a plan names: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
+    """Describe what a plan names: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
     parts = (
         _some(plan["scenarios"], "scenarios"),
         runs(plan["run_count"]),
@@ -87,7 +95,10 @@ def _some(names: list[str], what: str) -> str:
 
 
 def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> str | None:
-    """The call that makes what is missing; None where no call of this version has this plan: another model, other constants, other names."""
+    """Return the call that makes what is missing; None where no call of this version has this plan.
+
+    That is so for another model, other constants or other names.
+    """
     from fsar_ledger.runtime.plan import plan_id
 
     asked = _asked(plan, parameters)
@@ -100,7 +111,10 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> s
 
 
 def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
-    """What `experiment_of` has to be given for such a plan, None where the default serves; None where its constants are not as they are written."""
+    """Return what `experiment_of` must be given for such a plan; None where its constants are not as they are written.
+
+    A value is None where the default will do.
+    """
     from fsar_ledger.constants import Load, read_constants
     from fsar_ledger.designs.registered import PAPER_SCENARIOS, workflows
     from fsar_ledger.parameters import BadParameters
@@ -128,7 +142,7 @@ def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
 
 
 def _options(asked: Mapping[str, Any]) -> Iterator[str]:
-    """The options of `simulate` that ask for this, those with their default left out."""
+    """Yield the options of `simulate` that ask for this, without those at their defaults."""
     for option, name in (
         ("--architecture", "architectures"),
         ("--scenario", "scenarios"),
@@ -144,7 +158,10 @@ def _options(asked: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _name(view: LedgerView) -> Iterator[str]:
-    """The options that let this ledger be written to: a key where the newest commit is signed, else the origin where it is not the usual one."""
+    """Yield the options that let this ledger be written to.
+
+    A key where the newest commit is signed, else the origin where it is not the usual one.
+    """
     from fsar_ledger.runtime.experiment import ORIGIN
 
     if _is_signed(view):

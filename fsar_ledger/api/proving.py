@@ -1,4 +1,4 @@
-"""Which event of a ledger a user means, and the proof of it."""
+"""The event of a ledger that a user means, and its proof."""
 
 from pathlib import Path
 
@@ -13,7 +13,9 @@ from .names import did_you_mean
 
 
 def proof_of(ledger: Path, event: str, demanded: str | None = None) -> Proof:
-    """Return the proof of the event of this name: `RUN:SEQ`, where the beginning of the run's name is enough if no other begins so, or its number.
+    """Prove the event of this name: `RUN:SEQ`, or its number in the ledger.
+
+    The beginning of the run's name is enough if no other begins so.
 
     Raises:
         UsageError: There is no such event, or more than one such run.
@@ -27,7 +29,7 @@ def proof_of(ledger: Path, event: str, demanded: str | None = None) -> Proof:
 
 
 def _index_of(view: LedgerView, event: str) -> int:
-    """The number of this event in the ledger, from 0."""
+    """Return the number of this event in the ledger, from 0."""
     size = view.head.size
     if event.isascii() and event.isdecimal():
         if len(event) > 16 or int(event) >= size:
@@ -38,7 +40,8 @@ def _index_of(view: LedgerView, event: str) -> int:
     asked, _, seq = event.rpartition(":")
     if not asked or not (seq.isascii() and seq.isdecimal()):
         raise UsageError(
-            f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the event's number in the ledger"
+            f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the "
+            "event's number in the ledger"
         )
     found = {block.run: block for block in blocks(view)}
     names = [asked] if asked in found else sorted(name for name in found if name.startswith(asked))
@@ -47,22 +50,33 @@ def _index_of(view: LedgerView, event: str) -> int:
     block = found[names[0]]
     if len(seq) > 16 or int(seq) >= block.events:
         raise UsageError(
-            f"EVENT {event}: found {block.events:,} events in run {block.run}, expected a seq from 0 to {block.events - 1}"
+            f"EVENT {event}: found {block.events:,} events in run {block.run}, expected a seq from 0 to "
+            f"{block.events - 1}"
         )
     return block.first + int(seq)
 
 
 def _require_asked(view: LedgerView, event: str, proven: Proven) -> None:
-    """The proven event is itself of the run and seq that were asked for; where it is came from rows that no proof covers. Raises: LedgerCorrupted."""
+    """Require that the proven event is of the run and seq asked for: its place came from rows that no proof covers.
+
+    Raises: LedgerCorrupted if it is not.
+    """
     run, _, seq = event.rpartition(":")
     found = proven.event
     if run and not (str(found["run_id"]).startswith(run) and found["seq"] == int(seq)):
         raise LedgerCorrupted(
-            f"{view.path}: event {proven.index}: found run {found['run_id']} seq {found['seq']}, expected {event} there; run fsar-ledger verify"
+            f"{view.path}: event {proven.index}: found run {found['run_id']} seq {found['seq']}, expected {event} "
+            "there; run fsar-ledger verify"
         )
 
 
 def _no_run(view: LedgerView, asked: str, names: list[str], known: list[str]) -> str:
     if names:
-        return f"EVENT {asked}: found {len(names)} runs that begin so, {names[0]} and {names[1]} among them, expected one; give more of its name"
-    return f"EVENT {asked}: there is no such run in {view.path}; {did_you_mean(asked, known)}`fsar-ledger query runs {printable.word(view.path)}` lists them"
+        return (
+            f"EVENT {asked}: found {len(names)} runs that begin so, {names[0]} and {names[1]} among them, expected "
+            "one; give more of its name"
+        )
+    return (
+        f"EVENT {asked}: there is no such run in {view.path}; {did_you_mean(asked, known)}`fsar-ledger query runs "
+        f"{printable.word(view.path)}` lists them"
+    )

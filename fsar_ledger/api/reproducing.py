@@ -1,4 +1,4 @@
-"""The paper's experiments, all of them: simulated, judged, typeset into one folder."""
+"""All the paper's experiments, simulated, judged and typeset into one folder."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from fsar_ledger.errors import option
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect
@@ -27,7 +28,7 @@ Showing = Callable[[str, str], AbstractContextManager[Progress | None]]
 
 
 class Reproduced(msgspec.Struct, frozen=True):
-    """What `reproduce` made: by name the ledgers and what was made of each, and the table of metrics of the results."""
+    """The result of `reproduce`: the ledgers by name, what was made of each, and the metrics of the results."""
 
     folder: Path
     made: Mapping[Name, Made]
@@ -35,12 +36,12 @@ class Reproduced(msgspec.Struct, frozen=True):
 
     @property
     def report(self) -> Path:
-        """The PDF."""
+        """Return the path of the PDF."""
         return self.folder / "report.pdf"
 
     @property
     def ledgers(self) -> dict[Name, Ledger]:
-        """The ledger of each experiment."""
+        """Return the ledger of each experiment."""
         return {name: Ledger(self.folder / name) for name in self.made}
 
 
@@ -54,17 +55,17 @@ def reproduced(
     only: Sequence[str] | None = None,
     runs: int | None = None,
 ) -> Reproduced:
-    """The folder holds a ledger of each experiment, the tables and the report; returns the table of metrics as text and the head of the results.
+    """Write a ledger of each experiment, the tables and the report to the folder.
 
-    A signer signs the ledger of the results under its own name, and each other one under that name and the experiment's. The results are always made:
-    the tables and the report begin with them.
+    A signer signs the ledger of the results under its own name, and each other one under that name and the
+    experiment's. The results are always made: the tables and the report begin with them.
 
     Raises:
         UsageError: The folder is a ledger, or lies inside one.
         InvalidExperiment: An experiment of `only` is unknown, or the count of runs impossible.
         FsarLedgerError: As `simulate`, `required_look` and `write_report`.
     """
-    require_outside(out, f"--out {out}")
+    require_outside(out, option("out", out))
     chosen = [name for name in NAMES if name == "results" or not only or name in known("experiment", only, NAMES)]
     experiments = [named(name, SEED, runs) for name in chosen]
     made = {
@@ -94,7 +95,7 @@ def reproduced(
 def _carried_out(
     out: Path, experiment: Named, workers: int, signer: Signer | None, showing: Showing, *, adopts: bool
 ) -> Made:
-    """All parts of an experiment are in its ledger, one after the other; says of the last what `carry_out` does."""
+    """Append all parts of an experiment to its ledger, one after the other; return what the last added."""
     origin = experiment.origin if signer is None else None
     for part in experiment.parts:
         with showing(f"{experiment.name}: simulated", "batches") as progress:

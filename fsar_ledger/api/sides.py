@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Comparison(Paired, frozen=True, kw_only=True):
-    """As `Paired`, with both sides, and what holds of each ledger."""
+    """A `Paired`, with both sides, and what holds of each ledger."""
 
     sides: tuple[Side, Side]
     abouts: tuple[About, ...]
@@ -41,7 +41,8 @@ def compared_sides(
         both = chosen([sides(database) for database in held], names, places)
         if len(held) > 1 and both[0].side == both[1].side and held[0].head == held[1].head:
             raise UsageError(
-                f"{' and '.join(places)}: found the same events in both, and {both[0]} as both sides, expected two that differ"
+                f"{' and '.join(places)}: found the same events in both, and {both[0]} as both sides, expected two "
+                "that differ"
             )
         found = paired(held, both, pools_seeds=pooled, by_scenario=by_scenario)
         return Comparison(**structs.asdict(found), sides=both, abouts=tuple(map(of_judgement, held)))

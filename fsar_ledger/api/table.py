@@ -27,8 +27,8 @@ SHOWN_ROWS = 20
 class Table:
     """The rows of an answer. They are read-only; iterating gives a dictionary for each, with None for NULL.
 
-    `about` says which head of the ledger they hold for, whether the rows that were read were compared with its root (`Ledger.verify` does
-    that, and remembers it), which planned runs are missing, and what runs do not observe.
+    `about` says which head of the ledger they hold for, whether the rows that were read were compared with its root
+    (`Ledger.verify` does that, and remembers it), which planned runs are missing, and what runs do not observe.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Table:
 
     @property
     def columns(self) -> list[str]:
-        """The names of the columns."""
+        """Return the names of the columns."""
         return list(self.stored.column_names)
 
     def arrow(self) -> pa.Table:
@@ -104,7 +104,7 @@ def of_structs(rows: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> pa
 
 
 def _arrow_type(kind: msgspec.inspect.Type) -> pa.DataType | None:
-    """The Arrow type of a field; None where Arrow finds it out from the values."""
+    """Return the Arrow type of a field; None where Arrow finds it out from the values."""
     options = kind.types if isinstance(kind, msgspec.inspect.UnionType) else (kind,)
     named: dict[type, pa.DataType] = {
         msgspec.inspect.StrType: pa.string(),

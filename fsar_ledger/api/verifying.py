@@ -1,29 +1,31 @@
 """The answer of `verify`: the look at the ledger, the replay, and what witnesses saw."""
 
 from collections.abc import Sequence
-from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.verify.verify import Asked, VerifyReport
 from fsar_ledger.metrics.verified import whole_look
 
 from .keys import anchor_of, trusted_of
+from .names import Place
 from .witnessed import Seen, seen_of
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.replay import ReplayReport
 
-Place = str | PathLike[str]
-
 
 class Verification(msgspec.Struct, frozen=True):
-    """What was found: `report` by deriving everything again, `replay` by playing the runs again, `witnessed` by asking witnesses; None: not asked."""
+    """The findings of `verify`.
+
+    `report` comes from deriving everything again, `replay` from playing the runs again, `witnessed` from asking
+    witnesses; None: not asked for.
+    """
 
     report: VerifyReport
     replay: "ReplayReport | None" = None
@@ -31,7 +33,7 @@ class Verification(msgspec.Struct, frozen=True):
 
     @property
     def ok(self) -> bool:
-        """Whether nothing was found by any of them, and enough witnesses saw the ledger."""
+        """Return whether none of them found anything, and enough witnesses saw the ledger."""
         return (
             self.report.ok
             and (self.replay is None or self.replay.ok)
@@ -40,12 +42,12 @@ class Verification(msgspec.Struct, frozen=True):
 
     @property
     def problems(self) -> tuple[Problem, ...]:
-        """What contradicts itself; what a replay found differs is in `replay.differences`."""
+        """Return what contradicts itself; differences that a replay found are in `replay.differences`."""
         return self.report.problems
 
     @property
     def root(self) -> str | None:
-        """The Merkle root over the rows themselves, in hex; None where there is any doubt."""
+        """Return the Merkle root over the rows themselves, in hex; None where there is any doubt."""
         return self.report.root
 
 
@@ -59,9 +61,15 @@ def verification(
     workers: int | None,
     progress: Progress | None,
 ) -> Verification:
-    """Look at the ledger; `by_witnesses` are the policy, the notes at hand and the present time. Raises: as `Ledger.verify`."""
+    """Look at the ledger; `by_witnesses` are the policy, the notes at hand and the present time.
+
+    Raises: as `Ledger.verify`.
+    """
     if quick and replays:
-        raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
+        raise UsageError(
+            f"{option('quick')} and {option('replay')}: expected one of them; a quick look reads no rows, a replay "
+            "all of them"
+        )
     trusted, kept = trusted_of(trusted_key), anchor_of(anchor)
     policy, cosigned, now_s = by_witnesses
     # Before the look: the ledger may grow meanwhile.
@@ -74,7 +82,10 @@ def verification(
 
 
 def replayed(ledger: Path, report: VerifyReport, workers: int | None, progress: Progress | None) -> "ReplayReport":
-    """Play every run that `verify` went through again; `NOT_REPLAYED` where it found a problem. Raises: LedgerCorrupted if it was damaged in between."""
+    """Play every run that `verify` went through again; return `NOT_REPLAYED` where it found a problem.
+
+    Raises: LedgerCorrupted if the ledger was damaged in between.
+    """
     from fsar_ledger.runtime.replay import NOT_REPLAYED, replay
 
     return replay(ledger, readers_of(workers, ledger), progress, report.commits) if report.ok else NOT_REPLAYED

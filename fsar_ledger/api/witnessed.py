@@ -6,7 +6,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError
+from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError, option
 
 from .keys import short
 
@@ -29,20 +29,23 @@ class Seen(NamedTuple):
 
     @property
     def log(self) -> "VerifierKey | None":
-        """The key that must have signed the ledger, where there is no choice."""
+        """Return the key that must have signed the ledger, where there is no choice."""
         return self.logs[0] if len(self.logs) == 1 else None
 
     @property
     def is_enough(self) -> bool:
-        """Whether enough of them saw anything."""
+        """Return whether enough witnesses saw anything."""
         return self.evidence.size > 0
 
     def lines(self, events: int) -> list[str]:
-        """What they saw, for people; `events` is the ledger's number."""
+        """Describe for people what they saw; `events` is the ledger's number."""
         size, statements = self.evidence.size, self.evidence.statements
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
         return [
-            f"witnessed: {min(size, events):,} of {events:,} events, by {self._heard()} (enough: {self.policy.rule()}){rest}",
+            (
+                f"witnessed: {min(size, events):,} of {events:,} events, by {self._heard()} (enough: "
+                f"{self.policy.rule()}){rest}"
+            ),
             *(
                 f"witness {one.witness}: its word does not count: {one.reason}"
                 for one in statements
@@ -51,12 +54,13 @@ class Seen(NamedTuple):
         ]
 
     def doubt(self, ledger: Path) -> str:
-        """That too few of them saw anything."""
+        """Say that too few of them saw anything."""
         reasons = "; ".join(
             f"{one.witness}: {one.reason}" for one in self.evidence.statements if one.reason is not None
         )
         return (
-            f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected {self.policy.rule()}; {ledger} may be "
+            f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected "
+            f"{self.policy.rule()}; {ledger} may be "
             "consistent, but whether it is what they saw nobody knows: ask again, or find out why they are silent"
         )
 
@@ -64,7 +68,7 @@ class Seen(NamedTuple):
         return listed({one.witness: one.time_s for one in self.evidence.statements if one.time_s is not None})
 
     def json(self) -> dict[str, object]:
-        """What they saw, for programs."""
+        """Return what they saw, for programs."""
         return {
             "policy": self.policy.file,
             "ok": self.is_enough,
@@ -80,7 +84,9 @@ def seen_of(
     trusted: "VerifierKey | None",
     now_s: int | None,
 ) -> Seen | None:
-    """What the witnesses of the policy say of the ledger, asked now or as these files show; None where nobody wants to know.
+    """Return what the witnesses of the policy saw of the ledger; None without a policy.
+
+    They are asked now, or have answered in these files.
 
     Raises:
         UsageError: The policy, or what was asked for with it, makes no sense.
@@ -89,7 +95,10 @@ def seen_of(
     """
     if policy is None:
         if cosigned:
-            raise UsageError("--cosigned: found no --witness-policy, expected the policy that names the witnesses")
+            raise UsageError(
+                f"{option('cosigned')}: found no {option('witness_policy')}, expected the policy that names the "
+                "witnesses"
+            )
         return None
     from fsar_ledger.ledger.store.paths import MANIFEST
     from fsar_ledger.ledger.store.read import read_manifest
@@ -106,7 +115,8 @@ def seen_of(
     logs = tuple(key for key in logs if key.name == origin)
     if not logs:
         raise LedgerCorrupted(
-            f"{ledger}: found a ledger of {origin}, expected one of a log that {policy} or --trusted-key names"
+            f"{ledger}: found a ledger of {origin}, expected one of a log that {policy} or {option('trusted_key')} "
+            "names"
         )
     if now_s is None:
         raise UsageError("witness policy: found no time, expected now_s, seconds since 1970; cosignatures have dates")
@@ -116,15 +126,15 @@ def seen_of(
 
 
 def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["VerifierKey", ...]:
-    """The keys of which one must have signed what the witnesses cosigned."""
+    """Return the keys of which one must have signed what the witnesses cosigned."""
     if policy.quorum is None:
         raise UsageError(
             f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is shown"
         )
     if trusted is None and not policy.logs:
-        raise UsageError(f"{policy.file}: found no log, expected a line `log KEY`, or --trusted-key KEY")
+        raise UsageError(f"{policy.file}: found no log, expected a line `log KEY`, or {option('trusted_key', 'KEY')}")
     if trusted is not None and policy.logs and trusted not in policy.logs:
-        raise UsageError(f"--trusted-key: found {trusted.key}, expected a log of {policy.file}")
+        raise UsageError(f"{option('trusted_key')}: found {trusted.key}, expected a log of {policy.file}")
     return policy.logs if trusted is None else (trusted,)
 
 
@@ -144,7 +154,8 @@ def _time(time_s: int) -> str:
 def witness_new(state: str | PathLike[str], name: str) -> "WitnessKey":
     """Make a witness of this name in a new folder; return its public key.
 
-    A witness that forgets is worth nothing: never copy the folder, never restore it from a backup; make a new witness instead.
+    A witness that forgets is worth nothing: never copy the folder, never restore it from a backup; make a new witness
+    instead.
 
     Raises:
         UsageError: There is something at this place, or it lies inside a ledger, or the name is none.
@@ -153,7 +164,7 @@ def witness_new(state: str | PathLike[str], name: str) -> "WitnessKey":
     from fsar_ledger.witness.state import new_state
 
     require_outside(Path(state), f"STATE {state}")
-    return new_state(Path(state), short("--name", name))
+    return new_state(Path(state), short("name", name))
 
 
 def cosigned(ledger: Path, policy: Path) -> "Cosigned":

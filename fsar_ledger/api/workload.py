@@ -1,11 +1,11 @@
-"""How many processes a piece of work is worth."""
+"""The number of processes that a piece of work is worth."""
 
 import os
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import UsageError, option
 
 Progress = Callable[[int, int], None]
 """Called with how much is done, and of how much."""
@@ -18,7 +18,7 @@ WORTH_BYTES = 400 << 10
 
 
 def workers_of(asked: int | None, worth: int | None = None) -> int:
-    """The number of processes: as asked, else one for each core that this process may use, but no more than the work is worth.
+    """Return the number of processes: as asked, else one a core, but no more than the work is worth.
 
     Raises:
         UsageError: fewer than one was asked for.
@@ -27,24 +27,27 @@ def workers_of(asked: int | None, worth: int | None = None) -> int:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         return cores if worth is None else max(1, min(cores, worth))
     if asked < 1:
-        raise UsageError(f"--workers {asked}: expected at least 1; leave the option out for one per core")
+        raise UsageError(f"{option('workers', asked)}: expected at least 1; leave it out for one per core")
     return asked
 
 
 def readers_of(asked: int | None, *ledgers: Path | None) -> int:
-    """The number of processes that read these ledgers: as asked, else one for each core, but no more than have enough to do. Raises: as `workers_of`."""
+    """Return the number of processes that read these ledgers: as asked, else one a core, if there is enough to do.
+
+    Raises: As `workers_of`.
+    """
     return workers_of(asked, stored(*ledgers) // WORTH_BYTES)
 
 
 def stored(*ledgers: Path | None) -> int:
-    """The bytes that the segments of these ledgers take, staged ones too."""
+    """Return the bytes that the segments of these ledgers take, staged ones too."""
     from fsar_ledger.ledger.store.paths import SEGMENTS, STAGING
 
     return sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
 
 
 def _stored(folder: Path) -> int:
-    """The bytes that the files in the folder take; a sparse file takes what it holds."""
+    """Return the bytes that the files in the folder take; a sparse file takes what it holds."""
     size = 0
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:

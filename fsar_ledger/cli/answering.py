@@ -1,4 +1,4 @@
-"""A ledger that a command asks, and what is said on stderr of the answer: what it rests on and leaves open."""
+"""Opening the ledger that a command asks, and saying on stderr what its answer rests on and leaves open."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,16 +12,16 @@ if TYPE_CHECKING:
 
 
 def opened(ledger: Path, *, verified: bool) -> "Ledger":
-    """Return the ledger, with `verified` after a look that compared its rows with the root. Raises: as `demanded_head`."""
-    from fsar_ledger.api.answering import demanded_head
+    """Return the ledger; with `verified`, after comparing its rows with the root. Raises: As `demanded_head`."""
     from fsar_ledger.api.ledger import Ledger
+    from fsar_ledger.api.opening import demanded_head
 
     with Progress("verified", "segments") as progress:
         return Ledger(ledger, demanded=demanded_head(ledger, verified=verified, progress=progress))
 
 
 def warn(ledger: Path, about: "About") -> None:
-    """Say, a line each, what runs do not observe, that planned runs are missing, and that the rows were not compared with the root."""
+    """Say, a line each, what runs do not observe, that planned runs are missing, and that rows were not compared."""
     from fsar_ledger.metrics.observing import told
 
     if (line := told(about.not_observed)) is not None:
@@ -30,5 +30,6 @@ def warn(ledger: Path, about: "About") -> None:
         say(f"{ledger}: {missing}; `fsar-ledger info {ledger}` says how to go on")
     if not about.rows_verified:
         say(
-            f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and --verified demands it"
+            f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and "
+            "--verified demands it"
         )

@@ -15,7 +15,7 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.errors import FsarLedgerError, named_as_options
 
 from . import (
     audit,
@@ -56,9 +56,14 @@ AFTER_INTERRUPTION = {
 
 app = typer.Typer(
     name="fsar-ledger",
-    help="Simulate robot fleets under three governance architectures, keep every event in an append-only ledger, and judge it by SQL.",
-    epilog="\b\nStart here:\n  fsar-ledger reproduce              simulate, measure and typeset the paper's experiment\n"
-    "  fsar-ledger simulate out/ledger    only simulate\n  fsar-ledger query --list           every question that has a name",
+    help=(
+        "Simulate robot fleets under three governance architectures, keep every event in an append-only ledger, and "
+        "judge it by SQL."
+    ),
+    epilog="\b\nStart here:\n  fsar-ledger reproduce              simulate, measure and typeset the paper's "
+    "experiment\n"
+    "  fsar-ledger simulate out/ledger    only simulate\n  fsar-ledger query --list           every question that has "
+    "a name",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
@@ -106,15 +111,16 @@ NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def run(arguments: Sequence[str]) -> int:
-    """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
+    """Run a command; return its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
         require_text(arguments)
-        code = _commands().main(
-            args=list(arguments) or ["--help"],
-            prog_name="fsar-ledger",
-            standalone_mode=False,
-            obj=lambda: int(time.time()),
-        )
+        with named_as_options():
+            code = _commands().main(
+                args=list(arguments) or ["--help"],
+                prog_name="fsar-ledger",
+                standalone_mode=False,
+                obj=lambda: int(time.time()),
+            )
     except Enough:
         return 0
     except FsarLedgerError as problem:

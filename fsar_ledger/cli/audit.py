@@ -29,7 +29,8 @@ def audit(
 ) -> None:
     """Check the invariants I1 to I5 and A1 to A5.
 
-    Counts the events that offend each, by architecture and configuration, and names the first. Exit code 0 if all hold on all runs, else 1.
+    Counts the events that offend each, by architecture and configuration, and names the first. Exit code 0 if all hold
+    on all runs, else 1.
     """
     from fsar_ledger.api.plans import runs
 
@@ -50,7 +51,11 @@ def audit(
     else:
         of_budgets = (
             [
-                f"{runs(found.runs_unreadable)} with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged"
+                (
+                    f"{runs(found.runs_unreadable)} with parameters that cannot be read: recovery budgets that they "
+                    "set "
+                    "are unknown, and none is judged"
+                )
             ]
             if found.runs_unreadable
             else []
@@ -76,7 +81,7 @@ def _shown(row: "AuditRow") -> "Row":
 
 
 def _word(row: "AuditRow") -> str:
-    """What was shown of one invariant, and by how many cases."""
+    """Say what was shown of one invariant, and by how many cases."""
     cases = "1 case" if row.cases == 1 else f"{row.cases or 0:,} cases"
     from fsar_ledger.api.auditing import is_empty
 
@@ -90,7 +95,7 @@ def _word(row: "AuditRow") -> str:
 
 
 def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
-    """How many invariants hold; which of them had no case, cannot be observed or do not hold, and how to see more."""
+    """Yield how many invariants hold, which had no case, cannot be observed or do not hold, and how to see more."""
     names = list(dict.fromkeys(row.invariant for row in rows))
     broken = [name for name in names if any(row.holds is False for row in rows if row.invariant == name)]
     unseen = [
@@ -114,7 +119,10 @@ def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
         f"{held} of {len(names)} hold, {len(empty)} had no case" if empty else f"{held} of {len(names)} invariants hold"
     ) + hint
     if unseen:
-        yield f"{len(unseen)} cannot be told, because runs do not observe what they rest on: {_short(unseen)}; that is no pass"
+        yield (
+            f"{len(unseen)} cannot be told, because runs do not observe what they rest on: {_short(unseen)}; that "
+            "is no pass"
+        )
     if empty:
         yield f"nothing to judge was on record for {_short(empty)}; that is no pass"
 

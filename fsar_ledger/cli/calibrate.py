@@ -25,8 +25,9 @@ def calibrate(
 ) -> None:
     """Make the fit that is registered again; takes the better part of an hour.
 
-    The fit is to the paper's results table alone, of the constants and within the ranges that `reports/registration.toml` names. The record of it
-    says where it began, what the data identify and what was accepted.
+    The fit is to the paper's results table alone, of the constants and within the ranges that
+    `reports/registration.toml` names. The record of it says where it began, what the data identify and what was
+    accepted.
     """
     from fsar_ledger.api.making import calibrate as fit
 

@@ -27,7 +27,10 @@ LEFT_OUT = {
 }
 FAULTS = ("facts", "repeated")
 """What no experiment does, as in `statistics`."""
-SIDE_HELP = "ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: `fsar`, `fsar:without-layered-recovery`, `cfc@B`, `dhma/8`; constants by the letters of `info`."
+SIDE_HELP = (
+    "ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: `fsar`, `fsar:without-layered-recovery`, `cfc@B`, "
+    "`dhma/8`; constants by the letters of `info`."
+)
 FirstOption = Annotated[
     str | None, typer.Option("--first", metavar="NAME", help=SIDE_HELP, show_default="the first of two")
 ]
@@ -55,11 +58,14 @@ def compare(
     as_csv: CsvOption = False,
     raw: RawOption = False,
 ) -> None:
-    """Compare any two sides in pairs: architectures, configurations, constants, models or fleet sizes, of one ledger or of two.
+    """Compare any two sides in pairs, of one ledger or of two.
 
-    Runs are paired by seed, scenario and number. For each metric: both means, first minus second with its 95 % interval, in how many pairs the runs differ
-    at all, p of the paired t-test, or of the exact sign test where few differ, Holm over these tests, and d_z. Containment and latency are ratios over all
-    pairs. It is said for how many pairs the facts of the world were the same and for how many only what was drawn, and which constants differ.
+    A side is an architecture with its configuration, constants, model and fleet size.
+
+    Runs are paired by seed, scenario and number. For each metric: both means, first minus second with its 95 %
+    interval, in how many pairs the runs differ at all, p of the paired t-test, or of the exact sign test where few
+    differ, Holm over these tests, and d_z. Containment and latency are ratios over all pairs. It is said for how many
+    pairs the facts of the world were the same and for how many only what was drawn, and which constants differ.
     """
     from .answering import opened, warn
     from .output import check_form
@@ -128,20 +134,22 @@ def _show_text(both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool,
 
 
 def _pairing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
-    """What is compared, what the pairs have in common, and in which constants the sides differ."""
+    """Say what is compared, what the pairs have in common, and in which constants the sides differ."""
     first, second = both
     lines = [f"first: {_described(first)}", f"second: {_described(second)}"]
     if not found.pairs:
         left = " that is not left out" if found.left_out else ""
         lines.append(
-            f"nothing to compare: no run of both has the same seed, scenario and number{left}; simulate one as the other"
+            f"nothing to compare: no run of both has the same seed, scenario and number{left}; simulate one as the "
+            "other"
         )
         lines += [f"found {side.held()}" for side in both]
     else:
         lines.append(f"{counted(found.pairs, 'pair')} by seed, scenario and number: {_shared(found)}")
         if first.fleet_size != second.fleet_size:
             lines.append(
-                f"the fleets differ in size ({first.fleet_size} and {second.fleet_size} robots): the robots that both have meet what is drawn for them"
+                f"the fleets differ in size ({first.fleet_size} and {second.fleet_size} robots): the robots that both "
+                "have meet what is drawn for them"
             )
     lines += [f"left out: {_left_out(one)}" for one in found.left_out]
     differing = [f"{one.name}={one.first_value} and {one.second_value}" for one in found.constants]
@@ -160,7 +168,7 @@ def _described(side: "Side") -> str:
 
 
 def _shared(found: "Paired") -> str:
-    """How many pairs share what of their world."""
+    """Say how many pairs share what of their world."""
     parts = {
         "met the same facts of the world": found.same_facts,
         "share what was drawn, not the facts, which their constants or robots make others": found.same_draws,
@@ -177,7 +185,7 @@ def _left_out(one: "LeftOut") -> str:
 
 
 def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
-    """What has no part in the numbers."""
+    """Say what has no part in the numbers."""
     lines = []
     for side, alone, which in zip(both, (found.first_alone, found.second_alone), ("first", "second"), strict=True):
         nameless = side.run_count - side.named_count
@@ -185,7 +193,8 @@ def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
             lines.append(f"{counted(alone, 'run')} of the {which} side {'has' if alone == 1 else 'have'} no partner")
         if found.pairs and nameless:
             lines.append(
-                f"{counted(nameless, 'run')} of the {which} side without seed, scenario, number or size {'is' if nameless == 1 else 'are'} in no pair"
+                f"{counted(nameless, 'run')} of the {which} side without seed, scenario, number or size "
+                f"{'is' if nameless == 1 else 'are'} in no pair"
             )
     if found.pairs and found.absent:
         lines.append(
@@ -195,7 +204,7 @@ def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
 
 
 def _how_to_read(found: "Paired") -> list[str]:
-    """What the numbers are; and for rows without one, why."""
+    """Say what the numbers are, and why some rows have none."""
     from fsar_ledger.metrics.definitions import metric_named
 
     if not found.rows:
@@ -203,7 +212,10 @@ def _how_to_read(found: "Paired") -> list[str]:
     alike = [row for row in found.rows if row.n and not row.differing_pairs]
     few = [row for row in found.rows if row.test == "sign" and metric_named(row.metric).scale != "yes-no"]
     lines = [
-        f"differences are first minus second; containment and latency are ratios over all pairs; Holm adjusts {found.rows[0].family_tests} tests together"
+        (
+            "differences are first minus second; containment and latency are ratios over all pairs; Holm adjusts "
+            f"{found.rows[0].family_tests} tests together"
+        )
     ]
     if alike:
         lines.append(f"no pair differs, so there is no test: {_cells(alike)}")

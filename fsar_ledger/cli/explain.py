@@ -63,8 +63,8 @@ def explain(
 ) -> None:
     """Tell the story of a request: who asked, who allowed, who acted, who supervised.
 
-    For a request that failed also what recovery tried at each level, for how long, and why it went on. Without --request or --failure: the
-    requests of the run.
+    For a request that failed also what recovery tried at each level, for how long, and why it went on. Without
+    --request or --failure: the requests of the run.
     """
     from fsar_ledger.api.explaining import account, chosen_run, requests
     from fsar_ledger.ledger.store.paths import require_outside
@@ -108,7 +108,7 @@ def explain(
 
 
 def shown(rows: Sequence[Mapping[str, Any]]) -> Story:
-    """The rows with each text as people see it; `MAX_WORDS` characters of what is said, of names fewer."""
+    """Return the rows with each text as people see it: `MAX_WORDS` characters of messages, fewer of names."""
     return [
         {
             name: printable.value(found, MAX_WORDS if name in WORDS else printable.MAX_VALUE)
@@ -121,7 +121,7 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Story:
 
 
 def _first(ledger: Path, asked: str, names: Sequence[str]) -> str:
-    """The run of this name, else the first whose name begins so."""
+    """Return the run of this name, else the first whose name begins so."""
     if asked in names:
         return asked
     beginning = sorted(name for name in names if name.startswith(asked)) if asked else []
@@ -134,7 +134,7 @@ def _first(ledger: Path, asked: str, names: Sequence[str]) -> str:
 
 
 def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
-    """The requests of a run."""
+    """Show the requests of a run."""
     from .output import json_text, table_text
 
     about, rows = found.about, found.rows()
@@ -147,13 +147,16 @@ def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
         show(printable.lines(f"run {printable.value(run)}", nothing))
     else:
         began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
-        hint = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request {printable.word(rows[0]['action_id'])}` tells one of them"
+        hint = (
+            f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request "
+            f"{printable.word(rows[0]['action_id'])}` tells one of them"
+        )
         table = table_text(began, COLUMNS)
         show(printable.joined(printable.lines(f"run {printable.value(run)}", ""), table, printable.lines("", hint)))
 
 
 def _told(run: str, action: str, story: Story, parties: Mapping[str, Any]) -> Iterator[str]:
-    """Run and action, the story a line for each step, and the parties."""
+    """Yield run and action, a line for each step, and the parties."""
     yield f"run {printable.value(run)}"
     yield f"action {printable.value(action)}" + (f", {parties['capability']}" if parties["capability"] else "")
     between = [_between(row) for row in story]
@@ -172,13 +175,13 @@ def _told(run: str, action: str, story: Story, parties: Mapping[str, Any]) -> It
 
 
 def _between(row: Mapping[str, Any]) -> str:
-    """Who told whom; one name for a deed."""
+    """Return who told whom; one name for a deed."""
     sender = row["sender"] or "?"
     return f"{sender} -> {row['receiver'] or '?'}" if row["kind"] == "message" else sender
 
 
 def _recovered(recovery: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Each failure, level by level: how long, what was tried with which result, and why the level was left."""
+    """Yield each failure, level by level: how long, what was tried with which result, and why the level was left."""
     for failure, steps in groupby(recovery, key=lambda row: row["failure"]):
         yield ""
         yield f"failure {failure}"

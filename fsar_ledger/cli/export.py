@@ -34,8 +34,8 @@ def export(
 ) -> None:
     """Write events, or the answer of a query, to a file.
 
-    The format, CSV or Parquet, follows from the name of the file; lists are JSON text in CSV. Text in CSV is made harmless for spreadsheets and
-    terminals unless --raw is given; Parquet always holds the values themselves.
+    The format, CSV or Parquet, follows from the name of the file; lists are JSON text in CSV. Text in CSV is made
+    harmless for spreadsheets and terminals unless --raw is given; Parquet always holds the values themselves.
     """
     from fsar_ledger.api.files import require_place
 

@@ -11,8 +11,9 @@ EXAMPLES = examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger 
 def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: JsonOption = False) -> None:
     """Show what a ledger holds, and whether it is complete.
 
-    Its head, what was planned and what of it is there, its runs by model, seed, fleet size, architecture and configuration, and (with --json) the
-    parameters of its worlds. Without a plan on record nothing says what is missing.
+    Its head, what was planned and what of it is there, its runs by model, seed, fleet size, architecture and
+    configuration, and (with --json) the parameters of its worlds. Without a plan on record nothing says what is
+    missing.
     """
     from .answering import opened, warn
     from .output import json_text, table_text

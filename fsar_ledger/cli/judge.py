@@ -26,8 +26,8 @@ def judge(
 ) -> None:
     """Lay predicted numbers beside the paper's, and beside what was registered that its claims imply.
 
-    Nothing is played. `reports/predictions.json` in the source of this package holds the predictions that were made right after the fit,
-    `reports/comparison.json` what became of them.
+    Nothing is played. `reports/predictions.json` in the source of this package holds the predictions that were made
+    right after the fit, `reports/comparison.json` what became of them.
     """
     from fsar_ledger.api.making import judge as compare
 

@@ -35,7 +35,8 @@ def key_new(
 ) -> None:
     """Make a key that signs ledgers; prints the public half.
 
-    FILE is for the one who signs and nobody else: who has it can rewrite every ledger that it signed. The public half is for all who verify.
+    FILE is for the one who signs and nobody else: who has it can rewrite every ledger that it signed. The public half
+    is for all who verify.
     """
     from fsar_ledger.api import keys as api
 
@@ -51,7 +52,10 @@ def key_public(
         str, typer.Option(metavar="NAME", help="The origin of the ledger that it shall verify.", show_default=False)
     ],
 ) -> None:
-    """Print a public key under another name, for `verify --trusted-key`: `reproduce` signs each ledger with one secret under a name of its own."""
+    """Print a public key under another name, for `verify --trusted-key`.
+
+    `reproduce` signs each ledger with one secret under a name of its own.
+    """
     from fsar_ledger.api import keys as api
 
     show(printable.line(str(api.key_public(file, name))))

@@ -1,4 +1,4 @@
-"""How much memory a command that reads ledgers may take, and what is said when that is not enough."""
+"""The memory that a command which reads ledgers may take, and the message when that is not enough."""
 
 import inspect
 import os
@@ -19,16 +19,20 @@ from .terminal import say
 LEAST_MIB = 256
 BASE_BYTES = 576 << 20
 PER_BYTE = 16
-"""By default a command may take so much, and so many bytes for each that the segments take on disk: `audit` needs 300 MiB and 10, and no other more."""
+"""By default a command may take so much, and so many bytes for each that the segments take on disk: `audit` needs 300
+MiB and 10, and no other more.
+"""
 
 PER_WORKER_BYTES = 192 << 20
-"""And so much for each core or worker beyond two, which have processes or threads with buffers of their own: `verify` takes 150 MiB for each."""
+"""And so much for each core or worker beyond two, which have processes or threads with buffers of their own: `verify`
+takes 150 MiB for each.
+"""
 
 MACHINE_SHARE = 0.8
 
 
 def reading(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with the option --memory, and never with more memory than that."""
+    """Give the command the option --memory, and hold it to that much."""
 
     @wraps(command)
     def limited(memory: int | None, **given: Any) -> None:
@@ -45,7 +49,9 @@ def reading(command: Callable[..., None]) -> Callable[..., None]:
 
 @contextmanager
 def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = None) -> Iterator[None]:
-    """Within, the command takes no more memory than was asked for, or than ledgers of this size need; else it ends with one message and exit code 2.
+    """Limit the memory of the command to what was asked for, or to what ledgers of this size need.
+
+    Beyond that it ends with one message and exit code 2.
 
     Raises:
         UsageError: It asks for less than a command needs to begin.
@@ -73,7 +79,10 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
 
 
 def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
-    """What a command over these ledgers may take, given its workers: in proportion to what their segments take on disk, and never all of the machine."""
+    """Return the memory that a command over these ledgers may take, given its workers.
+
+    It grows with what their segments take on disk, and is never all of the machine.
+    """
     more = max(0, (workers_of(None) if workers is None else workers) - 2)
     return min(
         BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers),

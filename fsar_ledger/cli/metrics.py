@@ -28,8 +28,9 @@ def metrics(
 ) -> None:
     """Judge a ledger by the eight metrics of the paper.
 
-    Mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size; runs of different seeds, constants, models or
-    kinds have rows of their own. Shares are in [0,1], latency is in seconds; `-` in a table, null in JSON: the metric is not defined there.
+    Mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size; runs of different
+    seeds, constants, models or kinds have rows of their own. Shares are in [0,1], latency is in seconds; `-` in a
+    table, null in JSON: the metric is not defined there.
     """
     from .answering import opened, warn
     from .output import answer_text, check_form, telling

@@ -63,10 +63,10 @@ def multiverse(
 ) -> None:
     """Read a ledger in every way that the paper's text allows.
 
-    For each cell of the results table: what the paper prints, ours, the lowest and the highest mean over all combinations of readings, and the
-    reading that moves it most when it alone replaces ours. For each metric: whether the order of the architectures is the same under all of them,
-    under how many FSAR is the best one, and the smallest combinations under which it is not so. Nothing is simulated again. --json has the mean
-    under each combination, too.
+    For each cell of the results table: what the paper prints, ours, the lowest and the highest mean over all
+    combinations of readings, and the reading that moves it most when it alone replaces ours. For each metric: whether
+    the order of the architectures is the same under all of them, under how many FSAR is the best one, and the smallest
+    combinations under which it is not so. Nothing is simulated again. --json has the mean under each combination, too.
     """
     from fsar_ledger.api.fields import csv_text, plain
     from fsar_ledger.ledger.store.paths import require_outside
@@ -93,7 +93,7 @@ def multiverse(
 
 
 def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
-    """The ranges, the rankings, and what the readings say, for people."""
+    """Yield the ranges, the rankings, and what the readings say, for people."""
     from fsar_ledger.api.fields import plain
 
     from .output import table_text
@@ -112,7 +112,7 @@ def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
 
 
 def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
-    """In words: by how many rankings FSAR is the best one, and how many survive."""
+    """Say for how many rankings FSAR is the best one, and how many survive."""
     for what, counted in (
         ("FSAR is the best one", "fsar_best"),
         ("the order of the architectures is ours", "same_order"),
@@ -122,19 +122,28 @@ def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
         never = sum(getattr(row, counted) == 0 for row in judged)
         some = len(judged) - always - never
         if judged:
-            yield f"{what} under every combination in {always} of {printable.counted(len(judged), 'ranking')}, under some in {some}, under none in {never}"
+            yield (
+                f"{what} under every combination in {always} of {printable.counted(len(judged), 'ranking')}, under "
+                f"some in {some}, under none in {never}"
+            )
         else:
-            yield f"whether {what}: nothing to rank; that takes means of two architectures{', one of them FSAR' if counted == 'fsar_best' else ''}"
+            yield (
+                f"whether {what}: nothing to rank; that takes means of two "
+                f"architectures{', one of them FSAR' if counted == 'fsar_best' else ''}"
+            )
 
 
 def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
-    """The columns, with those of the setting that tell rows apart behind the first, and those that are not 0 throughout at the end."""
+    """Return the columns to show.
+
+    Columns of the setting that tell rows apart stand behind the first, those that are not 0 throughout at the end.
+    """
     telling = [name for name in WHERE_TELLING if name in rows[0] and len({row[name] for row in rows}) > 1]
     return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
 
 
 def _named(row: "Ranking") -> "Row":
-    """The ranking with combinations of readings as text."""
+    """Return the ranking with combinations of readings as text."""
     from fsar_ledger.api.fields import plain
 
     (told,) = plain([row])
@@ -142,5 +151,5 @@ def _named(row: "Ranking") -> "Row":
 
 
 def _texts(sets: "tuple[Chosen, ...] | None") -> str | None:
-    """The combinations as people read them; None where nothing can be said, or there are none."""
+    """Return the combinations as people read them; None where nothing can be said, or there are none."""
     return "; ".join(" + ".join(names) or OURS for names in sets) if sets else None

@@ -1,15 +1,12 @@
-"""What can be asked of a command, and what the answer to that means: names are checked here, with the nearest one suggested."""
+"""The arguments and options of the commands, and checks of their text."""
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from fsar_ledger.errors import QueryFailed, UsageError
-
-if TYPE_CHECKING:
-    pass
 
 SHOWN_ROWS = 100
 
@@ -32,7 +29,8 @@ VerifiedOption = Annotated[
     bool,
     typer.Option(
         "--verified",
-        help="Answer only from rows that were compared with the root: as `verify` does it, now, unless it found this head right before. "
+        help="Answer only from rows that were compared with the root: as `verify` does it, now, unless it found this "
+        "head right before. "
         "That takes some 4 s for a million events on two cores.",
     ),
 ]
@@ -132,7 +130,8 @@ ScenarioOption = Annotated[
     typer.Option(
         "--scenario",
         metavar="NAME",
-        help="door-relay, collaborative-delivery, failure-recovery-chain, mixed-trust-inspection or fleet-contention; may be repeated. "
+        help="door-relay, collaborative-delivery, failure-recovery-chain, mixed-trust-inspection or fleet-contention; "
+        "may be repeated. "
         "Or one of your own: a .toml file (docs/own-fleet.md).",
         show_default="the paper's five",
     ),
@@ -155,8 +154,10 @@ WithoutOption = Annotated[
     typer.Option(
         "--without",
         metavar="MECHANISM",
-        help="Take one mechanism out of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry (docs/model.md lists further ones, "
-        "of CFC and DHMA, too), or several of one architecture at once with + between them; repeated: one configuration after the other.",
+        help="Take one mechanism out of FSAR: trust-evaluation, policy-composition, layered-recovery or "
+        "shared-registry (docs/model.md lists further ones, "
+        "of CFC and DHMA, too), or several of one architecture at once with + between them; repeated: one "
+        "configuration after the other.",
         show_default=False,
     ),
 ]
@@ -166,7 +167,10 @@ WorkflowOption = Annotated[
     typer.Option(
         "--workflow",
         metavar="NAME",
-        help="Play one of the paper's workflows under FSAR instead: door-relay, layered-recovery or human-supervision; may be repeated.",
+        help=(
+            "Play one of the paper's workflows under FSAR instead: door-relay, layered-recovery or "
+            "human-supervision; may be repeated."
+        ),
         show_default=False,
     ),
 ]
@@ -236,7 +240,10 @@ ReplayOption = Annotated[
     bool,
     typer.Option(
         "--replay",
-        help="Play every run again, too: each recorded decision must be what the handlers decide from the recorded world.",
+        help=(
+            "Play every run again, too: each recorded decision must be what the handlers decide from the recorded "
+            "world."
+        ),
     ),
 ]
 KeyOption = Annotated[
@@ -275,7 +282,10 @@ WitnessPolicyOption = Annotated[
     typer.Option(
         "--witness-policy",
         metavar="FILE",
-        help="Ask the witnesses in this C2SP tlog-policy what they saw of the ledger; enough of them must have seen it, as it is or before it grew.",
+        help=(
+            "Ask the witnesses in this C2SP tlog-policy what they saw of the ledger; enough of them must have seen "
+            "it, as it is or before it grew."
+        ),
         show_default=False,
     ),
 ]
@@ -340,12 +350,12 @@ NumbersOption = Annotated[
 
 
 def examples(*lines: str) -> str:
-    """The end of a command's help: calls that run."""
+    """Return the end of a command's help: calls that run."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
 def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
-    """The values of `--param name=value`, by name.
+    """Return the values of `--param name=value`, by name.
 
     Raises:
         QueryFailed: one of them is not a name, an equals sign and a value, or a name is there twice.
@@ -364,9 +374,13 @@ def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
 
 
 def require_text(arguments: Sequence[str]) -> None:
-    """Raises: UsageError if an argument, perhaps a path, is not UTF-8: neither DuckDB nor JSON can name it."""
+    """Require that every argument, perhaps a path, is UTF-8: neither DuckDB nor JSON can name another.
+
+    Raises: UsageError if one is not.
+    """
     for argument in arguments:
         if argument.encode("utf-8", "replace").decode() != argument:
             raise UsageError(
-                f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it another name"
+                f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it "
+                "another name"
             )

@@ -31,7 +31,7 @@ class HeadLike(Protocol):
 
 
 def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> Shown:
-    """The rows aligned under their columns, numbers to the right; after `limit` rows (0: all) the rest is only counted."""
+    """Align the rows under their columns, numbers to the right; after `limit` rows (0: all) only count the rest."""
     if not columns:
         return Shown("")
     shown = rows[:limit] if limit else rows
@@ -54,12 +54,12 @@ def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> S
 
 
 def more_text(count: int) -> Shown:
-    """The line that says how many rows are not shown."""
+    """Return the line that says how many rows are not shown."""
     return printable.line(f"... {count:,} more rows; --limit 0 shows all, --csv and --json always do")
 
 
 def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified: bool | None = None) -> Shown:
-    """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the answer.
+    """Return one JSON object: the head (size, root) that the answer holds for, or null, then the answer.
 
     Of an answer from rows, `rows_verified` says whether they were compared with that root.
     """
@@ -68,7 +68,10 @@ def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified
 
 
 def signature_text(state: str, signer: str | None) -> str:
-    """What the signature of a note is worth, for people: `signer` is the trusted key that made it, or whom the note names."""
+    """Say for people what the signature of a note is worth.
+
+    `signer` is the trusted key that made it, or the one that the note names.
+    """
     if signer is None:
         return "unsigned"
     return (
@@ -90,7 +93,7 @@ def answer_text(
     limit: int = 0,
     more: Mapping[str, object] | None = None,
 ) -> Shown:
-    """The rows as a table for people, or as what --json or --csv asks for; `more` is for JSON.
+    """Return the rows as a table for people, or as --json or --csv asks for; `more` is for JSON.
 
     Raises:
         UsageError: Both are asked for, or --raw without --csv.
@@ -108,7 +111,7 @@ def telling(rows: Sequence[Row]) -> list[str]:
 
 
 def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
-    """Raises: UsageError when an answer cannot have the form that was asked for."""
+    """Check that an answer can have the form that was asked for. Raises: UsageError if it cannot."""
     if as_json and as_csv:
         raise UsageError("found --json and --csv, expected one of them")
     if raw and not as_csv:
@@ -118,7 +121,7 @@ def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
 
 
 def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
-    """Every packaged query with its title and parameters. Raises: as `answer_text`."""
+    """Return every packaged query with its title and parameters. Raises: As `answer_text`."""
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     from fsar_ledger.metrics.library import library
 
@@ -141,14 +144,14 @@ def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
 
 
 def pretty(document: object) -> Shown:
-    """The document as JSON in ASCII; a name of a file that is not UTF-8 has each such byte escaped, `\\udcff` for ff."""
+    """Return the document as JSON in ASCII; bytes of a file name that are not UTF-8 are escaped, `\\udcff` for ff."""
     return printable.ascii_json(
         msgspec.json.format(msgspec.json.encode(encodable(to_builtins(document))), indent=2).decode() + "\n"
     )
 
 
 def _cell(value: object) -> str:
-    """The value in a table, as people see it."""
+    """Return the value as people see it in a table."""
     if isinstance(value, str):
         return printable.cell(value)
     if value is None:

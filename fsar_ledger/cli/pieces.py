@@ -1,4 +1,4 @@
-"""Long answers as text, some rows at a time, so that what a command holds does not grow with its answer.
+"""Long answers as text, some rows at a time, so that memory does not grow with the answer.
 
 The pieces together are what `output.answer_text` makes of all rows.
 """
@@ -30,7 +30,7 @@ class Form(NamedTuple):
     limit: int
 
     def check(self) -> None:
-        """Raises: UsageError as `check_form`."""
+        """Check the form. Raises: UsageError as `check_form`."""
         check_form(as_json=self.as_json, as_csv=self.as_csv, raw=self.raw)
 
     def pieces(self, about: "About", columns: Sequence[str], parts: Iterable[Sequence[Row]]) -> Iterator[Shown]:
@@ -65,7 +65,9 @@ def answer_pieces(
     limit: int = 0,
     more: Mapping[str, object] = {},
 ) -> Iterator[Shown]:
-    """The rows, of which each part holds some, as a table for people, or as what --json or --csv asks for; in JSON with `more` before them.
+    """Yield the rows as a table for people, or as --json or --csv asks for; in JSON with `more` before them.
+
+    Each of the parts holds some rows.
 
     Raises:
         UsageError: As `check_form`.
@@ -109,7 +111,7 @@ class Kept:
     """Text that is shown only when all of it is there: whoever reads an answer gets a whole one or an error."""
 
     def __init__(self, pieces: Iterable[Shown]):
-        """The pieces are made now. Raises: whatever that raises."""
+        """Make the pieces now. Raises: Whatever that raises."""
         self._file: TextIO = tempfile.SpooledTemporaryFile(  # type: ignore[assignment]  # noqa: SIM115
             KEPT_BYTES, "w+", encoding="utf-8", errors="surrogatepass", newline=""
         )
@@ -121,7 +123,7 @@ class Kept:
             raise
 
     def __iter__(self) -> Iterator[Shown]:
-        """The text, a few whole lines at a time; once."""
+        """Yield the text, a few whole lines at a time; once."""
         with self._file as file:
             file.seek(0)
             yield from (Shown("".join(lines)) for lines in iter(lambda: file.readlines(PIECE), []))

@@ -25,8 +25,9 @@ def predict(
 ) -> None:
     """Play what is registered to be predicted, and write down the numbers; takes minutes.
 
-    Ablations, larger fleets, loads, encounter rates, other seeds and pairs of ablations, with the constants as they are. No number of the paper is
-    read. What is predicted, and what the paper's claims imply for it, is in `reports/registration.toml`.
+    Ablations, larger fleets, loads, encounter rates, other seeds and pairs of ablations, with the constants as they
+    are. No number of the paper is read. What is predicted, and what the paper's claims imply for it, is in
+    `reports/registration.toml`.
     """
     from fsar_ledger.api.making import predict as write
 

@@ -1,4 +1,4 @@
-"""How far long work is, for people who wait at a terminal."""
+"""The progress of long work, for people who wait at a terminal."""
 
 import sys
 import time
@@ -9,7 +9,7 @@ class Progress:
     """One line on stderr while the work goes on, gone when it ends; nothing where stderr is no terminal."""
 
     def __init__(self, verb: str, unit: str) -> None:
-        """The work is of this kind, in the past tense, and counted in this: `simulated`, `batches`."""
+        """Begin work of this kind, in the past tense, counted in this unit: `simulated`, `batches`."""
         self._verb, self._unit = verb, unit
         self._is_shown = sys.stderr.isatty()
         self._began_s = self._last_s = time.monotonic()
@@ -24,7 +24,7 @@ class Progress:
             sys.stderr.write("\r\x1b[K")
 
     def __call__(self, done: int, total: int) -> None:
-        """The line says this, unless it was written less than 0.1 s ago."""
+        """Rewrite the line, unless it was written less than 0.1 s ago."""
         now_s = time.monotonic()
         if not self._is_shown or (now_s - self._last_s < 0.1 and done < total):
             return

@@ -25,7 +25,10 @@ def prove(
         str,
         typer.Argument(
             metavar="EVENT",
-            help="RUN:SEQ, a run (the beginning of its name, if no other begins so) and a seq in it; or the event's number in the ledger, from 0.",
+            help=(
+                "RUN:SEQ, a run (the beginning of its name, if no other begins so) and a seq in it; or the event's "
+                "number in the ledger, from 0."
+            ),
             show_default=False,
         ),
     ],
@@ -39,8 +42,8 @@ def prove(
 ) -> None:
     """Prove that one event is in a ledger.
 
-    The proof is one small text, a C2SP tlog-proof: the event, the hashes from it to the root, and the newest checkpoint. Whoever has it
-    needs no ledger to check it with `verify-proof`.
+    The proof is one small text, a C2SP tlog-proof: the event, the hashes from it to the root, and the newest
+    checkpoint. Whoever has it needs no ledger to check it with `verify-proof`.
     """
     from fsar_ledger.api.files import write_text
     from fsar_ledger.ledger.store.paths import require_outside

@@ -60,8 +60,9 @@ def query(
 ) -> None:
     """Answer a question that has a name, or that stands in a file.
 
-    The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs mean. A file of
-    your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes, within --memory.
+    The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs
+    mean. A file of your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes,
+    within --memory.
     """
     from .output import queries_text
     from .pieces import Form
@@ -83,13 +84,14 @@ def query(
 def _of_name(
     name: str | None, ledger: Path | None, param: list[str] | None, form: "Form", *, verified: bool
 ) -> Iterable[Shown]:
-    """The answer of the packaged query."""
+    """Answer the packaged query."""
     from .answering import opened, warn
 
     parameters = parameters_of(param)
     if name is None or ledger is None:
         raise UsageError(
-            "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names"
+            "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query "
+            "--list` shows the names"
         )
     form.check()
     found = opened(ledger, verified=verified).query(name, **parameters)
@@ -107,18 +109,20 @@ def _of_file(
     *,
     verified: bool,
 ) -> Iterable[Shown]:
-    """The answer of the SELECT in the file; beside it LEDGER is the first argument."""
+    """Answer the SELECT in the file; beside it LEDGER is the first argument."""
     from fsar_ledger.api.limits import limits_of
 
     from .sql import answer_select
 
     if parameters := parameters_of(param):
         raise UsageError(
-            f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the value into the file"
+            f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the "
+            "value into the file"
         )
     if name is None or ledger is not None:
         raise UsageError(
-            f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file {printable.word(file)} out/ledger`"
+            f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file "
+            f"{printable.word(file)} out/ledger`"
         )
     limits = limits_of(*most)
     try:
@@ -128,7 +132,7 @@ def _of_file(
 
 
 def _text_of(file: Path, most: int) -> str:
-    """What the file holds, up to one byte more than SQL may have. Raises: UsageError, QueryFailed."""
+    """Read the file, up to one byte more than SQL may have. Raises: UsageError, QueryFailed."""
     try:
         if str(file) == "-":
             data = sys.stdin.buffer.read(most + 1)

@@ -52,9 +52,9 @@ def recover(
 ) -> None:
     """Mend what a crash left; after tampering, say what can be trusted.
 
-    Nothing is deleted: what does not belong to the ledger moves to LEDGER.set-aside. A ledger of which rows or records were altered or lost is
-    not touched; it is said up to which commit it can be trusted, and --into copies that much. Exit code 3 if LEDGER is damaged and nothing was
-    copied.
+    Nothing is deleted: what does not belong to the ledger moves to LEDGER.set-aside. A ledger of which rows or records
+    were altered or lost is not touched; it is said up to which commit it can be trusted, and --into copies that much.
+    Exit code 3 if LEDGER is damaged and nothing was copied.
     """
     from fsar_ledger.api.keys import anchor_of, trusted_of
     from fsar_ledger.api.ledger import Ledger
@@ -69,7 +69,7 @@ def recover(
 
 
 def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> Shown:
-    """What was found and done, for programs: the head is that of what can be trusted."""
+    """Return what was found and done, for programs; the head is that of what can be trusted."""
     from msgspec import to_builtins
 
     from .output import json_text
@@ -82,7 +82,7 @@ def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> Shown:
 
 
 def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | None) -> Shown:
-    """What was found and done, for people."""
+    """Return what was found and done, for people."""
     if found.report is not None and not found.problems:
         lines = [
             f"{ledger}: {'mended; nothing was deleted' if found.steps else 'whole, there is nothing to mend'}",
@@ -96,7 +96,10 @@ def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | 
         where = found.problems[0].commit
         place = f"commit {where:,}" if where is not None else found.problems[0].where
         lines = [
-            f"{ledger}: damaged at {place}; {'nothing of it was changed' if not found.steps else 'it was mended as far as possible'}"
+            (
+                f"{ledger}: damaged at {place}; "
+                f"{'nothing of it was changed' if not found.steps else 'it was mended as far as possible'}"
+            )
         ]
         lines += ["found", *_some([f"  {problem}" for problem in found.problems]), *_done(found.steps)]
         lines += ["trusted", *_trusted(found, asked)]
@@ -106,7 +109,7 @@ def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | 
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:
-    """What was done, by kind."""
+    """Yield what was done, by kind."""
     for did in dict.fromkeys(step.did for step in steps):
         chosen = [step for step in steps if step.did == did]
         yield did
@@ -114,14 +117,14 @@ def _done(steps: "Sequence[Step]") -> Iterator[str]:
 
 
 def _some(lines: list[str]) -> list[str]:
-    """The first lines, and how many more there are."""
+    """Return the first lines, and how many more there are."""
     return (
         lines if len(lines) <= SHOWN else [*lines[:SHOWN], f"  ... and {len(lines) - SHOWN:,} more; --json names all"]
     )
 
 
 def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
-    """What can be trusted, and on whose word."""
+    """Yield what can be trusted, and on whose word."""
     from .output import signature_text
 
     head = found.head
@@ -138,28 +141,40 @@ def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
         yield f"  {signature_text(found.report.signature, found.report.signer)}"
     note = asked.anchor.note if asked.anchor is not None else None
     if note is None:
-        yield "  whether newer commits were removed, nothing in a ledger shows; --anchor FILE does, a checkpoint kept elsewhere"
+        yield (
+            "  whether newer commits were removed, nothing in a ledger shows; --anchor FILE does, a checkpoint kept "
+            "elsewhere"
+        )
     elif found.anchored is not None:
         yield f"  the anchor vouches for the first {found.anchored:,} events"
     elif note.checkpoint.size > head.size:
-        yield f"  the anchor knows of {note.checkpoint.size:,} events, and the tiles do not prove that it begins with these {head.size:,}"
+        yield (
+            f"  the anchor knows of {note.checkpoint.size:,} events, and the tiles do not prove that it begins with "
+            f"these {head.size:,}"
+        )
     else:
         yield "  the anchor contradicts it"
 
 
 def _later(later: "Sequence[Later]") -> Iterator[str]:
-    """The commits after the trusted ones, those of a kind in one line."""
+    """Yield the commits after the trusted ones, those of a kind in one line."""
     for (what, _), group in groupby(later, lambda commit: (commit.found, commit.restore)):
         numbers = [commit.number for commit in group]
-        yield f"  commit{'' if len(numbers) == 1 else 's'} {numbers[0]:,}{'' if len(numbers) == 1 else f' to {numbers[-1]:,}'}: {what}"
+        yield (
+            f"  commit{'' if len(numbers) == 1 else 's'} "
+            f"{numbers[0]:,}{'' if len(numbers) == 1 else f' to {numbers[-1]:,}'}: {what}"
+        )
 
 
 def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
-    """How to go on."""
+    """Yield how to go on."""
     from fsar_ledger.ledger.store.paths import segment_path
 
     if into is not None:
-        yield f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it as evidence"
+        yield (
+            f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it as "
+            "evidence"
+        )
         yield f"  fsar-ledger simulate {printable.word(into)} with the options of {ledger} continues there"
         return
     yield f"  keep {ledger} as it is: it is the evidence"
@@ -168,6 +183,9 @@ def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
     ]
     yield from _some([f"  {file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost])
     if found.head.commits:
-        yield f"  fsar-ledger recover {printable.word(ledger)} --into NEW copies what can be trusted to a new ledger; simulate NEW continues there"
+        yield (
+            f"  fsar-ledger recover {printable.word(ledger)} --into NEW copies what can be trusted to a new ledger; "
+            "simulate NEW continues there"
+        )
     else:
         yield "  restore it from a copy that verifies, or begin a new ledger"

@@ -41,8 +41,9 @@ def report(
 ) -> None:
     """Typeset the evaluation as a PDF.
 
-    Each number of the paper stands beside the ledger's, with its interval and a verdict. Ablations, larger fleets and workflows are sections of
-    their own where this ledger, or one given with --with, holds them. First all rows are compared with their root, as `verify` does it.
+    Each number of the paper stands beside the ledger's, with its interval and a verdict. Ablations, larger fleets and
+    workflows are sections of their own where this ledger, or one given with --with, holds them. First all rows are
+    compared with their root, as `verify` does it.
     """
     from fsar_ledger.api.ledger import Ledger
 

@@ -32,9 +32,9 @@ def reproduce(
 ) -> None:
     """Do the paper's experiments, judge them, typeset the report.
 
-    FOLDER then holds report.pdf, its numbers as reproduction.json, metrics.csv, statistics.csv and a ledger of each experiment: results/, ablation/,
-    scaling/ and workflows/.
-    The key signs results/ under its name NAME, and the others under NAME/ablation, NAME/scaling and NAME/workflows: no two trees have one origin.
+    FOLDER then holds report.pdf, its numbers as reproduction.json, metrics.csv, statistics.csv and a ledger of each
+    experiment: results/, ablation/, scaling/ and workflows/. The key signs results/ under its name NAME, and the others
+    under NAME/ablation, NAME/scaling and NAME/workflows: no two trees have one origin.
     """
     from fsar_ledger.api.making import reproduce as make
 
@@ -50,11 +50,15 @@ def reproduce(
 
 
 def beyond(made: "Made") -> list[str]:
-    """A line if the ledger holds runs beyond those asked for, so that what is judged rests on them, too."""
+    """Return a line if the ledger holds runs beyond those asked for, since those are judged too."""
     more = made.held - made.asked
     return (
         [
-            f"the ledger holds {counted(more, 'run')} beyond the {made.asked:,} of the paper's experiment, and they are judged here, too"
+            (
+                f"the ledger holds {counted(more, 'run')} beyond the {made.asked:,} of the paper's experiment, and "
+                "they "
+                "are judged here, too"
+            )
         ]
         if more
         else []

@@ -43,8 +43,9 @@ def sensitivity(
 ) -> None:
     """Tell how much of each number hangs on each constant; takes most of an hour on two cores.
 
-    Every constant of the world and of the structure, the load and the size of the fleet are varied (Morris screening); of the dozen that move a
-    number furthest also what part of its variance is theirs (Sobol indices). Interrupted, it goes on where it stopped.
+    Every constant of the world and of the structure, the load and the size of the fleet are varied (Morris screening);
+    of the dozen that move a number furthest also what part of its variance is theirs (Sobol indices). Interrupted, it
+    goes on where it stopped.
     """
     from fsar_ledger.api.making import sensitivity as study
     from fsar_ledger.ledger.store.paths import require_outside
@@ -69,7 +70,10 @@ def _tell(found: "Sensitivity") -> None:
 
     rows = dozen(found)
     still = sum(furthest == 0 for furthest in reach(found).values())
-    head = f"{len(found.about.factors)} factors, {found.about.evaluations:,} evaluations; {still} factors move nothing; in margins of the cell moved furthest:"
+    head = (
+        f"{len(found.about.factors)} factors, {found.about.evaluations:,} evaluations; {still} factors move "
+        "nothing; in margins of the cell moved furthest:"
+    )
     show(
         printable.joined(
             printable.line(head), table_text(rows, list(rows[0])) if rows else printable.line("none moves anything")

@@ -41,7 +41,11 @@ EXAMPLES = examples(
     "fsar-ledger simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
     "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
     "fsar-ledger simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
-    "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 --runs 2",
+    (
+        "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 "
+        "--teams-working 2 "
+        "--runs 2"
+    ),
     "fsar-ledger simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
 )
 
@@ -67,7 +71,8 @@ def simulate(
 ) -> None:
     """Simulate fleets; every event is appended to the ledger OUT.
 
-    An interrupted simulation continues where it stopped when it is called again; with more --runs, or other scenarios, it enlarges what is there.
+    An interrupted simulation continues where it stopped when it is called again; with more --runs, or other scenarios,
+    it enlarges what is there.
     """
     from fsar_ledger.api.making import simulate as make
 
@@ -95,7 +100,7 @@ def simulate(
 
 
 def _text(out: Path, made: "Made", signed: list[str], *, as_json: bool) -> Shown:
-    """The head of the ledger, what was there before, and the lines on its signature."""
+    """Return the head of the ledger, what was there before, and the lines on its signature."""
     from .output import json_text
 
     head = made.head
@@ -111,22 +116,29 @@ def _text(out: Path, made: "Made", signed: list[str], *, as_json: bool) -> Shown
 
 
 def before(made: "Made") -> list[str]:
-    """A line on the runs that were there already, if there were any."""
+    """Return a line on the runs that were there already, if there were any."""
     more = made.held - made.asked
     others = f", and {more:,} more" if more else ""
     if not made.made:
         return [
-            f"nothing to do: the {counted(made.asked, 'run')} asked for {'is' if made.asked == 1 else 'are'} there{others}"
+            (
+                f"nothing to do: the {counted(made.asked, 'run')} asked for {'is' if made.asked == 1 else 'are'} "
+                f"there{others}"
+            )
         ]
     if made.made < made.asked:
         return [
-            f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {made.asked - made.made:,} were there already{others}"
+            (
+                f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {made.asked - made.made:,} were "
+                "there "
+                f"already{others}"
+            )
         ]
     return [f"made {counted(made.made, 'run')}, beside {more:,} of other experiments"] if more else []
 
 
 def _signed(ledger: Path, key: Path) -> list[str]:
-    """A line that says whether the newest commit of the ledger carries a signature of this key."""
+    """Return a line that says whether this key signed the newest commit of the ledger."""
     from fsar_ledger.ledger.log.note import signers_of
     from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.ledger.store.read import open_ledger
@@ -136,5 +148,8 @@ def _signed(ledger: Path, key: Path) -> list[str]:
     if signers == read_signer(key).verifier.key:
         return [f"signed by {printable.value(signers)}"]
     return [
-        f"nothing was appended, so nothing was signed; the newest commit is {f'signed by {printable.value(signers)}' if signers else 'unsigned'}"
+        (
+            "nothing was appended, so nothing was signed; the newest commit is "
+            f"{f'signed by {printable.value(signers)}' if signers else 'unsigned'}"
+        )
     ]

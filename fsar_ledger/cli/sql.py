@@ -45,8 +45,8 @@ def sql(
 ) -> None:
     """Answer a SELECT of your own.
 
-    It can read `events`, one view for each event type, and the views of `query --list`; it runs in a locked-down process that can read
-    this ledger and nothing else.
+    It can read `events`, one view for each event type, and the views of `query --list`; it runs in a locked-down
+    process that can read this ledger and nothing else.
     """
     from fsar_ledger.api.limits import limits_of
 
@@ -57,7 +57,10 @@ def sql(
 
 
 def answer_select(ledger: Path, select: str, limits: "Limits", form: "Form", *, verified: bool) -> Iterable[Shown]:
-    """Return the answer of the SELECT as text, a piece at a time; the limit of time holds for making all of it. Raises: as `Ledger.sql`."""
+    """Return the answer of the SELECT as text, in pieces; the time limit covers making all of it.
+
+    Raises: As `Ledger.sql`.
+    """
     from .answering import opened, warn
     from .pieces import Kept
 

@@ -20,11 +20,12 @@ def statistics(
 ) -> None:
     """Compare the architectures of a ledger in pairs, and FSAR with itself without a mechanism.
 
-    For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and Holm over the 24 tests of the
-    architectures, or over those of all ablations. Runs that did not meet the same world are named first, and left out: exit code 1 where facts differ
-    that an experiment makes alike. What cannot be compared is said, and why. A run without failures counts as the paper counts it (containment 1,
-    latency 0 s); `query statistics/pairwise_tests_defined` leaves such pairs out.
-    Beside it, in the columns pooled_*, stands the test of what the results table prints: containment and latency pooled over failures.
+    For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and
+    Holm over the 24 tests of the architectures, or over those of all ablations. Runs that did not meet the same world
+    are named first, and left out: exit code 1 where facts differ that an experiment makes alike. What cannot be
+    compared is said, and why. A run without failures counts as the paper counts it (containment 1, latency 0 s); `query
+    statistics/pairwise_tests_defined` leaves such pairs out. Beside it, in the columns pooled_*, stands the test of
+    what the results table prints: containment and latency pooled over failures.
     """
     from fsar_ledger.api.fields import csv_text
 

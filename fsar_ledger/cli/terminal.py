@@ -1,7 +1,8 @@
 """The one place that prints: answers on stdout, messages on stderr.
 
-Only text whose values are escaped (`Shown`) can be shown, and it goes through a last net. On a terminal a line that is too long for it goes on in
-the next one behind a mark, so that no line of the screen begins with what somebody else wrote.
+Only text whose values are escaped (`Shown`) can be shown, and it goes through a last net. On a terminal a line that is
+too long for it goes on in the next one behind a mark, so that no line of the screen begins with what somebody else
+wrote.
 """
 
 import io
@@ -28,12 +29,15 @@ class Enough(Exception):
 
 
 def show(text: Shown, *, raw: bool = False) -> None:
-    """The text is on stdout; `raw` is for programs and may be anything, as long as stdout is no terminal. Raises: Enough where nobody reads it; WriteFailed."""
+    """Write the text to stdout. `raw` is for programs and may be anything, as long as stdout is no terminal.
+
+    Raises: Enough where nobody reads it; WriteFailed.
+    """
     _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.sanitized(text))
 
 
 def say(*messages: str) -> None:
-    """The messages are on stderr, each after the name of the command; where one goes on in another line, that stands behind a mark, whoever broke it."""
+    """Write the messages to stderr, each after the name of the command; a further line of one stands behind a mark."""
     with suppress(Enough, WriteFailed):
         _write(sys.stderr, "".join(map(_message, messages)))
 
@@ -45,7 +49,7 @@ def _message(text: str) -> Shown:
 
 
 def say_failure(trace: str) -> None:
-    """The lines that Python has for a mistake of ours are on stderr, harmless whatever they quote."""
+    """Write Python's lines on a mistake of ours to stderr, harmless whatever they quote."""
     with suppress(Enough, WriteFailed):
         _write(sys.stderr, printable.sanitized(trace))
 
@@ -71,7 +75,11 @@ def _write(stream: TextIO | None, text: str) -> None:
 
 
 def _write_whole(stream: TextIO, data: bytes, encoding: str) -> None:
-    """All of it: an unbuffered stream (PYTHONUNBUFFERED) takes what there is room for and says how much, and Python's text layer does not look."""
+    """Write all of it.
+
+    An unbuffered stream (PYTHONUNBUFFERED) takes what there is room for and says how much, and Python's text layer does
+    not look.
+    """
     raw = getattr(stream, "buffer", None)
     if not isinstance(raw, io.RawIOBase):
         stream.write(data.decode(encoding))
@@ -83,12 +91,12 @@ def _write_whole(stream: TextIO, data: bytes, encoding: str) -> None:
 
 
 def _divert(stream: TextIO) -> None:
-    """What is still to be written goes nowhere, so that nothing fails once more when the process ends."""
+    """Discard what is still to be written, so that nothing fails once more when the process ends."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def folded(line: str, width: int) -> str:
-    """The line as it stands on a terminal with so many columns: the rest of it behind a mark, as often as needed."""
+    """Fold the line for a terminal with so many columns: the rest of it behind a mark, as often as needed."""
     if len(line) <= width and line.isascii():
         return line
     parts, at, used = [], 0, 0
@@ -101,7 +109,7 @@ def folded(line: str, width: int) -> str:
 
 
 def _columns(character: str) -> int:
-    """The columns that a terminal gives this character."""
+    """Return the columns that a terminal gives this character."""
     if character.isascii():
         return 1
     from unicodedata import category, east_asian_width

@@ -61,10 +61,10 @@ def verify(
 ) -> None:
     """Re-derive every hash, count and record of a ledger.
 
-    Where anything does not hold, each place is named and the exit code is 3. What no ledger can show about itself, that all of it was
-    rewritten or its newest commits taken away, shows with a trusted key and an anchor, a copy of LEDGER/checkpoint that was kept elsewhere,
-    or with witnesses, who keep one.
-    A look at all rows that finds nothing is remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
+    Where anything does not hold, each place is named and the exit code is 3. What no ledger can show about itself, that
+    all of it was rewritten or its newest commits taken away, shows with a trusted key and an anchor, a copy of
+    LEDGER/checkpoint that was kept elsewhere, or with witnesses, who keep one. A look at all rows that finds nothing is
+    remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
     """
     from fsar_ledger.api.ledger import Ledger
 
@@ -95,7 +95,7 @@ def verify(
 
 
 def _show_json(found: "Verification") -> None:
-    """The head is the one that the rows themselves give, its root null where some cannot be read."""
+    """Show the findings as JSON. The head is that of the rows themselves, its root null where some cannot be read."""
     from msgspec import to_builtins
 
     from .output import pretty
@@ -109,7 +109,7 @@ def _show_json(found: "Verification") -> None:
 
 
 def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -> list[str]:
-    """What was found, for people; `again` is None where no replay was asked for."""
+    """Return the findings as lines for people; `again` is None where no replay was asked for."""
     lines = _of_report(ledger, report)
     if again is None:
         return lines
@@ -120,7 +120,11 @@ def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -
     if again.ok:
         return [
             *lines,
-            f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as the world and the handlers make them",
+            (
+                f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as the world and the "
+                "handlers "
+                "make them"
+            ),
             *again.remarks,
         ]
     count = f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"
@@ -131,7 +135,7 @@ def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -
 
 
 def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
-    """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
+    """Return the findings of `verify` as lines: one for each problem, or that there is none and what that covers."""
     from .output import signature_text
 
     if not report.ok:

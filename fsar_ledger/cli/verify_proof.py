@@ -32,8 +32,8 @@ def verify_proof(
 ) -> None:
     """Check a proof, without the ledger; shows the event.
 
-    Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key it shows only that the event is in the
-    tree whose root the proof itself names: compare that root, or give the key.
+    Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key it shows only that
+    the event is in the tree whose root the proof itself names: compare that root, or give the key.
     """
     from fsar_ledger.api import making as api
 
@@ -49,7 +49,7 @@ def verify_proof(
 
 
 def _text(file: Path, proven: "Proven") -> Shown:
-    """What the proof shows, for people: the event and its principals, its place, and what the signature is worth."""
+    """Return what the proof shows, for people: the event, its principals and place, and what the signature is worth."""
     from fsar_ledger.ledger.rows.canonical import document
 
     from .output import signature_text
@@ -73,7 +73,7 @@ def _text(file: Path, proven: "Proven") -> Shown:
 
 
 def _json(file: Path, proven: "Proven") -> Shown:
-    """What the proof shows, for programs; `head` is that of the proof's checkpoint."""
+    """Return what the proof shows, for programs; `head` is that of the proof's checkpoint."""
     from .output import json_text
 
     event = proven.event

@@ -1,4 +1,4 @@
-"""The commands of witnesses, and of those who ask them: `witness new`, `witness serve`, `witness ask`, and `verify --witness-policy`."""
+"""The commands of witnesses and of those who ask them: `witness new`, `witness serve` and `witness ask`."""
 
 import signal
 import time
@@ -39,8 +39,8 @@ def witness_new(
 ) -> None:
     """Make a witness; prints its public key.
 
-    STATE holds its secret key and, later, what it has seen. A witness that forgets is worth nothing: never copy STATE, never restore it
-    from a backup; make a new witness instead.
+    STATE holds its secret key and, later, what it has seen. A witness that forgets is worth nothing: never copy STATE,
+    never restore it from a backup; make a new witness instead.
     """
     from fsar_ledger.api.witnessed import witness_new as make
 
@@ -75,8 +75,8 @@ def witness_serve(
 ) -> None:
     """Cosign checkpoints, over HTTP, until interrupted.
 
-    Speaks C2SP tlog-witness: a checkpoint is cosigned if the log's key signed it and a proof shows that the log only grew since the last
-    one. It needs no ledger and sees no event. Prints its public key and URL.
+    Speaks C2SP tlog-witness: a checkpoint is cosigned if the log's key signed it and a proof shows that the log only
+    grew since the last one. It needs no ledger and sees no event. Prints its public key and URL.
     """
     from fsar_ledger.witness.cosignature import read_log_key
     from fsar_ledger.witness.server import WitnessServer
@@ -92,7 +92,7 @@ def witness_serve(
 
 
 def _serve(server: "WitnessServer", greeting: Shown) -> None:
-    """The server has served until SIGTERM or Ctrl-C."""
+    """Serve until SIGTERM or Ctrl-C."""
 
     def end(*_: object) -> None:
         raise KeyboardInterrupt
@@ -108,7 +108,7 @@ def _serve(server: "WitnessServer", greeting: Shown) -> None:
 
 
 def _tell(line: str) -> None:
-    """The operator is told, if anybody still reads that."""
+    """Tell the operator, if anybody still reads that."""
     with suppress(OSError):
         say(line)
 
@@ -137,8 +137,8 @@ def witness_ask(
 ) -> None:
     """Have the newest checkpoint of a ledger cosigned.
 
-    Each witness in FILE that has a URL is sent the checkpoint and a proof that the ledger only grew; no event leaves. Exit code 1, and
-    nothing written, if fewer cosigned than FILE demands.
+    Each witness in FILE that has a URL is sent the checkpoint and a proof that the ledger only grew; no event leaves.
+    Exit code 1, and nothing written, if fewer cosigned than FILE demands.
     """
     from fsar_ledger.api.files import write_text
     from fsar_ledger.api.ledger import Ledger
@@ -158,6 +158,6 @@ def witness_ask(
 
 
 def _clock(context: typer.Context) -> Callable[[], int]:
-    """The clock that `app.py` gave."""
+    """Return the clock that `app.py` gave."""
     clock: Callable[[], int] = context.obj
     return clock

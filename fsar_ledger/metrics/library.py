@@ -25,7 +25,7 @@ from fsar_ledger.errors import UnknownQuery
 from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, Layout
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, StoredType
 
 from . import definitions
 
@@ -204,7 +204,7 @@ def concern_sql(concern: str, source: str | None = "events") -> str:
     return _select([*ENVELOPE, *ordered], [layout.tag for layout in layouts], source)
 
 
-def _layouts(concern: str) -> list[Layout]:
+def _layouts(concern: str) -> list[StoredType]:
     """Return the event types of a concern, in their newest versions."""
     return [layout for layout in LAYOUTS.values() if CONCERN_OF.get(layout.tag.partition(".")[0]) == concern]
 

@@ -62,7 +62,7 @@ def test_wrong_names_in_questions_are_errors(ledger: fsar_ledger.Ledger) -> None
         ledger.query("audit/refusals", run="nowhere")
     with pytest.raises(InvalidExperiment, match="unknown metric"):
         ledger.multiverse(metric="coordination")
-    with pytest.raises(UsageError, match="expected --pool seeds"):
+    with pytest.raises(UsageError, match=r"pool=.*expected pool=seeds, or no pool"):
         ledger.metrics(pool="all")  # type: ignore[arg-type]
 
 

@@ -15,7 +15,7 @@ import fsar_ledger
 from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.releases import RELEASE
-from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA, Field, Layout, described
+from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA, Field, StoredType, described
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.plan import plan_record
@@ -42,7 +42,7 @@ class Kept(msgspec.Struct, frozen=True):
     key: str
 
 
-def stored_types(layouts: Iterable[Layout]) -> dict[str, dict[str, str]]:
+def stored_types(layouts: Iterable[StoredType]) -> dict[str, dict[str, str]]:
     """How these event types are stored: by tag and field the kind, the allowed values and whether NULL is allowed, as text."""
     return {
         layout.tag: {field.name: _stored(field) for field in sorted(layout.fields, key=lambda field: field.name)}

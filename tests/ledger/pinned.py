@@ -11,13 +11,13 @@ import msgspec
 
 import fsar_ledger
 from fsar_ledger.ledger.rows import canonical, releases
-from fsar_ledger.ledger.rows.schema import LAYOUTS, Layout
+from fsar_ledger.ledger.rows.schema import LAYOUTS, StoredType
 from tests.ledger.keep_release import LEDGERS, stored_types
 
 ROWS = Path(__file__).with_name("canonical_rows.jsonl")
 
 
-def pinned_row(layout: Layout) -> bytes:
+def pinned_row(layout: StoredType) -> bytes:
     """The canonical bytes of a row of this type in which every field has a value."""
     samples: dict[str, object] = {"integer": 1_234_567, "boolean": True, "strings": ("robot/A1", 'a "quoted" é\n')}
     values = {

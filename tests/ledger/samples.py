@@ -10,7 +10,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.codec import RunRecord
-from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, Layout
+from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, StoredType
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import Head
 
@@ -96,7 +96,7 @@ def _any_value(field: Field) -> st.SearchStrategy[object]:
     return st.none() | kinds[field.kind] if field.is_nullable else kinds[field.kind]
 
 
-def any_event_of(layout: Layout) -> st.SearchStrategy[Event]:
+def any_event_of(layout: StoredType) -> st.SearchStrategy[Event]:
     """Any event of this type."""
     return st.tuples(*map(_any_value, layout.fields)).map(layout.event)
 

@@ -38,7 +38,7 @@ def through_parquet(table: pa.Table, path: Path) -> pa.Table:
 @settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_every_event_type_survives_arrow_and_parquet(
-    layouts: list[schema.Layout], data: st.DataObject, tmp_path: Path
+    layouts: list[schema.StoredType], data: st.DataObject, tmp_path: Path
 ) -> None:
     events = [data.draw(any_event_of(layout)) for layout in layouts]
     runs = [RunRecord("r", list(range(len(events))), [None, *range(len(events) - 1)], events)]
@@ -152,11 +152,11 @@ class OtherRobotEvent(Event, frozen=True):
 
 def test_event_types_that_a_ledger_cannot_hold_are_refused() -> None:
     with pytest.raises(TypeError, match="field share"):
-        schema.layout(FloatingEvent)
+        schema.stored_type(FloatingEvent)
     with pytest.raises(TypeError, match="envelope column"):
-        schema.layout(SeqEvent)
+        schema.stored_type(SeqEvent)
     with pytest.raises(TypeError, match="field robot is integer"):
-        schema.columns((*LAYOUT_LIST, schema.layout(OtherRobotEvent)))
+        schema.columns((*LAYOUT_LIST, schema.stored_type(OtherRobotEvent)))
 
 
 def test_encode_refuses_what_could_not_be_verified() -> None:

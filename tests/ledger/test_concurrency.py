@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.store import append, disk, paths
+from fsar_ledger.ledger.store import disk, paths, prepare
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import LedgerView, open_ledger
 from fsar_ledger.ledger.store.walk import commit_names
@@ -80,7 +80,7 @@ def test_of_two_processes_that_create_a_ledger_the_slower_one_opens_it(
     if moment == "gives the manifest its name":
         monkeypatch.setattr(os, "link", after_the_quicker_one(os.link))
     else:
-        monkeypatch.setattr(append, "is_unfinished", after_the_quicker_one(paths.is_unfinished))
+        monkeypatch.setattr(prepare, "is_unfinished", after_the_quicker_one(paths.is_unfinished))
     with Writer(path, ORIGIN) as writer:
         assert writer.head.commits == 1
 

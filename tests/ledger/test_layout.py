@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.rows import grammar, layout, segment
+from fsar_ledger.ledger.rows import grammar, segment
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.layout import check_layout, read_file, read_layout
 from fsar_ledger.ledger.rows.schema import SCHEMA
@@ -143,7 +143,7 @@ def test_numbers_are_as_short_as_they_can_be_and_not_negative() -> None:
     number = re.compile(grammar.ROWS.pattern + b"$", re.DOTALL)
     for value in [*range(300), *(1 << bits for bits in range(34)), (1 << 34) - 1]:
         assert number.fullmatch(grammar.number(value)), value
-        assert layout._number[grammar.number(value)] == value
+        assert grammar.DECODED[grammar.number(value)] == value
     for data in (b"\x01", b"\x81\x01", b"\x80\x00", b"\x80\x80\x00", b"", b"\x80", b"\xfe" * 5 + b"\x01"):
         assert not number.fullmatch(data), data
 

@@ -20,7 +20,7 @@ from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.codec import RunRecord, encode
-from fsar_ledger.ledger.rows.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE, STORED, Layout
+from fsar_ledger.ledger.rows.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE, STORED, StoredType
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.paths import segment_path, staged_path
@@ -48,7 +48,7 @@ def path(intact: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(intact, tmp_path / "ledger"))
 
 
-def seq_with(condition: Callable[[str, Layout], bool]) -> tuple[int, str]:
+def seq_with(condition: Callable[[str, StoredType], bool]) -> tuple[int, str]:
     """The first event of RUN that has such a field, and the field's name."""
     layouts = [(seq, LAYOUTS[str(event.__struct_config__.tag)]) for seq, event in enumerate(RUN.events)]
     return next(
@@ -61,7 +61,7 @@ def seq_with(condition: Callable[[str, Layout], bool]) -> tuple[int, str]:
 
 
 def of_kind(kind: str, *, closed: bool = False, is_nullable: bool = False) -> tuple[int, str]:
-    def fits(name: str, layout: Layout) -> bool:
+    def fits(name: str, layout: StoredType) -> bool:
         (field,) = (field for field in layout.fields if field.name == name)
         return (field.kind, field.values is not None, field.is_nullable) == (kind, closed, is_nullable)
 

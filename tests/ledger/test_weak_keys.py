@@ -35,7 +35,7 @@ def test_a_key_of_small_order_under_which_anybody_signs_is_refused_wherever_it_i
     (tmp_path / "weak.pub").write_text(f"{forger}\n")
     expected = "a point of small order" if name in SMALL_ORDER else "not written in its one way"
     for key in (str(forger), str(tmp_path / "weak.pub")):
-        with pytest.raises(UsageError, match=rf"--trusted-key.*: found .*{expected}.*, expected an Ed25519 public key"):
+        with pytest.raises(UsageError, match=rf"trusted_key.*: found .*{expected}.*, expected an Ed25519 public key"):
             read_verifier(key)
     with pytest.raises(ValueError, match=expected):
         VerifierKey(ORIGIN, forger.public)

@@ -83,7 +83,7 @@ def test_a_mechanism_that_does_not_exist_is_named(asked: str, said: str) -> None
 )
 def test_mechanisms_that_are_joined_otherwise_are_refused_with_how_to_join_them(asked: str) -> None:
     with pytest.raises(
-        InvalidExperiment, match=r"--without .*expected mechanisms, each once, with \+ between them, as in "
+        InvalidExperiment, match=r"without=.*expected mechanisms, each once, with \+ between them, as in "
     ):
         experiment_of(None, None, 1, 42, 4, [asked])
 

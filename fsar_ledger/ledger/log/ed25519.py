@@ -1,9 +1,10 @@
-"""What a public key of Ed25519 must be before any signature of it is worth something (RFC 8032, section 5.1).
+"""Which public keys of Ed25519 are worth trusting (RFC 8032, section 5.1).
 
-A key is a point of a curve with 8 L points, L a prime. Honest keys are multiples of the base point, which are the L points of the prime-order
-subgroup. Under a point of small order (1, 2, 4 or 8) anybody can sign anything without a secret; with a part of small order a key lets verifiers
-disagree; and a point written in a second way is a second key for the same secret. Chalkias, Garillot, Nikolaenko, "Taming the many EdDSAs" (2020),
-lists the encodings; common libraries take most of them. Integers of Python are enough here: nothing is secret, and a key is read once.
+A key is a point of a curve with 8 L points, L a prime. Honest keys are multiples of the base point, which are the L
+points of the prime-order subgroup. Under a point of small order (1, 2, 4 or 8) anybody can sign anything without a
+secret; with a part of small order a key lets verifiers disagree; and a point written in a second way is a second key
+for the same secret. Chalkias, Garillot, Nikolaenko, "Taming the many EdDSAs" (2020), lists the encodings; common
+libraries accept most of them. Python's integers are enough here: nothing is secret, and a key is read once.
 """
 
 from functools import lru_cache
@@ -22,7 +23,10 @@ _IDENTITY: Point = (0, 1, 1, 0)
 
 @lru_cache(maxsize=64)
 def flaw_of(public: bytes) -> str | None:
-    """Why these bytes are no public key to trust, in words that follow "found"; None if they are one. Costs about 1.5 ms, once a key."""
+    """Say why these bytes are no public key to trust, in words that follow "found"; None if they are one.
+
+    Takes about 1.5 ms, once a key.
+    """
     if len(public) != KEY_BYTES:
         return f"{len(public)} bytes"
     written = int.from_bytes(public, "little")
@@ -43,7 +47,7 @@ def flaw_of(public: bytes) -> str | None:
 
 
 def _x_of(y: int) -> int | None:
-    """One of the two x of the points with this y; None if there is none."""
+    """Return one of the two x of the points with this y; None if there is none."""
     above, below = (y * y - 1) % _P, (_D * y * y + 1) % _P
     square = above * pow(below, -1, _P) % _P
     root = pow(square, (_P + 3) // 8, _P)
@@ -54,7 +58,7 @@ def _x_of(y: int) -> int | None:
 
 
 def _plus(a: Point, b: Point) -> Point:
-    """The sum of two points; the formula holds for every pair of them."""
+    """Add two points; the formula holds for every pair of them."""
     low, high = (a[1] - a[0]) * (b[1] - b[0]) % _P, (a[1] + a[0]) * (b[1] + b[0]) % _P
     product, doubled = 2 * a[3] * b[3] * _D % _P, 2 * a[2] * b[2] % _P
     e, f, g, h = high - low, doubled - product, doubled + product, high + low
@@ -62,7 +66,7 @@ def _plus(a: Point, b: Point) -> Point:
 
 
 def _times(count: int, point: Point) -> Point:
-    """The point added to itself so many times."""
+    """Add the point to itself so many times."""
     found = _IDENTITY
     while count:
         if count & 1:

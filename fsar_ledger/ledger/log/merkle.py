@@ -1,6 +1,7 @@
 """The Merkle tree of RFC 6962 (section 2.1) as pure functions over packed hashes, 32 bytes each.
 
-Proofs are made from any source of complete subtrees (`Node`) and checked as RFC 9162, sections 2.1.3.2 and 2.1.4.2, says.
+Proofs are made from any source of complete subtrees (`Node`) and checked as RFC 9162, sections 2.1.3.2 and 2.1.4.2,
+says.
 """
 
 import hashlib
@@ -20,17 +21,17 @@ Node: TypeAlias = Callable[[int, int], bytes]
 
 
 def leaf_hash(data: bytes) -> bytes:
-    """SHA-256(0x00 || data)."""
+    """Return SHA-256(0x00 || data)."""
     return hashlib.sha256(b"\x00" + data).digest()
 
 
 def node_hash(left: bytes, right: bytes) -> bytes:
-    """SHA-256(0x01 || left || right)."""
+    """Return SHA-256(0x01 || left || right)."""
     return hashlib.sha256(b"\x01" + left + right).digest()
 
 
 def parents(nodes: bytes) -> bytes:
-    """The hash of each pair of packed hashes, packed. What is hashed is cut out of one buffer: joining each costs a fifth more."""
+    """Hash each pair of packed hashes. The input is cut out of one buffer: joining each pair costs a fifth more."""
     sha256 = hashlib.sha256
     pairs = np.frombuffer(nodes, np.uint8).reshape(-1, 2 * HASH_BYTES)
     found = []
@@ -53,7 +54,7 @@ class Frontier(msgspec.Struct, frozen=True):
     subtrees: tuple[bytes, ...] = ()
 
     def extend(self, leaves: bytes) -> "Frontier":
-        """The frontier after these leaf hashes, packed. Costs one hash a leaf."""
+        """Return the frontier after these packed leaf hashes. Costs one hash a leaf."""
         kept = list(self.subtrees)  # smallest last
         found: list[bytes] = []  # smallest first
         size, nodes = self.size, leaves
@@ -68,7 +69,7 @@ class Frontier(msgspec.Struct, frozen=True):
         return Frontier(self.size + len(leaves) // HASH_BYTES, (*kept, *reversed(found)))
 
     def root(self) -> bytes:
-        """The root hash of the tree."""
+        """Return the root hash of the tree."""
         if not self.subtrees:
             return EMPTY_ROOT
         *left, root = self.subtrees
@@ -78,7 +79,7 @@ class Frontier(msgspec.Struct, frozen=True):
 
 
 def root(leaves: Sequence[bytes]) -> bytes:
-    """The root hash of the tree over these leaf hashes."""
+    """Return the root hash of the tree over these leaf hashes."""
     return Frontier().extend(b"".join(leaves)).root()
 
 
@@ -86,12 +87,15 @@ def root(leaves: Sequence[bytes]) -> bytes:
 
 
 def _split(size: int) -> int:
-    """The largest power of two below the size, where RFC 6962 divides a tree."""
+    """Return the largest power of two below the size, where RFC 6962 divides a tree."""
     return 1 << (size - 1).bit_length() - 1
 
 
 def range_root(node: Node, start: int, end: int) -> bytes:
-    """The root over leaves `start` to `end`, which is a subtree that RFC 6962 knows: `start` is a multiple of a power of two not below its size."""
+    """Return the root over leaves `start` to `end`, a subtree that RFC 6962 knows.
+
+    `start` is a multiple of a power of two not below the subtree's size.
+    """
     size = end - start
     if size & (size - 1) == 0:
         return node(size.bit_length() - 1, start // size)
@@ -100,12 +104,12 @@ def range_root(node: Node, start: int, end: int) -> bytes:
 
 
 def tree_root(node: Node, size: int) -> bytes:
-    """The root of the tree over the first so many leaves."""
+    """Return the root of the tree over the first `size` leaves."""
     return range_root(node, 0, size) if size else EMPTY_ROOT
 
 
 def inclusion_proof(node: Node, index: int, size: int) -> tuple[bytes, ...]:
-    """PATH(index, D[size]), RFC 6962 section 2.1.1: the hashes from the leaf's sibling to the root's child.
+    """Return PATH(index, D[size]), RFC 6962 section 2.1.1: the hashes from the leaf's sibling to the root's child.
 
     Raises:
         ValueError: The tree has no such leaf.
@@ -126,7 +130,7 @@ def inclusion_proof(node: Node, index: int, size: int) -> tuple[bytes, ...]:
 
 
 def consistency_proof(node: Node, old: int, new: int) -> tuple[bytes, ...]:
-    """PROOF(old, D[new]), RFC 6962 section 2.1.2: nothing where one of the trees is empty or both are the same.
+    """Return PROOF(old, D[new]), RFC 6962 section 2.1.2; empty where one tree is empty or both are the same.
 
     Raises:
         ValueError: The old tree is the larger one.
@@ -155,7 +159,7 @@ def _are_hashes(*found: bytes) -> bool:
 
 
 def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]) -> bytes | None:
-    """The root that this proof leads to from the leaf hash. RFC 9162 section 2.1.3.2.
+    """Return the root that this proof leads to from the leaf hash. RFC 9162 section 2.1.3.2.
 
     None if it has another length than such a proof has, or something in it is no hash of 32 bytes.
     """
@@ -176,10 +180,10 @@ def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]
 
 
 def is_consistent(old: int, old_root: bytes, new: int, new_root: bytes, proof: Sequence[bytes]) -> bool:
-    """True when the proof shows that the new tree begins with the old one. RFC 9162 section 2.1.4.2.
+    """Return whether the proof shows that the new tree begins with the old one. RFC 9162 section 2.1.4.2.
 
-    False where something is no hash of 32 bytes. Every tree begins with the empty one: from it, an empty proof will do, and its root is that of no
-    leaves (C2SP tlog-witness asks for this; RFC 9162 leaves it open).
+    False where something is no hash of 32 bytes. Every tree begins with the empty one: from it, an empty proof will do,
+    and its root is that of no leaves (C2SP tlog-witness asks for this; RFC 9162 leaves it open).
     """
     if not 0 <= old <= new or not _are_hashes(old_root, new_root, *proof):
         return False

@@ -31,19 +31,19 @@ MAX_SIGNATURES = 16
 
 
 def is_name(name: str) -> bool:
-    """Whether a key or an origin can have this name: printable, not empty, without spaces and plus signs."""
+    """Return whether a key or an origin can have this name: printable, not empty, without spaces and plus signs."""
     return name.isprintable() and name != "" and not set(name) & {" ", "+"}
 
 
 class Checkpoint(msgspec.Struct, frozen=True):
-    """A tree head as it is published: whose log, how many events, and their Merkle root."""
+    """A published tree head: whose log, how many events, and their Merkle root."""
 
     origin: str
     size: int
     root: bytes
 
     def text(self) -> str:
-        """The text that is signed: origin, size and base64 root, one a line."""
+        """Return the text that is signed: origin, size and base64 root, one a line."""
         return f"{self.origin}\n{self.size}\n{base64.b64encode(self.root).decode()}\n"
 
 
@@ -56,11 +56,11 @@ class Signature(msgspec.Struct, frozen=True):
 
     @property
     def key(self) -> str:
-        """The key that it names: `name+id`."""
+        """Return the key that it names: `name+id`."""
         return f"{self.name}+{self.key_id.hex()}"
 
     def line(self) -> str:
-        """The line that it is in the note."""
+        """Return its line in the note."""
         return f"{_DASH}{self.name} {base64.b64encode(self.key_id + self.data).decode()}\n"
 
 
@@ -75,9 +75,10 @@ class Note(msgspec.Struct, frozen=True):
 
 
 class VerifierKey(msgspec.Struct, frozen=True):
-    """The public half of a key: it tells whether a note was signed by the other half.
+    """The public half of a key, which tells whether the other half signed a note.
 
-    There is none of a point that is written in a second way, is not on the curve, or is outside the prime-order subgroup: `ValueError` says which.
+    There is none of a point that is written in a second way, is not on the curve, or is outside the prime-order
+    subgroup: `ValueError` says which.
     """
 
     name: str
@@ -89,22 +90,24 @@ class VerifierKey(msgspec.Struct, frozen=True):
 
     @property
     def key_id(self) -> bytes:
-        """The first four bytes of SHA-256(name, line feed, 0x01, public key)."""
+        """Return the first four bytes of SHA-256(name, line feed, 0x01, public key)."""
         return hashlib.sha256(self.name.encode() + b"\n" + ED25519 + self.public).digest()[:_ID_BYTES]
 
     @property
     def key(self) -> str:
-        """How a signature names it: `name+id`."""
+        """Return the key as a signature names it: `name+id`."""
         return f"{self.name}+{self.key_id.hex()}"
 
     def __str__(self) -> str:
         return f"{self.key}+{base64.b64encode(ED25519 + self.public).decode()}"
 
     def made(self, signature: bytes, text: bytes) -> bool:
-        """Whether this is the signature of this key under the text, by RFC 8032, section 5.1.7, in its strict form.
+        """Return whether this is the signature of this key under the text.
 
-        64 bytes; S below L, so that a signature has no second form; R in its one way of writing, for it is compared as bytes; no cofactor, which makes
-        no difference for a key of the prime-order subgroup.
+        Checked by RFC 8032, section 5.1.7, in its strict form.
+
+        64 bytes; S below L, so that a signature has no second form; R in its one way of writing, for it is compared as
+        bytes; no cofactor, which makes no difference for a key of the prime-order subgroup.
         """
         from cryptography.exceptions import InvalidSignature
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -116,14 +119,17 @@ class VerifierKey(msgspec.Struct, frozen=True):
         return True
 
     def has_signed(self, note: Note) -> bool:
-        """Whether the note is of the log with this key's name and carries a signature of this key, and every one that it carries is right."""
+        """Return whether this key signed the note.
+
+        The note must be of the log with this key's name, and every signature of this key on it must be right.
+        """
         found = [signature.data for signature in note.signatures if signature.key == self.key]
         text = note.checkpoint.text().encode()
         return note.checkpoint.origin == self.name and bool(found) and all(self.made(data, text) for data in found)
 
 
 class Signer:
-    """The secret half of a key: it signs the notes of the ledger whose origin is its name."""
+    """The secret half of a key, which signs the notes of the ledger whose origin is its name."""
 
     def __init__(self, name: str, secret: bytes):
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -132,28 +138,29 @@ class Signer:
         self.verifier = VerifierKey(name, self._key.public_key().public_bytes_raw())
 
     def sign(self, checkpoint: Checkpoint) -> Signature:
-        """The signature of this key under the checkpoint; the same each time (RFC 8032)."""
+        """Sign the checkpoint; the signature is the same each time (RFC 8032)."""
         return Signature(self.verifier.name, self.verifier.key_id, self.signature_of(checkpoint.text().encode()))
 
     def under(self, name: str) -> "Signer":
-        """The same secret under another name: it signs the ledger of that origin."""
+        """Return the same secret under another name, to sign the ledger of that origin."""
         return Signer(name, self._key.private_bytes_raw())
 
     def signature_of(self, text: bytes) -> bytes:
-        """The 64 bytes of the signature under this text."""
+        """Return the 64 bytes of the signature under this text."""
         return self._key.sign(text)
 
 
 def checkpoint_of(origin: str, tree: Frontier) -> Checkpoint:
-    """The checkpoint of this tree."""
+    """Return the checkpoint of this tree."""
     return Checkpoint(origin, tree.size, tree.root())
 
 
 def parse_note(where: str, text: str) -> Note:
-    """The note in this text, which it gives back to the byte; an error calls it `where`.
+    """Parse the note in this text. `str` gives the text back to the byte; errors call it `where`.
 
     Raises:
-        LedgerCorrupted: It is not a checkpoint, is not written as C2SP says, or has signatures that no Ed25519 key makes.
+        LedgerCorrupted: It is not a checkpoint, is not written as C2SP says, or has signatures that no Ed25519 key
+            makes.
     """
     body, _, lines = text.rpartition("\n\n")
     origin, size, root, *_ = [*body.split("\n"), "", ""]
@@ -170,13 +177,14 @@ def parse_note(where: str, text: str) -> Note:
     is_checkpoint = number >= 0 and is_name(origin) and len(note.checkpoint.root) == HASH_BYTES
     if str(note) != text or not is_checkpoint or len(note.signatures) > MAX_SIGNATURES:
         raise LedgerCorrupted(
-            f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, signatures); restore it"
+            f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, "
+            "signatures); restore it"
         )
     return note
 
 
 def _parse_signature(line: str) -> Signature:
-    """The signature on this line. Raises: ValueError if there is none."""
+    """Parse the signature on this line. Raises: ValueError if there is none."""
     name, _, data = line.removeprefix(_DASH).partition(" ")
     signed = base64.b64decode(data, validate=True)
     if not is_name(name) or len(signed) <= _ID_BYTES:
@@ -185,17 +193,17 @@ def _parse_signature(line: str) -> Signature:
 
 
 def names(note: Note, key: VerifierKey) -> bool:
-    """Whether the note has a signature that says to be of this key."""
+    """Return whether the note has a signature that claims to be of this key."""
     return any(signature.key == key.key for signature in note.signatures)
 
 
 def signers_of(note: Note) -> str | None:
-    """The keys that the note names; None if it is unsigned. Nobody has checked that they signed it."""
+    """Return the keys that the note names, unchecked; None if it is unsigned."""
     return ", ".join(signature.key for signature in note.signatures) or None
 
 
 def doubt(note: Note, trusted: VerifierKey) -> str | None:
-    """Why this note is not one that the trusted key signed; None if it is."""
+    """Say why this note is not one that the trusted key signed; None if it is."""
     if trusted.has_signed(note):
         return None
     if names(note, trusted):

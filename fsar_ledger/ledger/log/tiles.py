@@ -1,7 +1,7 @@
 """The hashes of the Merkle tree as files, in the layout of C2SP tlog-tiles: `tile/<level>/<number>[.p/<width>]`.
 
-A tile holds up to 256 hashes: leaves at level 0, above it the roots of the full tiles one level below. Tiles are derived
-from the events and can be made again; they spare whoever proves something about one event the reading of all others.
+A tile holds up to 256 hashes: leaves at level 0, above it the roots of the full tiles one level below. Tiles are
+derived from the events and can be made again; with them one event is proven without reading all others.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ _TILE_BYTES = WIDTH * HASH_BYTES
 
 
 class Tile(msgspec.Struct, frozen=True, order=True):
-    """Which tile of a tree: its level, its number within it, and how many hashes it holds, 256 if it is full."""
+    """One tile of a tree: its level, its number within it, and how many hashes it holds, 256 if it is full."""
 
     level: int
     number: int
@@ -25,7 +25,10 @@ class Tile(msgspec.Struct, frozen=True, order=True):
 
     @property
     def name(self) -> str:
-        """Its file within the ledger, by C2SP tlog-tiles: the number in groups of three digits, all but the last after an x."""
+        """Return its file within the ledger, by C2SP tlog-tiles.
+
+        The number stands in groups of three digits, all but the last after an x.
+        """
         digits = f"{self.number:03d}"
         digits = digits.zfill(-len(digits) // 3 * -3)
         groups = [digits[at : at + 3] for at in range(0, len(digits), 3)]
@@ -48,7 +51,7 @@ def tile_named(name: str) -> Tile | None:
 
 
 def partial_tiles(size: int) -> tuple[Tile, ...]:
-    """The partial tiles of a tree of this size, one a level at most."""
+    """Return the partial tiles of a tree of this size, at most one a level."""
     widths = ((level, size >> HEIGHT * level) for level in range((size.bit_length() + HEIGHT - 1) // HEIGHT))
     return tuple(Tile(level, count // WIDTH, count % WIDTH) for level, count in widths if count % WIDTH)
 
@@ -63,7 +66,10 @@ class Edge(msgspec.Struct, frozen=True):
     partial: tuple[bytes, ...] = ()
 
     def extend(self, leaves: bytes) -> tuple["Edge", dict[Tile, bytes]]:
-        """The edge after these leaf hashes, packed, and every tile that is new then, full or partial. Costs one hash a leaf."""
+        """Return the edge after these packed leaf hashes, and every tile that is new, full or partial.
+
+        Costs one hash a leaf.
+        """
         made: dict[Tile, bytes] = {}
         partial: list[bytes] = []
         added, level = leaves, 0
@@ -87,7 +93,7 @@ class Edge(msgspec.Struct, frozen=True):
         return Edge(self.size + len(leaves) // HASH_BYTES, tuple(partial)), made
 
     def frontier(self) -> Frontier:
-        """The roots of the tree's complete subtrees, largest first."""
+        """Return the roots of the tree's complete subtrees, largest first."""
         found: list[bytes] = []
         for hashes in reversed(self.partial):
             at = 0
@@ -100,21 +106,21 @@ class Edge(msgspec.Struct, frozen=True):
 
 
 def _tile_roots(hashes: bytes) -> bytes:
-    """The root of each full tile, packed."""
+    """Return the root of each full tile, packed."""
     for _ in range(HEIGHT):
         hashes = parents(hashes)
     return hashes
 
 
 def _subtree_root(hashes: bytes) -> bytes:
-    """The root of a complete subtree over these hashes."""
+    """Return the root of a complete subtree over these hashes."""
     while len(hashes) > HASH_BYTES:
         hashes = parents(hashes)
     return hashes
 
 
 def node_of(read: Callable[[Tile], bytes], size: int) -> Node:
-    """The roots of complete subtrees of a tree of this size (see `merkle.Node`), out of its tiles."""
+    """Return a reader of the complete subtrees (see `merkle.Node`) of a tree of this size, from its tiles."""
 
     def node(height: int, number: int) -> bytes:
         level, above = divmod(height, HEIGHT)

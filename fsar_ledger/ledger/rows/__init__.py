@@ -1,4 +1,4 @@
-"""Rows: events as typed columns, the bytes that are hashed, and the one way that a segment lies on the disk.
+"""Rows: events as typed columns, the bytes that are hashed, and the one form of a segment on the disk.
 
 ```
 schema      which columns there are, derived from the event types

@@ -1,23 +1,30 @@
 """What a segment may cost to read, found out before anything is unpacked.
 
-A Parquet file of a few kilobytes can claim, and unpack to, any number of rows: one repeated value costs nothing to store.
-So the headers of all its pages are read first, and a file that asks for more than any batch of
-runs needs is refused.
+A Parquet file of a few kilobytes can claim, and unpack to, any number of rows: one repeated value costs nothing to
+store. So the headers of all its pages are read first, and a file that asks for more than any batch of runs needs is
+refused.
 """
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
 MAX_ROWS = 1 << 20
-"""Events in one commit; a batch of 25 runs has some ten thousand. So many take `verify` a gigabyte: 122 columns of 4 to 8 bytes, and work."""
+"""Events in one commit; a batch of 25 runs has some ten thousand.
+
+So many take `verify` a gigabyte: 122 columns of 4 to 8 bytes, and work.
+"""
 MAX_SEGMENT_BYTES = 1 << 27
 """One event takes 10 to 17 bytes; so many rows of 128 bytes still fit."""
 MAX_UNPACKED_BYTES = 1 << 27
 """All pages of a segment, unpacked: 13 bytes an event as we write them."""
 MAX_TEXT_BYTES = 1 << 29
-"""All strings of a segment, each written out where it stands, some 150 bytes an event; its canonical rows are a little more, a part of them at once."""
+"""All strings of a segment, each written out where it stands, some 150 bytes an event; its canonical rows are a little
+more, a part of them at once.
+"""
 MAX_LIST_VALUES = 1 << 22
-"""Elements of all columns of lists, beyond one a row and column that says that there is none: 4 for each of the most rows."""
+"""Elements of all columns of lists, beyond one a row and column that says that there is none: 4 for each of the most
+rows.
+"""
 
 MAX_FOOTER_BYTES = 1 << 20
 MAX_PAGES = 1 << 10
@@ -25,11 +32,16 @@ MAX_PAGES = 1 << 10
 MAX_BOUND_BYTES = 1 << 12
 """A longer `run_id` is no bound in statistics."""
 MAX_NAME_BYTES = MAX_BOUND_BYTES
-"""Of the `run_id` of a new run and the origin of a new ledger, which stand in every record, and a record is a small file."""
+"""Of the `run_id` of a new run and the origin of a new ledger, which stand in every record, and a record is a small
+file.
+"""
 
 
 def text_bytes(table: pa.Table) -> int:
-    """The bytes of all strings of the table if each were written out where it stands, whether or not they are held as codes into dictionaries."""
+    """Return the bytes of all strings of the table, each counted in every row that has it.
+
+    Codes into a dictionary count as the strings that they stand for.
+    """
     size = 0
     for column in table.columns:
         for chunk in column.chunks:
@@ -44,7 +56,10 @@ def text_bytes(table: pa.Table) -> int:
 
 
 def has_more_text_than(table: pa.Table, most: int) -> bool:
-    """Whether `text_bytes` is more than this; quickly, where every string could be as long as the longest of its column."""
+    """Return whether `text_bytes` is more than this.
+
+    Quick where even the longest string of each column in every row would not be.
+    """
     longest = 0
     for column in table.columns:
         for chunk in column.chunks:

@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.rows.arrow import coded, numbers, places, validity, whole
 from fsar_ledger.ledger.rows.bounds import has_more_text_than, text_bytes
-from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, Layout
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, StoredType
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
@@ -31,12 +31,12 @@ Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
 
 def document(value: object) -> bytes:
-    """The RFC 8785 JSON of a document of strings, integers, booleans, None, lists and structs with ASCII names."""
+    """Return the RFC 8785 JSON of strings, integers, booleans, None, lists and structs with ASCII names."""
     return _SORTING_ENCODER.encode(value)
 
 
-def _row_type(layout: Layout) -> tuple[type[msgspec.Struct], tuple[str, ...]]:
-    """A struct of all columns of this event type in sorted order, which JSON leaves out where they are None."""
+def _row_type(layout: StoredType) -> tuple[type[msgspec.Struct], tuple[str, ...]]:
+    """Return a struct of all columns of this event type in sorted order; JSON leaves out those that are None."""
     names = tuple(sorted([field.name for field in (*ENVELOPE, *layout.fields)]))
     row = msgspec.defstruct(
         layout.cls.__name__ + "Row", [(name, Any, None) for name in names], omit_defaults=True, gc=False
@@ -48,7 +48,7 @@ _ROW_TYPES = {tag: _row_type(layout) for tag, layout in STORED.items()}
 
 
 def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[list[bytes]]:
-    """The canonical bytes of rows of one event type, each after the 0x00 that RFC 6962 puts before a leaf.
+    """Yield the canonical bytes of rows of one event type, each after the 0x00 that RFC 6962 puts before a leaf.
 
     They come in lists of a few hundred rows, which the processor's caches hold while they are hashed.
 
@@ -89,13 +89,13 @@ class _Members:
                 self._places = np.where(self.is_valid, self._numbers - least, most - least + 1)
 
     def _members(self, values: Sequence[bytes]) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
-        """The member for each value, and behind them the nothing of NULL."""
+        """Return the member for each value, and behind them the empty one of NULL."""
         texts = np.empty(len(values) + 1, object)
         texts[:] = [*(self._before + value + self._after for value in values), b""]
         return texts
 
     def of(self, rows: Rows) -> list[bytes]:
-        """The members of these rows."""
+        """Return the members of these rows."""
         match self._kind:
             case "string" | "boolean":
                 texts: list[bytes] = self._texts[self._places[rows]].tolist()
@@ -115,7 +115,7 @@ class _Members:
 
 
 def from_table(table: pa.Table) -> list[bytes]:
-    """The canonical bytes of every row, each after the 0x00 that RFC 6962 puts before a leaf.
+    """Return the canonical bytes of every row, each after the 0x00 that RFC 6962 puts before a leaf.
 
     Rows are taken by type, for a type has a tenth of the columns. Columns of strings may be dictionaries.
     """
@@ -138,13 +138,16 @@ def from_table(table: pa.Table) -> list[bytes]:
 
 
 def hashes(rows: Sequence[bytes]) -> list[bytes]:
-    """The RFC 6962 leaf hash of each row, given after its 0x00."""
+    """Return the RFC 6962 leaf hash of each row, given after its 0x00."""
     sha256 = hashlib.sha256
     return [sha256(row).digest() for row in rows]
 
 
 def leaves(table: pa.Table) -> bytes:
-    """The packed RFC 6962 leaf hashes of the rows, of which only so many are written out at once as a batch of runs has."""
+    """Return the packed RFC 6962 leaf hashes of the rows.
+
+    At most as many rows are written out at once as a batch of runs has.
+    """
     if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
         return b"".join(hashes(from_table(table)))
     most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))

@@ -1,4 +1,4 @@
-"""What every stored row must be: checked by column, the first flaw named with run, seq and field."""
+"""The checks of stored rows, by column; the first flaw is named with run, seq and field."""
 
 from typing import TypeAlias
 
@@ -31,7 +31,7 @@ _FIELDS = tuple({field.name: field for field in layout.fields} for layout in STO
 
 
 def _holders(name: str, *, required: bool) -> Mask:
-    """For each type code, whether events of this type have the column, or (`required`) must have a value in it."""
+    """Return, for each type code, whether its events have the column, or (`required`) must have a value in it."""
     holds = [name in own and not (required and own[name].is_nullable) for own in _FIELDS]
     return np.array([*holds, False])
 
@@ -45,7 +45,10 @@ _LITERALS: dict[str, list[tuple[int, Field]]] = {
 
 
 def first_flaw(table: pa.Table) -> Flaw | None:
-    """The flaw in the earliest row, or None if every row is as an event of its type, retired or not, is stored. Columns of strings may be dictionaries."""
+    """Return the flaw in the earliest row; None if every row is as an event of its type, retired or not, is stored.
+
+    Columns of strings may be dictionaries.
+    """
     if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
         return Flaw(
             -1,
@@ -80,9 +83,10 @@ def first_flaw(table: pa.Table) -> Flaw | None:
 
 
 def unprintable(table: pa.Table) -> Flaw | None:
-    """A text that no writer stores: one with a character that is not printed, such as a control or a bidirectional one. None if there is none.
+    """Find a text that no writer stores, with a control or another unprintable character; None if there is none.
 
-    Readers accept it, because 0.1.0 stored it, and show it escaped. The table has the columns of `CODED_SCHEMA`; each different text is looked at once.
+    Readers accept it, because 0.1.0 stored it, and show it escaped. The table has the columns of `CODED_SCHEMA`; each
+    different text is looked at once.
     """
     for name, kind in COLUMNS.items():
         if kind not in ("string", "strings"):
@@ -108,10 +112,12 @@ def unprintable(table: pa.Table) -> Flaw | None:
 
 
 def disordered(table: pa.Table) -> Flaw | None:
-    """An order of events that no writer stores: a run that does not begin as one does, or begins again; time that runs backwards. None if there is none.
+    """Find an order of events that no writer stores: a wrong or second beginning of a run, or time running backwards.
 
-    Readers accept both, because 0.1.0 stored them; what stands alone in company, or is unobserved, they do not. The rows have the columns of
-    `CODED_SCHEMA`, each run in one block.
+    None if there is none.
+
+    Readers accept both, because 0.1.0 stored them; what stands alone in company, or is unobserved, they do not. The
+    rows have the columns of `CODED_SCHEMA`, each run in one block.
     """
     columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes")}
     is_first = np.zeros(len(table), bool)
@@ -141,20 +147,20 @@ def disordered(table: pa.Table) -> Flaw | None:
 
 
 def run_starts(run_ids: pa.Array) -> Integers:
-    """The rows at which another run begins than in the row before."""
+    """Return the rows at which another run begins than in the row before."""
     codes = places(coded(run_ids))
     return np.flatnonzero(np.concatenate([np.ones(min(1, len(codes)), bool), codes[1:] != codes[:-1]]))
 
 
 def standing_alone(types: pa.Array) -> Mask:
-    """Which rows have a type that is the only event of its run."""
+    """Return which rows have a type that is the only event of its run."""
     tags = coded(types)
     found: Mask = np.array([*(tag in STANDS_ALONE for tag in tags.dictionary.to_pylist()), False])[places(tags)]
     return found
 
 
 def _first(bad: Mask, field: str, expected: str) -> list[tuple[int, str, str]]:
-    """Nothing, or the first bad row as a suspect."""
+    """Return the first bad row as a suspect, or nothing."""
     return [(int(np.argmax(bad)), field, expected)] if bad.any() else []
 
 
@@ -198,7 +204,7 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tupl
 
 
 def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
-    """The rows of types that stand alone in their run, where there is another row in it."""
+    """Find rows of types that stand alone in their run, where there is another row in it."""
     is_alone = standing_alone(columns["type"])
     if not is_alone.any():
         return []
@@ -208,7 +214,7 @@ def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
 
 
 def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
-    """The rows that name a concern which there is not; those of a concern that their run, as it says at seq 0, does not observe."""
+    """Find rows that name an unknown concern, and rows of a concern that their run, by its seq 0, does not observe."""
     observes, types = columns["observes"], coded(columns["type"])
     if observes.null_count == len(observes):
         return []
@@ -261,7 +267,7 @@ def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple
 
 
 def _literals(name: str, column: pa.Array, codes: Integers) -> list[tuple[int, str, str]]:
-    """The rows of types whose field takes only certain values, where another is found."""
+    """Find rows with a value outside the closed list of their type's field."""
     suspects: list[tuple[int, str, str]] = []
     if not _LITERALS[name]:
         return suspects

@@ -1,4 +1,4 @@
-"""Runs of events to one Arrow table and back; the inverse pair is `encode` and `decode`.
+"""Runs of events to one Arrow table and back: `encode`, and `decode`, its inverse.
 
 Only current types are encoded; decoded events of retired types are upcast, so nobody else meets them.
 Events are taken by type and by column, never row by row: that is what makes it fast.
@@ -40,7 +40,7 @@ from fsar_ledger.ledger.rows.schema import (
     RETIRED,
     SCHEMA,
     STORED,
-    Layout,
+    StoredType,
 )
 
 __all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed", "upcast_rows"]
@@ -58,7 +58,7 @@ _PLACE = frozenset(
 
 
 class _Part(NamedTuple):
-    """What the events of one type put in one column: values, and the rows that they belong to."""
+    """The values that the events of one type put in one column, and the rows that they belong to."""
 
     at: Positions
     values: Sequence[object]
@@ -71,11 +71,11 @@ class _Texts:
         self._codes: defaultdict[object, int] = defaultdict(count(1).__next__, {None: 0})
 
     def codes(self, texts: Iterable[object], size: int) -> Codes:
-        """The codes of so many strings."""
+        """Return the codes of these strings."""
         return np.fromiter(map(self._codes.__getitem__, texts), np.int32, size)
 
     def sorted(self) -> tuple[Values, Codes]:
-        """All strings in order, behind a None, and for each code the place of its string there; 0 for None."""
+        """Return all strings in order, behind a None, and for each code the place of its string there; 0 for None."""
         _, *texts = self._codes
         order = sorted(range(len(texts)), key=texts.__getitem__)  # type: ignore[arg-type]
         places = np.zeros(len(texts) + 1, np.int32)
@@ -84,7 +84,10 @@ class _Texts:
 
 
 class _Rows:
-    """The rows of several runs, envelope in order and events sorted by type. Raises: InvalidRun, or another error for a value that `first_unfit` names."""
+    """The rows of several runs, envelope in order and events sorted by type.
+
+    Raises: InvalidRun, or another error for a value that `first_unfit` names.
+    """
 
     def __init__(self, runs: Sequence[RunRecord]):
         require_runs(runs)
@@ -100,7 +103,7 @@ class _Rows:
         self.codes = np.fromiter(map(_CODES.__getitem__, map(type, events)), np.uint16, self.size)
         self.order = np.argsort(self.codes, kind="stable")  # position of each row when rows are sorted by type
         events = list(map(events.__getitem__, self.order.tolist()))
-        self.blocks: list[tuple[Layout, slice, tuple[Sequence[object], ...]]] = []
+        self.blocks: list[tuple[StoredType, slice, tuple[Sequence[object], ...]]] = []
         start = 0
         for layout, rows in zip(_LAYOUTS, np.bincount(self.codes, minlength=len(_LAYOUTS)).tolist(), strict=True):
             if rows:
@@ -114,7 +117,7 @@ class _Rows:
                 start += rows
 
     def table(self) -> pa.Table:
-        """The rows with the columns of `CODED_SCHEMA`."""
+        """Return the rows with the columns of `CODED_SCHEMA`."""
         parts: dict[str, list[_Part]] = {name: [] for name in PAYLOAD}
         for layout, block, columns in self.blocks:
             at = self.order[block]
@@ -129,7 +132,10 @@ class _Rows:
         return pa.Table.from_arrays([arrays[name] for name in COLUMNS], schema=CODED_SCHEMA)
 
     def _integers(self) -> dict[str, pa.Array]:
-        """The integers of the envelope. Raises: ValueError unless every event but the first of a run was caused by an earlier one."""
+        """Return the integers of the envelope.
+
+        Raises: ValueError unless every event but the first of a run was caused by an earlier one.
+        """
         times_us, causes = pa.array(self.times_us, pa.int64()), pa.array(self.causes, pa.int64())
         numbers = causes.fill_null(-1).to_numpy()
         _require_exact("time_us", times_us.to_numpy())
@@ -138,7 +144,7 @@ class _Rows:
         return {"seq": pa.array(self.seqs), "time_us": times_us, "caused_by": causes}
 
     def _strings(self, columns: dict[str, list[_Part]]) -> dict[str, pa.DictionaryArray]:
-        """The columns of strings, those of the envelope too, each with a sorted dictionary of what is in it."""
+        """Return the columns of strings, the envelope's included, each with a sorted dictionary of what is in it."""
         texts = _Texts()
         everywhere: Positions = np.arange(self.size)
         found = {"run_id": (everywhere, np.repeat(texts.codes(self.runs, len(self.runs)), self.sizes))}
@@ -150,7 +156,7 @@ class _Rows:
         return {name: self._coded(at, places[codes], dictionary) for name, (at, codes) in found.items()}
 
     def _coded(self, at: Positions, places: Codes, dictionary: Values) -> pa.DictionaryArray:
-        """A column of strings, given by their places in the sorted dictionary of all columns, where place 0 is NULL."""
+        """Return a column of strings, given by their places in the dictionary of all columns; place 0 is NULL."""
         is_used = np.zeros(len(dictionary), bool)
         is_used[places] = True
         is_used[0] = False
@@ -163,7 +169,7 @@ class _Rows:
         )  # each code is less than the number of used places
 
     def _numbers(self, name: str, parts: list[_Part]) -> pa.Array:
-        """A column of integers or booleans, NULL where the event type has no such field."""
+        """Return a column of integers or booleans, NULL where the event type has no such field."""
         at, column = _joined(parts, ARROW_TYPES[COLUMNS[name]])
         values, is_valid = np.zeros(self.size, column.type.to_pandas_dtype()), np.zeros(self.size, bool)
         is_valid[at] = column.is_valid() if column.null_count else True
@@ -175,7 +181,7 @@ class _Rows:
         return _array(values, is_valid)
 
     def _lists(self, parts: list[_Part]) -> pa.Array:
-        """A column of lists of strings, NULL where the event type has no such field."""
+        """Return a column of lists of strings, NULL where the event type has no such field."""
         at, column = _joined(parts, ARROW_TYPES["strings"])
         order = np.argsort(at, kind="stable")
         at, column = at[order], column.take(pa.array(order))
@@ -188,7 +194,7 @@ class _Rows:
         )
 
     def leaves(self) -> bytes:
-        """The packed RFC 6962 leaf hashes in row order."""
+        """Return the packed RFC 6962 leaf hashes in row order."""
         order = self.order.tolist()
         times_us, causes = (list(map(rows.__getitem__, order)) for rows in (self.times_us, self.causes))
         run_ids = list(
@@ -212,28 +218,28 @@ class _Rows:
 
 
 def _positions(parts: list[_Part]) -> Positions:
-    """The rows of all parts, one part after the other."""
+    """Return the rows of all parts, one part after the other."""
     return np.concatenate([part.at for part in parts]) if parts else np.empty(0, np.int64)
 
 
 def _joined(parts: list[_Part], kind: pa.DataType) -> tuple[Positions, pa.Array]:
-    """The rows and the values of all parts."""
+    """Return the rows and the values of all parts."""
     return _positions(parts), pa.array(list(chain.from_iterable(part.values for part in parts)), kind)
 
 
 def _bits(is_set: Values) -> pa.Buffer:
-    """Booleans as Arrow holds them, without going through its slower conversion of a mask of bytes."""
+    """Return booleans as Arrow holds them, without its slower conversion of a mask of bytes."""
     return pa.py_buffer(np.packbits(is_set, bitorder="little"))
 
 
 def _array(values: Values, is_valid: Values) -> pa.Array:
-    """An Arrow array of int32, int64 or bool, NULL where it is not valid."""
+    """Return an Arrow array of int32, int64 or bool, NULL where it is not valid."""
     data = _bits(values) if values.dtype == bool else pa.py_buffer(values)
     return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [_bits(is_valid), data])
 
 
 def _require_exact(name: str, numbers: Values) -> None:
-    """Raises: ValueError for an integer beyond 2^53 - 1, which JSON readers may round."""
+    """Refuse an integer beyond 2^53 - 1, which JSON readers may round. Raises: ValueError."""
     least, most = int(numbers.min(initial=0)), int(numbers.max(initial=0))
     if least < -MAX_INTEGER or most > MAX_INTEGER:
         raise ValueError(f"column {name}: found integers from {least} to {most}, expected at most 2^53 - 1 in size")
@@ -241,7 +247,7 @@ def _require_exact(name: str, numbers: Values) -> None:
 
 @contextmanager
 def _refusals(runs: Sequence[RunRecord]) -> Iterator[None]:
-    """What goes wrong inside becomes InvalidRun and names the first value that is at fault; it stays as it is if there is none."""
+    """Turn an error inside into InvalidRun for the first value at fault; leave it as it is if there is none."""
     try:
         yield
     except InvalidRun:
@@ -254,26 +260,30 @@ def _refusals(runs: Sequence[RunRecord]) -> Iterator[None]:
 
 
 def encode(runs: Sequence[RunRecord]) -> pa.Table:
-    """The rows of these runs in order (run, seq), with the columns of `SCHEMA`.
+    """Encode these runs as rows in order (run, seq), with the columns of `SCHEMA`.
 
     Raises:
-        InvalidRun: A run has no events, or not as many times and causes as events, or is there twice; an event other than the first is not
-            caused by an earlier one; an event is of no type of today; a value is not exactly of the class of its field (msgspec constructors
-            do not check), not in its closed list, an integer beyond 2^53 - 1, or text with surrogates.
+        InvalidRun: A run has no events, or not as many times and causes as events, or is there twice; an event other
+            than the first is not caused by an earlier one; an event is of no type of today; a value is not exactly of
+            the class of its field (msgspec constructors do not check), not in its closed list, an integer beyond 2^53 -
+            1, or text with surrogates.
     """
     with _refusals(runs):
         return _Rows(runs).table().cast(SCHEMA)
 
 
 def encode_hashed(runs: Sequence[RunRecord]) -> tuple[pa.Table, bytes]:
-    """As `encode`, but with the columns of `CODED_SCHEMA`, and with the packed RFC 6962 leaf hash of each row."""
+    """Encode these runs with the columns of `CODED_SCHEMA`, and return the packed leaf hash of each row too.
+
+    Otherwise as `encode`.
+    """
     with _refusals(runs):
         rows = _Rows(runs)
         return rows.table(), rows.leaves()
 
 
 def decode(table: pa.Table) -> Iterator[RunRecord]:
-    """Every run of the table, in order, events of retired types upcast; the inverse of `encode`.
+    """Decode every run of the table, in order, upcasting events of retired types; the inverse of `encode`.
 
     Raises:
         UnknownEventTag: A row has a type that this version does not know.
@@ -290,7 +300,10 @@ def decode(table: pa.Table) -> Iterator[RunRecord]:
 
 
 def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Table | None:
-    """Only the rows of these retired types, as their newest version would be stored; None if there are none. Raises: as `decode`."""
+    """Return only the rows of these retired types, as their newest version would be stored; None if there are none.
+
+    Raises: as `decode`.
+    """
     stored = table.filter(pc.is_in(table.column("type"), pa.array(tags, pa.string())))
     if not stored.num_rows:
         return None
@@ -306,7 +319,7 @@ def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Tab
 
 
 def _require_valid(table: pa.Table) -> None:
-    """Raises: as `decode`."""
+    """Check the rows. Raises: As `decode`."""
     flaw = first_flaw(table)
     if flaw is not None:
         if flaw.field == "type":
@@ -315,7 +328,7 @@ def _require_valid(table: pa.Table) -> None:
 
 
 def _events(table: pa.Table) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
-    """The events of all rows, which were checked, as their newest versions."""
+    """Return the events of all rows, which were checked, as their newest versions."""
     events = np.empty(table.num_rows, object)
     tags = table.column("type").combine_chunks().dictionary_encode()
     codes = tags.indices.to_numpy()

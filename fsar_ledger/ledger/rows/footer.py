@@ -1,4 +1,6 @@
-"""Why a footer or a page header is none of ours, for a message: what `grammar` did not match is read once more, field by field (Thrift compact protocol).
+"""Explanations for messages: why a footer or a page header is not one of ours.
+
+What `grammar` did not match is read once more, field by field (Thrift compact protocol).
 
 Nothing is decided here: a file that gets this far is refused, whatever is found.
 """
@@ -31,7 +33,7 @@ _ENCODINGS: dict[Kind, list[Value]] = {"string": [0, 3, 8], "strings": [0, 3, 8]
 
 
 def explain_footer(data: bytes, schema: pa.Schema) -> str:
-    """Why these bytes are not the footer of a segment with these columns."""
+    """Say why these bytes are not the footer of a segment with these columns."""
     try:
         footer, end = read_struct(data, 0)
         found = next(_faults(footer, schema), None)
@@ -49,7 +51,7 @@ def explain_footer(data: bytes, schema: pa.Schema) -> str:
 
 
 def explain_page(data: bytes, at: int) -> str:
-    """Why no page of ours begins here."""
+    """Say why no page of ours begins here."""
     try:
         header, _ = read_struct(data[at : at + _MAX_HEADER_BYTES], 0)
         for field in (2, 3):
@@ -65,11 +67,14 @@ def explain_page(data: bytes, at: int) -> str:
         return f"a page at byte {at}: {error}"
     if 4 not in header:
         return f"a page at byte {at} without a checksum, expected one"
-    return f"a page in encoding {encoding!r:.40} with {_OTHERWISE} (byte {at}), expected PLAIN, RLE_DICTIONARY for text, DELTA_BINARY_PACKED for integers"
+    return (
+        f"a page in encoding {encoding!r:.40} with {_OTHERWISE} (byte {at}), expected PLAIN, RLE_DICTIONARY for "
+        "text, DELTA_BINARY_PACKED for integers"
+    )
 
 
 def _faults(footer: Struct, schema: pa.Schema) -> Iterator[str]:
-    """What is wrong with a footer; perhaps nothing that is seen here."""
+    """Yield what is wrong with a footer; nothing if it cannot be told here."""
     yield from _extra(footer, {1, 2, 3, 4, 6, 7}, _FOOTER)
     groups = _list(footer, 4)
     if len(groups) != 1:
@@ -104,7 +109,7 @@ def _faults_of_column(name: str, chunk: Struct, schema: pa.Schema) -> Iterator[s
 
 
 def _path(chunk: Struct) -> tuple[str, str]:
-    """The path and the type of a column."""
+    """Return the path and the type of a column."""
     about = _struct(chunk.get(3, {}))
     kind = _count(about, 1)
     return ".".join(_text(part) for part in _list(about, 3)), TYPES[kind] if kind < len(TYPES) else f"type {kind}"
@@ -128,7 +133,7 @@ def _extra(struct: Struct, known: set[int], names: dict[int, str], where: str = 
 
 
 def _count(struct: Struct, field: int) -> int:
-    """The field, which counts something. Raises: ValueError if it does not."""
+    """Return the field as a count. Raises: ValueError if it is none."""
     value = struct.get(field)
     if not isinstance(value, int) or value < 0:
         raise ValueError(f"{value!r:.40} as field {field}, expected a count")
@@ -155,7 +160,10 @@ def _text(value: Value) -> str:
 
 
 def read_struct(data: bytes, at: int, depth: int = 0) -> tuple[Struct, int]:
-    """The struct that begins here, its fields by number, and where it ends. Raises: ValueError or IndexError if there is none."""
+    """Read the struct that begins here: its fields by number, and where it ends.
+
+    Raises: ValueError or IndexError if there is none.
+    """
     if depth > _MAX_DEPTH:
         raise ValueError(f"more than {_MAX_DEPTH} structs in each other, expected fewer")
     found: Struct = {}

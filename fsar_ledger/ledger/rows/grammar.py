@@ -1,25 +1,36 @@
-"""The bytes of a segment's footer and page headers, spelled out as regular expressions: what they do not match is no segment.
+"""The bytes of a segment's footer and page headers as regular expressions: what they do not match is no segment.
 
-A footer is Thrift (compact protocol), which can say one thing in many ways, and some things twice. Libraries choose differently among
-them, so that one file may have two contents. Here each struct is spelled out field by field, as the only writer that there is makes it
-(Apache Arrow's, called as `segment.to_parquet` calls it). Unknown, missing, repeated and reordered fields, negative counts, and numbers
-longer than they need be are then no matter of checks: they cannot be said. It takes microseconds besides.
+A footer is Thrift (compact protocol), which can say one thing in many ways, and some things twice. Libraries choose
+differently among them, so that one file may have two contents. Here each struct is spelled out field by field, as the
+only writer that there is makes it (Apache Arrow's, called as `segment.to_parquet` calls it). Unknown, missing, repeated
+and reordered fields, negative counts, and numbers longer than they need be are then no matter of checks: they cannot be
+said. It takes microseconds besides.
 
-| struct | in this order, fields by their numbers in Parquet's own definition; those in brackets may be left out |
-|---|---|
-| FileMetaData | 1 version = 2, 2 schema (exactly as `schema_bytes` has it), 3 num_rows, 4 one row group, 6 created_by, 7 column_orders, all TYPE_ORDER |
-| RowGroup | 1 columns, one a column of the schema, 2 total_byte_size, 3 num_rows, 5 file_offset = 4, 6 total_compressed_size |
-| ColumnChunk | 2 file_offset = 0, 3 meta_data |
-| ColumnMetaData | 1 type, 2 encodings, 3 path_in_schema, 4 codec = ZSTD, 5 num_values, 6 total_uncompressed_size, 7 total_compressed_size, |
-| | 9 data_page_offset, 11 dictionary_page_offset (strings only), [12 statistics: `run_id`, `seq`, `time_us` only], 13 encoding_stats, [16 size_statistics] |
-| Statistics | integers: 1 max, 2 min, 3 null_count = 0, 5 max_value = max, 6 min_value = min, [7, 8 exact: true]; `run_id`: the same without 1 and 2, |
-| | and without 5 to 8 where the bounds are too long |
-| SizeStatistics | 1 unencoded_byte_array_data_bytes (strings only), 2 and 3 the histograms of levels, which have as many numbers as there are levels |
-| PageHeader, dictionary | 1 type = 2, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc, 7: 1 num_values, 2 encoding = PLAIN, 3 is_sorted = false |
-| PageHeader, data | 1 type = 0, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc, 5: 1 num_values, 2 encoding, 3 and 4 levels in RLE, 5 statistics |
+Fields stand in this order, with their numbers in Parquet's own definition; those in brackets may be left out:
 
-Statistics of a page stand there empty, or as those of the column chunk. Encodings: strings and lists of strings PLAIN (dictionary, and data once the
-dictionary is full) and RLE_DICTIONARY; integers DELTA_BINARY_PACKED; booleans PLAIN. `encodings` and `encoding_stats` say what the pages say.
+```
+FileMetaData       1 version = 2, 2 schema (exactly as `schema_bytes` has it), 3 num_rows, 4 one row group,
+                   6 created_by, 7 column_orders, all TYPE_ORDER
+RowGroup           1 columns, one a column of the schema, 2 total_byte_size, 3 num_rows, 5 file_offset = 4,
+                   6 total_compressed_size
+ColumnChunk        2 file_offset = 0, 3 meta_data
+ColumnMetaData     1 type, 2 encodings, 3 path_in_schema, 4 codec = ZSTD, 5 num_values, 6 total_uncompressed_size,
+                   7 total_compressed_size, 9 data_page_offset, 11 dictionary_page_offset (strings only),
+                   [12 statistics: `run_id`, `seq`, `time_us` only], 13 encoding_stats, [16 size_statistics]
+Statistics         integers: 1 max, 2 min, 3 null_count = 0, 5 max_value = max, 6 min_value = min,
+                   [7, 8 exact: true]; `run_id`: the same without 1 and 2, and without 5 to 8 where the bounds
+                   are too long
+SizeStatistics     1 unencoded_byte_array_data_bytes (strings only), 2 and 3 the histograms of levels, which have
+                   as many numbers as there are levels
+PageHeader,        1 type = 2, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc,
+  dictionary       7: 1 num_values, 2 encoding = PLAIN, 3 is_sorted = false
+PageHeader, data   1 type = 0, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc,
+                   5: 1 num_values, 2 encoding, 3 and 4 levels in RLE, 5 statistics
+```
+
+Statistics of a page stand there empty, or as those of the column chunk. Encodings: strings and lists of strings PLAIN
+(dictionary, and data once the dictionary is full) and RLE_DICTIONARY; integers DELTA_BINARY_PACKED; booleans PLAIN.
+`encodings` and `encoding_stats` say what the pages say.
 """
 
 import re
@@ -66,7 +77,10 @@ DICTIONARY_PAGE = re.compile(rb"\x15\x04" + _SIZES + rb"\x3c\x15(%b)\x15\x00\x12
 
 
 def _data_page(encodings: bytes, end: bytes) -> re.Pattern[bytes]:
-    """The header of a data page: unpacked bytes, stored bytes, checksum, values, encoding; and nothing where statistics of text follow."""
+    """Match the header of a data page: unpacked bytes, stored bytes, checksum, values, encoding.
+
+    It matches nothing where statistics of text follow.
+    """
     return re.compile(
         rb"\x15\x00" + _SIZES + rb"\x1c\x15(%b)\x15([%b])\x15\x06\x15\x06\x1c" % (_N, encodings) + end, re.DOTALL
     )
@@ -83,12 +97,35 @@ _BOUNDED_PAGE = _data_page(rb"\x0a", rb"()(?:(%b)|\x00)\x00\x00" % _WITHOUT_GROU
 
 
 def number(value: int) -> bytes:
-    """A Thrift number that is not negative, zigzag."""
+    """Return a Thrift number that is not negative, zigzag."""
     return length(value << 1)
 
 
+class _Numbers(dict[bytes, int]):
+    """Thrift numbers, zigzag and not negative. Short ones, which most are, are kept."""
+
+    def __missing__(self, data: bytes) -> int:
+        if len(data) < 3:
+            return self.setdefault(data, unsigned(data) >> 1)
+        if len(data) == 3:  # most offsets are
+            return ((data[0] & 0x7F) | (data[1] & 0x7F) << 7 | data[2] << 14) >> 1
+        return unsigned(data) >> 1
+
+
+def unsigned(data: bytes) -> int:
+    """Decode a Thrift number before its sign."""
+    value = 0
+    for byte in reversed(data):
+        value = value << 7 | byte & 0x7F
+    return value
+
+
+DECODED = _Numbers()
+"""The Thrift numbers that `number` makes, by their bytes."""
+
+
 def length(value: int) -> bytes:
-    """A Thrift length."""
+    """Return a Thrift length."""
     found = bytearray()
     while value > 0x7F:
         found.append(value & 0x7F | 0x80)
@@ -97,17 +134,17 @@ def length(value: int) -> bytes:
 
 
 def text(value: bytes) -> bytes:
-    """A Thrift string."""
+    """Return a Thrift string."""
     return length(len(value)) + value
 
 
 def listed(count: int, kind: int) -> bytes:
-    """The beginning of a Thrift list of so many values of one kind."""
+    """Return the beginning of a Thrift list of so many values of one kind."""
     return bytes([count << 4 | kind]) if count < 15 else bytes([0xF0 | kind]) + length(count)
 
 
 def schema_bytes(schema: pa.Schema) -> bytes:
-    """The list of schema elements of these columns of ours: all that Thrift writes of it."""
+    """Return the list of schema elements of these columns, exactly as Thrift writes it."""
     names = schema.names
     elements = [b"\x35\x00\x18\x06schema\x15" + number(len(names)) + b"\x00"]
     for field in schema:
@@ -129,15 +166,16 @@ def _leaf(name: bytes, kind: Kind, repetition: bytes) -> bytes:
 
 
 def path_of(name: str) -> str:
-    """The Parquet path of a column: that of its elements for a list."""
+    """Return the Parquet path of a column; of a list, that of its elements."""
     return f"{name}.list.element" if COLUMNS[name] == "strings" else name
 
 
 class Column(NamedTuple):
-    """How a column stands in a segment.
+    """A column as it stands in a segment.
 
-    `about` is its chunk in the footer up to its numbers; `chunk` matches these (values, unpacked bytes, stored bytes, place of the first data
-    page, place of the dictionary or nothing) and, but for `run_id`, all else (statistics or None, encoding and size statistics); `page` the header of a page.
+    `about` is its chunk in the footer up to its numbers; `chunk` matches these (values, unpacked bytes, stored bytes,
+    place of the first data page, place of the dictionary or nothing) and, but for `run_id`, all else (statistics or
+    None, encoding and size statistics); `page` the header of a page.
     """
 
     name: str
@@ -148,7 +186,10 @@ class Column(NamedTuple):
 
 
 class Footer:
-    """The footer of segments with these columns: `begin` up to the number of rows, `groups` that number, the columns, `end` all after them."""
+    """The footer of segments with these columns.
+
+    `begin` goes up to the number of rows, `groups` is that number, then come the columns, and `end` is all after them.
+    """
 
     def __init__(self, schema: pa.Schema) -> None:
         self.schema = schema
@@ -187,14 +228,14 @@ def _numbers(kind: Kind, end: bytes) -> re.Pattern[bytes]:
 
 
 def _bounds(kind: Kind, *, is_bounded: bool) -> bytes:
-    """The statistics of a column chunk, with the beginning of the next field."""
+    """Match the statistics of a column chunk, with the beginning of the next field."""
     if is_bounded:
         return rb"(?:\x3c(%b)\x19|\x49)" % _WITHOUT_GROUPS
     return rb"()\x29" if kind in ("string", "strings") else rb"()\x49"
 
 
 def _rest(kind: Kind, *, is_nullable: bool) -> bytes:
-    """The rest of a column chunk: encoding and size statistics."""
+    """Match the rest of a column chunk: encoding and size statistics."""
     is_list, is_text = kind == "strings", kind in ("string", "strings")
     one = rb"\x15[\x00\x04]\x15[\x00\x0a\x10]\x15%b\x00" % _N
     repetitions = rb"\x26%b%b" % (_N, _N) if is_list else rb"\x06"
@@ -211,7 +252,10 @@ RUN_ID_REST = re.compile(_rest("string", is_nullable=False), re.DOTALL)
 
 @cache
 def encoding_statistics(kind: Kind, dictionary: int, plain: int) -> bytes:
-    """What the encoding statistics say of a column with so many data pages whose values stand in a dictionary or not (integers: all count as `dictionary`)."""
+    """Return the encoding statistics of a column with so many data pages of either kind.
+
+    The values of a page stand in a dictionary or not; those of integers all count as `dictionary`.
+    """
     if kind in ("string", "strings"):
         counts = [(2, 0, 1), (0, 0, plain), (0, 8, dictionary)]
     else:

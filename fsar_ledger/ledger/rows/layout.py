@@ -1,7 +1,10 @@
-"""Whether a segment lies on the disk in the one way that every reader reads alike: found out from its footer and page headers, before anything is unpacked.
+"""The check that a segment lies on the disk in the one form that every reader reads alike.
 
-The chunks of the columns fill the file from byte 4 to the footer, in the order of the schema, and pages fill their chunk: a dictionary first (strings
-only), then data. Every count and size that is said in two places is the same in both. How each struct is written, `grammar` says.
+It takes the footer and the page headers, before anything is unpacked.
+
+The chunks of the columns fill the file from byte 4 to the footer, in the order of the schema, and pages fill their
+chunk: a dictionary first (strings only), then data. Every count and size that is said in two places is the same in
+both. How each struct is written, `grammar` says.
 """
 
 import re
@@ -17,6 +20,7 @@ from fsar_ledger.ledger.rows import bounds
 from fsar_ledger.ledger.rows.footer import explain_footer, explain_page
 from fsar_ledger.ledger.rows.grammar import (
     BOUNDS_END,
+    DECODED,
     DICTIONARY_PAGE,
     GROUP_END,
     INTEGER_BOUNDS,
@@ -29,6 +33,7 @@ from fsar_ledger.ledger.rows.grammar import (
     Column,
     Footer,
     encoding_statistics,
+    unsigned,
 )
 from fsar_ledger.ledger.rows.releases import SCHEMAS
 
@@ -39,7 +44,10 @@ _MAX_DICTIONARY_BYTES = 1 << 22
 
 
 class Said(NamedTuple):
-    """What statistics say of a column, as Parquet holds it; `rows` are those of the page that they are about, None for those of the column."""
+    """The statistics of a column, as Parquet holds them.
+
+    `rows` are those of the page that they are about, None for those of the column.
+    """
 
     name: str
     least: bytes
@@ -48,7 +56,10 @@ class Said(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What a segment says of itself: its rows, columns and writer, statistics of columns and of pages, and sizes in each column (as Parquet holds them)."""
+    """The layout of a segment, as it says itself: rows, columns and writer, statistics and sizes.
+
+    Statistics are those of columns and of pages; sizes are of each column, as Parquet holds them.
+    """
 
     rows: int
     schema: pa.Schema
@@ -59,7 +70,7 @@ class Layout(NamedTuple):
 
 
 class _Chunk(NamedTuple):
-    """The numbers of a column chunk. `place` is where it begins, in the file as in what follows: bytes."""
+    """The numbers of a column chunk. `place` is where it begins; the others count bytes or values."""
 
     column: Column
     values: int
@@ -71,31 +82,9 @@ class _Chunk(NamedTuple):
     sizes: bytes
 
 
-class _Numbers(dict[bytes, int]):
-    """Thrift numbers, zigzag and not negative. The short ones, which most are, are kept."""
-
-    def __missing__(self, data: bytes) -> int:
-        if len(data) < 3:
-            return self.setdefault(data, _unsigned(data) >> 1)
-        if len(data) == 3:  # most offsets are
-            return ((data[0] & 0x7F) | (data[1] & 0x7F) << 7 | data[2] << 14) >> 1
-        return _unsigned(data) >> 1
-
-
-def _unsigned(data: bytes) -> int:
-    """A Thrift number before it is made positive or negative."""
-    value = 0
-    for byte in reversed(data):
-        value = value << 7 | byte & 0x7F
-    return value
-
-
-_number = _Numbers()
-
-
 @cache
 def _footers() -> tuple[Footer, ...]:
-    """The footers of all releases whose columns differ."""
+    """Return the footers of all releases whose columns differ."""
     found: list[Footer] = []
     for schema in SCHEMAS.values():
         found += [] if any(schema.equals(other.schema) for other in found) else [Footer(schema)]
@@ -103,7 +92,7 @@ def _footers() -> tuple[Footer, ...]:
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of a segment, in one read: what is hashed, checked and decoded should be the same.
+    """Read the bytes of a segment at once: what is hashed, checked and decoded should be the same.
 
     Raises:
         LedgerCorrupted: It is larger than any segment.
@@ -119,10 +108,11 @@ def read_file(path: Path) -> bytes:
 
 
 def check_layout(path: Path, data: bytes) -> Layout:
-    """What the segment with these bytes says of itself; the path is for messages only.
+    """Check the segment with these bytes and return its layout; the path is for messages only.
 
     Raises:
-        LedgerCorrupted: It lies otherwise than a segment does, contradicts itself, or asks for more than `bounds` allow.
+        LedgerCorrupted: It lies otherwise than a segment does, contradicts itself, or asks for more than `bounds`
+            allow.
     """
     try:
         return read_layout(data)
@@ -131,7 +121,7 @@ def check_layout(path: Path, data: bytes) -> Layout:
 
 
 def read_layout(data: bytes) -> Layout:
-    """What the segment with these bytes says of itself.
+    """Return the layout of the segment with these bytes.
 
     Raises:
         ValueError: It lies otherwise than a segment does, contradicts itself, or asks for more than `bounds` allow.
@@ -140,7 +130,7 @@ def read_layout(data: bytes) -> Layout:
     known = next((footer for footer in _footers() if data.startswith(footer.begin, footer_at)), None)
     if known is None or (found := ROWS.match(data, at := footer_at + len(known.begin))) is None:
         raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
-    rows = _number[found[0]]
+    rows = DECODED[found[0]]
     if not 0 < rows <= bounds.MAX_ROWS:
         raise ValueError(f"{rows} rows, expected 1 to {bounds.MAX_ROWS}")
     at = found.end()
@@ -160,11 +150,13 @@ def read_layout(data: bytes) -> Layout:
         elements += chunk.values - rows
         if elements > bounds.MAX_LIST_VALUES:
             raise ValueError(
-                f"column {column.name}: {elements} elements of lists with those before, expected at most {bounds.MAX_LIST_VALUES}"
+                f"column {column.name}: {elements} elements of lists with those before, expected at most "
+                f"{bounds.MAX_LIST_VALUES}"
             )
         if unpacked > bounds.MAX_UNPACKED_BYTES:
             raise ValueError(
-                f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most {bounds.MAX_UNPACKED_BYTES}"
+                f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most "
+                f"{bounds.MAX_UNPACKED_BYTES}"
             )
         place = _check_pages(data, chunk, place, of_pages)
     end = GROUP_END.match(data, at)
@@ -181,43 +173,45 @@ def read_layout(data: bytes) -> Layout:
         "bytes stored": (end[3], place - len(MAGIC)),
     }
     for what, (one, other) in said_twice.items():
-        if _number[one] != other:
-            raise ValueError(f"a row group of {_number[one]} {what}, expected {other}")
+        if DECODED[one] != other:
+            raise ValueError(f"a row group of {DECODED[one]} {what}, expected {other}")
     if place != footer_at:
         raise ValueError(f"{footer_at - place} bytes between the last page and the footer, expected none")
     return Layout(rows, known.schema, end[5].decode(), tuple(statistics), tuple(of_pages), tuple(sizes))
 
 
 def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
-    """The strings in the dictionary of `run_id`: all runs of a segment of so many rows, and perhaps others, since a dictionary may hold more than is used.
+    """Return the strings in the dictionary of `run_id`: all runs of a segment of so many rows, perhaps more.
 
-    `run_id` is the first column, so the beginning of a segment will do. None if it was cut off too early, lies otherwise than a segment does, or has
-    rows whose strings are in no dictionary.
+    A dictionary may hold more strings than are used.
+
+    `run_id` is the first column, so the beginning of a segment will do. None if it was cut off too early, lies
+    otherwise than a segment does, or has rows whose strings are in no dictionary.
     """
     header = DICTIONARY_PAGE.match(data, len(MAGIC))
-    if header is None or _number[header[1]] > _MAX_DICTIONARY_BYTES:
+    if header is None or DECODED[header[1]] > _MAX_DICTIONARY_BYTES:
         return None
-    at, values = header.end() + _number[header[2]], 0
+    at, values = header.end() + DECODED[header[2]], 0
     try:
-        _check_sum(data, "run_id", header.end(), _number[header[2]], header[3])
+        _check_sum(data, "run_id", header.end(), DECODED[header[2]], header[3])
         while values < rows:
             page = _footers()[-1].columns[0].page.match(data, at)
             if page is None or page[5] == b"\x00":
                 return None
             _, body = _page_bounds(data, "run_id", page)
-            at, values = body + _number[page[2]], values + _number[page[4]]
+            at, values = body + DECODED[page[2]], values + DECODED[page[4]]
         return _strings(
             pa.decompress(
-                data[header.end() : header.end() + _number[header[2]]], _number[header[1]], "zstd", asbytes=True
+                data[header.end() : header.end() + DECODED[header[2]]], DECODED[header[1]], "zstd", asbytes=True
             ),
-            _number[header[4]],
+            DECODED[header[4]],
         )
     except (ValueError, OSError):
         return None
 
 
 def _strings(data: bytes, count: int) -> list[str]:
-    """So many strings, each after its length. Raises: ValueError if there are others."""
+    """Split so many strings, each after its length. Raises: ValueError if there are others."""
     found, at = [], 0
     for _ in range(count):
         end = at + MIN_ENTRY_BYTES + int.from_bytes(data[at : at + MIN_ENTRY_BYTES], "little")
@@ -229,7 +223,7 @@ def _strings(data: bytes, count: int) -> list[str]:
 
 
 def _footer_at(data: bytes) -> int:
-    """Where the footer begins. Raises: ValueError if there is none."""
+    """Return where the footer begins. Raises: ValueError if there is none."""
     size, length = len(data), int.from_bytes(data[-8:-4], "little")
     if size < 12 or data[-4:] != MAGIC or length > size - 12:
         raise ValueError(f"{size} bytes that end in {data[-4:]!r}, expected a Parquet file")
@@ -241,7 +235,10 @@ def _footer_at(data: bytes) -> int:
 
 
 def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, int] | None:
-    """What the footer says of a column, and where it goes on; None if it says it otherwise than it may. Raises: ValueError for statistics that are none."""
+    """Read a column's chunk in the footer, and where it goes on; None if it is not written as it must be.
+
+    Raises: ValueError for statistics that are none.
+    """
     found = column.chunk.match(data, at + len(column.about)) if data.startswith(column.about, at) else None
     said = None
     rest = found
@@ -257,11 +254,11 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
     return (
         _Chunk(
             column,
-            _number[values],
-            _number[unpacked],
-            _number[stored],
-            _number[data_at],
-            _number[dictionary_at],
+            DECODED[values],
+            DECODED[unpacked],
+            DECODED[stored],
+            DECODED[data_at],
+            DECODED[dictionary_at],
             encodings,
             sizes,
         ),
@@ -271,7 +268,10 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
 
 
 def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
-    """The statistics of `run_id` that begin or do not begin here, and where what comes `after` them ends. Raises: ValueError if they are not as they may be."""
+    """Read the statistics of `run_id` that may begin here; return them, and where what comes `after` them ends.
+
+    Raises: ValueError if they are not as they may be.
+    """
     if data[at : at + 1] == b"\x29":
         return None, at + 1
     if data.startswith(without := UNBOUNDED + after, at):
@@ -291,31 +291,35 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
 
 
 def _page_bounds(data: bytes, name: str, header: re.Match[bytes]) -> tuple[Said | None, int]:
-    """The statistics of the page with this header, and where its body begins. Raises: ValueError if they are not as they may be."""
+    """Read the statistics of the page with this header; return them, and where its body begins.
+
+    Raises: ValueError if they are not as they may be.
+    """
     if header[6] is None:
         return _text_bounds(data, header.end() - 1, b"\x00\x00")
     return _integer_bounds(name, header[7]) if header.lastindex == 7 else None, header.end()
 
 
 def _length(data: bytes) -> int:
-    """A Thrift length."""
+    """Decode a Thrift length."""
     return data[0] if len(data) == 1 else data[0] & 0x7F | data[1] << 7
 
 
 def _integer_bounds(name: str, stated: bytes) -> Said:
-    """The statistics of a column of integers. Raises: ValueError if they say two things."""
+    """Read the statistics of a column of integers. Raises: ValueError if they say two things."""
     found = INTEGER_BOUNDS.fullmatch(stated)
     assert found is not None
     most, least, most_again, least_again = found.groups()
     if (most, least) != (most_again, least_again):
         raise ValueError(
-            f"statistics of column {name} that say {least!r} to {most!r} and {least_again!r} to {most_again!r}, expected them once"
+            f"statistics of column {name} that say {least!r} to {most!r} and {least_again!r} to {most_again!r}, "
+            "expected them once"
         )
     return Said(name, least, most)
 
 
 def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
-    """The chunk has a value for each row and begins at this place. Raises: ValueError if not."""
+    """Check that the chunk begins at this place and has a value for each row. Raises: ValueError if not."""
     name, kind = chunk.column.name, chunk.column.kind
     if kind == "strings":
         if chunk.values < rows:
@@ -329,7 +333,10 @@ def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
 
 
 def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -> int:
-    """The place where the pages of this chunk end, as it says; what they say of their rows is added. Raises: ValueError if they are not what it says."""
+    """Check the pages of this chunk, collect what they say of their rows, and return where they end.
+
+    Raises: ValueError if they are not what it says.
+    """
     name, has_dictionary = chunk.column.name, chunk.column.kind in ("string", "strings")
     at, end = place, place + chunk.stored
     values = plain = pages = unpacked = 0
@@ -346,12 +353,12 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -
         if pages > bounds.MAX_PAGES:
             raise ValueError(f"column {name}: more than {bounds.MAX_PAGES} pages, expected fewer")
         said, body = _page_bounds(data, name, header)
-        of_pages += [said._replace(rows=(values, _number[header[4]]))] if said else []
-        stored = _number[header[2]]
+        of_pages += [said._replace(rows=(values, DECODED[header[4]]))] if said else []
+        stored = DECODED[header[2]]
         _check_sum(data, name, body, stored, header[3])
-        values += _number[header[4]]
+        values += DECODED[header[4]]
         plain += header[5] == b"\x00"
-        unpacked += _number[header[1]] + body - at
+        unpacked += DECODED[header[1]] + body - at
         at = body + stored
     if at != end:
         raise ValueError(f"column {name}: a page that ends at byte {at}, expected it to end by {end}")
@@ -367,21 +374,25 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -
 
 
 def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
-    """Where the dictionary that begins here ends, and the bytes that it unpacks to, header and all. Raises: ValueError if there is none."""
+    """Return where the dictionary that begins here ends, and the bytes that it unpacks to, header included.
+
+    Raises: ValueError if there is none.
+    """
     header = DICTIONARY_PAGE.match(data, at)
     if header is None:
         raise ValueError(f"column {name}: {explain_page(data, at)}")
-    unpacked, stored, values = _number[header[1]], _number[header[2]], _number[header[4]]
+    unpacked, stored, values = DECODED[header[1]], DECODED[header[2]], DECODED[header[4]]
     if values * MIN_ENTRY_BYTES > unpacked:
         raise ValueError(
-            f"column {name}: a dictionary of {values} values in {unpacked} bytes, expected at least {MIN_ENTRY_BYTES} bytes each"
+            f"column {name}: a dictionary of {values} values in {unpacked} bytes, expected at least {MIN_ENTRY_BYTES} "
+            "bytes each"
         )
     _check_sum(data, name, header.end(), stored, header[3])
     return header.end() + stored, unpacked + header.end() - at
 
 
 def _check_sum(data: bytes, name: str, at: int, stored: int, said: bytes) -> None:
-    """The stored bytes of a page have the checksum that its header says. Raises: ValueError if not."""
-    value = _unsigned(said)
+    """Compare the stored bytes of a page with the checksum in its header. Raises: ValueError if they differ."""
+    value = unsigned(said)
     if (found := crc32(data[at : at + stored])) != (value >> 1 ^ -(value & 1)) & 0xFFFFFFFF:
         raise ValueError(f"column {name}: a page at byte {at} with the checksum {found}, expected that of its header")

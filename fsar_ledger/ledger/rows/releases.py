@@ -1,8 +1,10 @@
-"""Which columns each release wrote. A commit record names the release whose events it holds, so that a reader knows whether it can read them.
+"""The columns that each release wrote.
 
-`columns/N.N.N.txt` holds the columns of one release as text; its SHA-256 is the `schema_sha256` of the records that name it.
-A release that changes no event type has no such file: its records name the release before. Columns are added and never
-changed or taken away, so rows of an earlier release are rows of today with NULL in what came later.
+A commit record names the release of its events, so a reader knows if it can read them.
+
+`columns/N.N.N.txt` holds the columns of one release as text; its SHA-256 is the `schema_sha256` of the records that
+name it. A release that changes no event type has no such file: its records name the release before. Columns are added
+and never changed or taken away, so rows of an earlier release are rows of today with NULL in what came later.
 """
 
 from collections.abc import Sequence
@@ -17,7 +19,7 @@ RELEASE = "0.3.0"
 
 
 def parse_columns(where: str, text: str) -> pa.Schema:
-    """The columns in the text, which are some of today's.
+    """Parse the columns in the text, which are some of today's.
 
     Raises:
         TypeError: Today's columns lack one of them or have it otherwise: ledgers of that release could not be read.
@@ -29,13 +31,14 @@ def parse_columns(where: str, text: str) -> pa.Schema:
             "the columns in another order"
         ]
         raise TypeError(
-            f"{where}: found {changed[0]}, which today's columns do not have; keep each column as it was, and its event type in RETIRED_TYPES"
+            f"{where}: found {changed[0]}, which today's columns do not have; keep each column as it was, and its "
+            "event type in RETIRED_TYPES"
         )
     return schema
 
 
 def _released() -> dict[str, pa.Schema]:
-    """The columns of every release that has a file."""
+    """Return the columns of every release that has a file."""
     found = {}
     for file in sorted((files("fsar_ledger.ledger.rows") / "columns").iterdir(), key=lambda file: file.name):
         found[file.name.removesuffix(".txt")] = parse_columns(file.name, file.read_text("utf-8"))
@@ -50,14 +53,14 @@ FINGERPRINTS: dict[str, str] = {release: fingerprint(schema) for release, schema
 
 
 def is_later(release: str) -> bool:
-    """Whether this names a release whose events came after those of `RELEASE`."""
+    """Return whether this names a release whose events came after those of `RELEASE`."""
     number = _number(release)
     own = _number(RELEASE)
     return number is not None and own is not None and number > own
 
 
 def _number(release: str) -> tuple[int, ...] | None:
-    """The three numbers of a release; None for any other text."""
+    """Return the three numbers of a release; None for any other text."""
     parts = release.split(".")
     if len(parts) != 3 or not all(
         part.isascii() and part.isdecimal() and len(part) < 10 and part == str(int(part)) for part in parts
@@ -67,7 +70,7 @@ def _number(release: str) -> tuple[int, ...] | None:
 
 
 def widened(table: pa.Table, names: Sequence[str], schema: pa.Schema) -> pa.Table:
-    """The rows of any release with these columns of today's schema, in its order, NULL in those that came later."""
+    """Return the rows with all columns of today's schema, in its order, NULL in those that came later."""
     fields = [field for field in schema if field.name in names]
     present = set(table.column_names)
     if len(present) == len(fields):

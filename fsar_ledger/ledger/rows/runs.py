@@ -1,7 +1,9 @@
-"""Runs as they are handed to a writer, and what none of them may hold: the first such value is named with run, seq and field.
+"""Runs as they are handed to a writer, and what they may not hold.
 
-msgspec constructors do not check types, so an event may hold anything. The codec finds out by column that something is wrong with a batch;
-here it is looked for value by value, which nobody waits for twice.
+The first such value is named with run, seq and field.
+
+msgspec constructors do not check types, so an event may hold anything. The codec finds out by column that something is
+wrong with a batch; here it is looked for value by value, which nobody waits for twice.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,7 +30,7 @@ class RunRecord(msgspec.Struct, frozen=True):
 
 
 class Flaw(msgspec.Struct, frozen=True):
-    """The first thing that is wrong with some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
+    """The first fault in some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
 
     row: int
     run: str | None
@@ -44,7 +46,10 @@ class Flaw(msgspec.Struct, frozen=True):
 
 
 class Allowed(NamedTuple):
-    """What a field of an event may hold: values of exactly this type, in a tuple exactly strings, perhaps None; of a closed list only those in it."""
+    """What a field of an event may hold: values of exactly this type, perhaps None.
+
+    In a tuple these are exactly strings; of a closed list only those in it are allowed.
+    """
 
     type: type
     is_nullable: bool
@@ -65,11 +70,16 @@ def _allowed(field: Field) -> Allowed:
 ALLOWED: dict[str, tuple[Allowed, ...]] = {
     layout.tag: tuple(map(_allowed, layout.fields)) for layout in LAYOUTS.values()
 }
-"""For each event type what its fields may hold, in the order of its constructor: from the structs, as all that `check` expects of stored rows."""
+"""For each event type what its fields may hold, in the order of its constructor: from the structs, as all that `check`
+expects of stored rows.
+"""
 
 
 def are_allowed(values: Sequence[object], allowed: Allowed) -> bool:
-    """Whether a field may hold each of these values, but for the size of integers and for surrogates in strings, which the columns find out."""
+    """Return whether a field may hold each of these values.
+
+    The size of integers and surrogates in strings are found out by column.
+    """
     kind, is_nullable, closed = allowed
     types = list(map(type, values))  # the quickest way to look at each
     if (found := types.count(kind)) != len(types) and not (
@@ -86,20 +96,25 @@ def _are_strings(values: Iterable[object]) -> bool:
 
 
 def require_runs(runs: Sequence[RunRecord]) -> None:
-    """Raises: InvalidRun if a run has no events or other numbers of times or causes, if its name is no text, or if two runs have the same one."""
+    """Check that each run has events, as many times and causes, and a name of its own.
+
+    Raises: InvalidRun if not.
+    """
     seen: set[str] = set()
     for run in runs:
         if type(run.run_id) is not str:
             raise InvalidRun(f"field run_id: found {run.run_id!r:.80}, expected a string; give each run a name")
         if not _is_unicode(run.run_id):
             raise InvalidRun(
-                f"field run_id: found {run.run_id!r:.80}, expected text without surrogates; give each run a name that can be stored"
+                f"field run_id: found {run.run_id!r:.80}, expected text without surrogates; give each run a name that "
+                "can be stored"
             )
         sizes = len(run.events), len(run.times_us), len(run.caused_by)
         if not sizes[0] == sizes[1] == sizes[2] or not sizes[0]:
             found = "{} events, {} times and {} causes".format(*sizes)
             raise InvalidRun(
-                f"run {printable.value(run.run_id)}: found {found}, expected as many of each, at least 1; append finished runs only"
+                f"run {printable.value(run.run_id)}: found {found}, expected as many of each, at least 1; append "
+                "finished runs only"
             )
         if run.run_id in seen:
             raise refusal(Flaw(-1, run.run_id, 0, "run_id", "the run twice in one batch", "each run once"))
@@ -107,12 +122,12 @@ def require_runs(runs: Sequence[RunRecord]) -> None:
 
 
 def refusal(flaw: Flaw) -> InvalidRun:
-    """The error that says so."""
+    """Return the error for this flaw."""
     return InvalidRun(f"{flaw}; nothing was written: correct the run")
 
 
 def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
-    """The first value that no row can hold, run by run and event by event."""
+    """Find the first value that no row can hold, run by run and event by event."""
     return next(
         (
             Flaw(-1, run.run_id, seq, *unfit)
@@ -125,7 +140,10 @@ def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
 
 
 def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:
-    """The first run whose parameters nobody could read as constants. Readers accept it, because 0.1.0 and 0.2.0 stored any text."""
+    """Find the first run whose parameters cannot be read as constants.
+
+    Readers accept it, because 0.1.0 and 0.2.0 stored any text.
+    """
     for run in runs:
         text = getattr(run.events[0], "parameters", None)
         try:
@@ -137,7 +155,7 @@ def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:
 
 
 def _unfit(run: RunRecord, seq: int) -> Iterator[tuple[str, str, str]]:
-    """What is wrong with this event: field, found, expected."""
+    """Return what is wrong with this event: field, found, expected."""
     for name, value, allowed in (("time_us", run.times_us[seq], TIME), ("caused_by", run.caused_by[seq], CAUSE)):
         yield from _unfit_value(name, value, allowed)
     cause, event = run.caused_by[seq], run.events[seq]

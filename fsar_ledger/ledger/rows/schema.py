@@ -7,7 +7,7 @@
 | `time_us` | int64, microseconds of run time | never |
 | `caused_by` | int64, seq of the event that led to this one | for seq 0 |
 | `type` | string, name and version of the event type | never |
-| every field name of any event type, retired or not, A to Z | string, int64, bool or list of string | the type has no such field, or it is None |
+| every field of any event type, A to Z | string, int64, bool or list of string | the type has no such field, or None |
 """
 
 import hashlib
@@ -46,15 +46,18 @@ class Field(msgspec.Struct, frozen=True):
 
 
 class Member(msgspec.Struct, frozen=True):
-    """One field of the struct of an event: a column of its own, or a part (`part`) that is stored as the columns of its fields."""
+    """One field of the struct of an event: a column of its own, or a `part` stored as the columns of its fields."""
 
     name: str
     part: type[Part] | None
     fields: tuple[Field, ...]
 
 
-class Layout(msgspec.Struct, frozen=True):
-    """How one event type is stored: its members in the order of its constructor, and the columns that they come to (`fields`)."""
+class StoredType(msgspec.Struct, frozen=True):
+    """The stored form of one event type.
+
+    `members` are in the order of its constructor; `fields` are the columns that they come to.
+    """
 
     tag: str
     cls: type[Event]
@@ -62,7 +65,9 @@ class Layout(msgspec.Struct, frozen=True):
     fields: tuple[Field, ...]
 
     def columns(self, events: Sequence[Event]) -> tuple[Sequence[object], ...]:
-        """Return the values of events of this type, one sequence a column, in the order of `fields`; `events` is the inverse.
+        """Return the values of events of this type, one sequence a column, in the order of `fields`.
+
+        The inverse of `events`.
 
         Raises:
             TypeError: A part of an event is of another class.
@@ -94,7 +99,7 @@ class Layout(msgspec.Struct, frozen=True):
 
 
 def _joined(member: Member, columns: list[Iterable[object]]) -> Iterable[object]:
-    """The values of a member, from the columns that it is stored as."""
+    """Return the values of a member, from the columns that it is stored as."""
     if member.part is None:
         return columns[0]
     names = member.part.__struct_fields__
@@ -112,7 +117,7 @@ ENVELOPE: tuple[Field, ...] = (
 
 
 def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
-    """The types of a union, each once: a robot and a supervisor, types of their own, are both strings."""
+    """Return the types of a union, each once: a robot and a supervisor, types of their own, are both strings."""
     found: list[inspect.Type] = []
     for one in kind.types if isinstance(kind, inspect.UnionType) else (kind,):
         if one not in found:
@@ -121,7 +126,7 @@ def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
 
 
 def _field(field: inspect.Field) -> Field:
-    """The stored form of a struct field. Raises: TypeError for a type that a ledger cannot hold."""
+    """Return the stored form of a struct field. Raises: TypeError for a type that a ledger cannot hold."""
     kinds = _alternatives(field.type)
     is_nullable = any(isinstance(kind, inspect.NoneType) for kind in kinds)
     kinds = [kind for kind in kinds if not isinstance(kind, inspect.NoneType)]
@@ -137,12 +142,13 @@ def _field(field: inspect.Field) -> Field:
         case (inspect.VarTupleType(item_type=item),) if _alternatives(item) == [inspect.StrType()]:
             return Field(field.name, "strings", is_nullable, None)
     raise TypeError(
-        f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], each or None"
+        f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], "
+        "each or None"
     )
 
 
 def _member(field: inspect.Field) -> Member:
-    """The stored form of a field of an event. Raises: TypeError as `_field`."""
+    """Return the stored form of a field of an event. Raises: TypeError as `_field`."""
     if isinstance(field.type, inspect.StructType):
         part = get_origin(field.type.cls) or field.type.cls
         if isinstance(part, type) and issubclass(part, Part):
@@ -150,8 +156,11 @@ def _member(field: inspect.Field) -> Member:
     return Member(field.name, None, (_field(field),))
 
 
-def layout(cls: type[Event]) -> Layout:
-    """How this event type is stored. Raises: TypeError for a field that a ledger cannot hold or that would hide an envelope column."""
+def stored_type(cls: type[Event]) -> StoredType:
+    """Return the stored form of this event type.
+
+    Raises: TypeError for a field that a ledger cannot hold or that would hide an envelope column.
+    """
     info = inspect.type_info(cls)
     assert isinstance(info, inspect.StructType)
     members = tuple(map(_member, info.fields))
@@ -159,11 +168,11 @@ def layout(cls: type[Event]) -> Layout:
     hidden = {field.name for field in fields} & {field.name for field in ENVELOPE}
     if hidden:
         raise TypeError(f"{info.tag}: fields {sorted(hidden)} have the name of an envelope column; rename them")
-    return Layout(str(info.tag), cls, members, fields)
+    return StoredType(str(info.tag), cls, members, fields)
 
 
-def columns(layouts: tuple[Layout, ...]) -> dict[str, Kind]:
-    """The kind of every column, envelope first, then alphabetically.
+def columns(layouts: tuple[StoredType, ...]) -> dict[str, Kind]:
+    """Return the kind of every column, envelope first, then alphabetically.
 
     Raises:
         TypeError: Two event types give one field name different kinds.
@@ -174,18 +183,19 @@ def columns(layouts: tuple[Layout, ...]) -> dict[str, Kind]:
         for field in one.fields:
             if payload.setdefault(field.name, field.kind) != field.kind:
                 raise TypeError(
-                    f"{one.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; one name is one column"
+                    f"{one.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; one "
+                    "name is one column"
                 )
     return kinds | dict(sorted(payload.items()))
 
 
-LAYOUTS: dict[str, Layout] = {one.tag: one for one in map(layout, EVENT_TYPES)}
+LAYOUTS: dict[str, StoredType] = {one.tag: one for one in map(stored_type, EVENT_TYPES)}
 """How each event type is stored, by its tag, in the order of `EVENT_TYPES`."""
 
-RETIRED: dict[str, Layout] = {one.tag: one for one in map(layout, RETIRED_TYPES)}
+RETIRED: dict[str, StoredType] = {one.tag: one for one in map(stored_type, RETIRED_TYPES)}
 """How events of earlier versions are stored, by tag; none is written any more."""
 
-STORED: dict[str, Layout] = LAYOUTS | RETIRED
+STORED: dict[str, StoredType] = LAYOUTS | RETIRED
 """How each event type that a ledger may hold is stored, by its tag."""
 
 STANDS_ALONE: frozenset[str] = frozenset(tag for tag, one in STORED.items() if one.cls in ALONE)
@@ -208,21 +218,24 @@ _REQUIRED = frozenset(field.name for field in ENVELOPE if not field.is_nullable)
 SCHEMA: pa.Schema = pa.schema(
     [pa.field(name, ARROW_TYPES[kind], nullable=name not in _REQUIRED) for name, kind in COLUMNS.items()]
 )
-"""The Arrow schema of every segment that is written, and of every table that is read; segments of earlier releases may lack columns."""
+"""The Arrow schema of every segment that is written, and of every table that is read; segments of earlier releases may
+lack columns.
+"""
 
 CODED_SCHEMA: pa.Schema = pa.schema(
     [field.with_type(pa.dictionary(pa.int32(), field.type)) if field.type == pa.string() else field for field in SCHEMA]
 )
-"""`SCHEMA` in memory before it is written: each column of strings as codes into a sorted dictionary of what is in it."""
+"""`SCHEMA` in memory before it is written: each column of strings as codes into a sorted dictionary of what is in it.
+"""
 
 
 def described(schema: pa.Schema) -> str:
-    """The columns as text: `name type` or `name type not null` of each, one a line."""
+    """Return the columns as text: `name type` or `name type not null` of each, one a line."""
     return "".join(f"{field.name} {field.type}{'' if field.nullable else ' not null'}\n" for field in schema)
 
 
 def fingerprint(schema: pa.Schema) -> str:
-    """The SHA-256, in hex, of the columns as text."""
+    """Return the SHA-256, in hex, of the columns as text."""
     return hashlib.sha256(described(schema).encode()).hexdigest()
 
 

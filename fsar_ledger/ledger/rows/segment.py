@@ -18,10 +18,11 @@ _FEW_ROWS, _FEW_COLUMNS = 1 << 17, 8
 
 
 def to_parquet(table: pa.Table) -> pa.Buffer:
-    """The bytes of a segment: one row group, zstd-3, a dictionary for each column of strings, a checksum on each page.
+    """Write a segment: one row group, zstd-3, a dictionary for each column of strings, a checksum on each page.
 
     Args:
-        table: Rows with the columns of one release, plain or, ready to be written, as `CODED_SCHEMA` has them. Both give the same bytes.
+        table: Rows with the columns of one release, plain or, ready to be written, as `CODED_SCHEMA` has them. Both
+            give the same bytes.
     """
     sink = pa.BufferOutputStream()
     pq.write_table(
@@ -44,7 +45,7 @@ def to_parquet(table: pa.Table) -> pa.Buffer:
 
 
 def coded(table: pa.Table) -> pa.Table:
-    """The table with its columns of strings as `CODED_SCHEMA` has them."""
+    """Return the table with its columns of strings as `CODED_SCHEMA` has them."""
     schema = pa.schema([CODED_SCHEMA.field(name) for name in table.column_names])
     if table.schema.equals(schema):
         return table
@@ -53,7 +54,7 @@ def coded(table: pa.Table) -> pa.Table:
 
 
 def _coded(strings: pa.Array) -> pa.DictionaryArray:
-    """The strings as codes into a sorted dictionary of them."""
+    """Return the strings as codes into a sorted dictionary of them."""
     found = strings.dictionary_encode()
     order = pc.sort_indices(found.dictionary).to_numpy()
     places = np.empty(len(order), np.int32)
@@ -62,10 +63,13 @@ def _coded(strings: pa.Array) -> pa.DictionaryArray:
 
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """The rows of a segment, after its layout was checked, with these columns of `SCHEMA` (all: None); NULL in those that came later.
+    """Read the rows of a segment with these columns of `SCHEMA` (all: None), after checking its layout.
+
+    Columns that came later are NULL.
 
     Raises:
-        LedgerCorrupted: The file cannot be read, asks for more memory than a batch of runs needs, or lies otherwise than a segment does (see `layout`).
+        LedgerCorrupted: The file cannot be read, asks for more memory than a batch of runs needs, or lies otherwise
+            than a segment does (see `layout`).
     """
     try:
         data = read_file(path)
@@ -77,7 +81,10 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
 
 
 def read_coded(path: Path, data: bytes, layout: Layout) -> pa.Table:
-    """As `read_table`, given the file's bytes and layout, but with the columns of `CODED_SCHEMA`, as the file holds them: that spares strings one by one."""
+    """Read the rows with the columns of `CODED_SCHEMA`, as the file holds them, which spares strings one by one.
+
+    Takes the file's bytes and layout; otherwise as `read_table`.
+    """
     return _read(path, data, layout, None, CODED_SCHEMA)
 
 
@@ -88,7 +95,8 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
             found = _columns(file, columns or layout.schema.names, layout.rows)
         if has_more_text_than(found, MAX_TEXT_BYTES):
             raise LedgerCorrupted(
-                f"{path}: found strings of {text_bytes(found)} bytes in {found.num_rows} rows, expected at most {MAX_TEXT_BYTES}; restore the file"
+                f"{path}: found strings of {text_bytes(found)} bytes in {found.num_rows} rows, expected at most "
+                f"{MAX_TEXT_BYTES}; restore the file"
             )
         found = found.cast(pa.schema([target.field(name) for name in found.column_names]))
         return widened(found, columns or SCHEMA.names, target)
@@ -96,12 +104,16 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
         raise  # the machine's fault
     except (OSError, pa.ArrowException) as error:
         raise LedgerCorrupted(
-            f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; restore it"
+            f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; "
+            "restore it"
         ) from error
 
 
 def _columns(file: pq.ParquetFile, names: list[str], rows: int) -> pa.Table:
-    """These columns of the file, a few at a time where there are many rows: what a column takes while it is decoded is then free for the next."""
+    """Read these columns of the file, a few at a time where there are many rows.
+
+    The memory to decode a column is then free for the next.
+    """
     if rows <= _FEW_ROWS:
         return file.read(columns=names, use_threads=False)
     parts = [

@@ -1,13 +1,14 @@
-"""Appending: a batch of runs is committed whole, and is on the disk when `append` returns, or not at all.
+"""Append batches of runs: each is committed whole, and is on the disk when `append` returns, or not at all.
 
-Order of steps, each durable before the next; a reader or a crash between any two sees a whole ledger:
+The steps in their order, each durable before the next. A reader, or a crash between any two, sees a whole ledger:
 1. `stage` (any number of workers): the segment is in `staging/` under its SHA-256.
-2. `append` (one parent): the record is written in `staging/` and linked to its number in `commits/`. This is the commit.
-3. The segment moves to `segments/`. A crash before this is mended by the next Writer; readers look in staging meanwhile.
+2. `append` (one parent): the record is written in `staging/` and linked to its number in `commits/`: the commit.
+3. The segment moves to `segments/`. The next Writer mends a crash before this; until then readers look in staging.
 4. The tiles and the checkpoint follow (see `derived.py`); the next Writer mends these as well.
 
-Writers take turns: 2 to 4 happen under an exclusive lock on `commits/`. A Writer also holds a shared lock on the ledger's folder. Leftovers in
-`staging/` that no record names are harmless; a Writer that finds itself alone removes them when it opens.
+Writers take turns: 2 to 4 happen under an exclusive lock on `commits/`. A Writer also holds a shared lock on the
+ledger's folder. Leftovers in `staging/` that no record names are harmless; a Writer that finds itself alone removes
+them when it opens.
 """
 
 import fcntl
@@ -20,9 +21,9 @@ from types import TracebackType
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, UsageError, WriteFailed
+from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, UsageError, WriteFailed, option
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.log.note import Note, Signer, VerifierKey, checkpoint_of, doubt, is_name
+from fsar_ledger.ledger.log.note import Note, Signer, checkpoint_of, is_name
 from fsar_ledger.ledger.log.tiles import Tile
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES, MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
@@ -38,16 +39,14 @@ from fsar_ledger.ledger.store.held import Held, HeldRuns, runs_of
 from fsar_ledger.ledger.store.paths import (
     COMMITS,
     MANIFEST,
-    SEGMENTS,
     STAGING,
     commit_path,
-    is_unfinished,
-    require_outside,
     segment_path,
     staged_path,
 )
-from fsar_ledger.ledger.store.read import Head, LedgerView, open_ledger, read_manifest
-from fsar_ledger.ledger.store.record import FORMAT, VERSION, CommitRecord, Manifest, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.prepare import clean, confirm, create, lock, require_own, roll_forward
+from fsar_ledger.ledger.store.read import Head, open_ledger, read_manifest
+from fsar_ledger.ledger.store.record import CommitRecord, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.walk import commit_names
 
 
@@ -66,15 +65,15 @@ class Staged(msgspec.Struct, frozen=True):
 
 
 def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
-    """The rows of these runs are in the ledger's staging folder, durably, and not yet part of the ledger.
+    """Encode these runs and write them to the staging folder, durably; they are not yet part of the ledger.
 
-    Needs no lock and no order: workers may stage at the same time, while a Writer is open; one that is alone when it opens
-    removes what is staged and not committed. The same runs give the same file.
+    Needs no lock and no order: workers may stage at the same time, while a Writer is open; one that is alone when it
+    opens removes what is staged and not committed. The same runs give the same file.
 
     Raises:
-        InvalidRun: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded (see `codec.encode`),
-            has a name that cannot be printed (see `check.unprintable`), events in another order (see `check.disordered`) or parameters that nobody can read
-            (see `runs.unreadable`). Nothing was written.
+        InvalidRun: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded
+            (see `codec.encode`), has a name that cannot be printed (see `check.unprintable`), events in another order
+            (see `check.disordered`) or parameters that nobody can read (see `runs.unreadable`). Nothing was written.
         WriteFailed: The disk refused; nothing is left behind.
     """
     if not runs:
@@ -88,7 +87,7 @@ def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
 
 
 def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves: bytes) -> Staged:
-    """As `stage`, of runs that were encoded, whatever their names and their order; what 0.1.0 staged. Raises: as `stage`."""
+    """Stage runs that were encoded, without a look at their names and order, as 0.1.0 did. Raises: As `stage`."""
     data = segment.to_parquet(table)
     for found, most, what in (
         (table.num_rows, MAX_ROWS, "events"),
@@ -97,7 +96,8 @@ def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves:
     ):
         if found > most:
             raise InvalidRun(
-                f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs at once"
+                f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs "
+                "at once"
             )
     for run in runs:
         if len(run.run_id.encode()) > MAX_NAME_BYTES:
@@ -125,48 +125,53 @@ def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves:
 
 
 class Writer:
-    """Appends to one ledger, which it creates if there is none. Use as a context manager.
+    """An appender to one ledger, which it creates if there is none. Use it as a context manager.
 
     Args:
-        signer: The key that signs the notes of new commits, whose name must be the origin; without one they are unsigned.
+        signer: The key that signs the notes of new commits, whose name must be the origin; without one they are
+            unsigned.
         adopts: The signer vouches for what it did not sign: the newest commit is unsigned, or signed by another key.
 
     Raises:
-        NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as it was.
+        NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as
+            it was.
         FormatVersionMismatch: The ledger was written in another format.
         LedgerCorrupted: Its records contradict each other, or a segment is missing.
-        UsageError: The key is that of another origin; or it did not sign the newest commit and does not adopt it; or the path lies in another ledger.
+        UsageError: The key is that of another origin; or it did not sign the newest commit and does not adopt it; or
+            the path lies in another ledger.
         WriteFailed: The disk refused.
     """
 
     def __init__(self, ledger: Path, origin: str, signer: Signer | None = None, *, adopts: bool = False):
         if signer is not None and signer.verifier.name != origin:
             raise UsageError(
-                f"found a key named {signer.verifier.name}, expected {origin}, the ledger's origin; make one with fsar-ledger key new FILE --name {origin}"
+                f"found a key named {signer.verifier.name}, expected {origin}, the ledger's origin; make one with "
+                f"fsar-ledger key new FILE --name {origin}"
             )
         if len(origin.encode(errors="replace")) > MAX_NAME_BYTES:
             raise ValueError(f"found an origin of {len(origin)} characters, expected at most {MAX_NAME_BYTES} bytes")
         if not is_name(origin):
             raise ValueError(f"found origin {origin!r}, expected a printable name without spaces and plus signs")
         if not os.path.lexists(ledger / MANIFEST):
-            _create(ledger, origin)
+            create(ledger, origin)
         manifest = parse_manifest(ledger / MANIFEST, read_manifest(ledger))
         if manifest.origin != origin:
             raise NotALedger(
-                f"{ledger / MANIFEST}: found a ledger of origin {manifest.origin!r}, expected {origin!r}; give another path, or that origin with --origin"
+                f"{ledger / MANIFEST}: found a ledger of origin {manifest.origin!r}, expected {origin!r}; give "
+                f"another path, or that origin with {option('origin')}"
             )
-        self._lock, is_alone = _lock(ledger)
+        self._lock, is_alone = lock(ledger)
         try:
             if is_alone:
-                _clean(open_ledger(ledger))
+                clean(open_ledger(ledger))
             with suppress(OSError):  # the file system has no locks
                 fcntl.flock(self._lock, fcntl.LOCK_SH)
             with disk.turn(ledger / COMMITS):
                 view = open_ledger(ledger)
                 if signer is not None and not adopts:
-                    _require_own(view, signer.verifier)
-                _confirm(view)
-                _roll_forward(view)
+                    require_own(view, signer.verifier)
+                confirm(view)
+                roll_forward(view)
                 self._edge = catch_up(view)
         except BaseException:
             self.close()
@@ -180,7 +185,7 @@ class Writer:
 
     @property
     def head(self) -> Head:
-        """How far the ledger goes."""
+        """Return how far the ledger goes."""
         return self._head
 
     def __enter__(self) -> "Writer":
@@ -192,29 +197,34 @@ class Writer:
         self.close()
 
     def close(self) -> None:
-        """The lock is released. What was appended stays."""
+        """Release the lock. What was appended stays."""
         if self._lock >= 0:
             disk.close(self._lock)
             self._lock = -1
 
     def held(self) -> Held:
-        """The runs and the plans that the ledger holds, read row by row, before anything is appended. Raises: LedgerCorrupted if they cannot be read."""
+        """Read row by row which runs and plans the ledger holds; only before the first append.
+
+        Raises: LedgerCorrupted if they cannot be read.
+        """
         assert self._held is None, "the writer has appended, or was asked before"
         self._held = HeldRuns(self._opened, by_row=True)
         return self._held.told()
 
     def append(self, staged: Staged) -> Head:
-        """The staged segment is part of the ledger, durably. Appending the newest segment once more changes nothing.
+        """Commit the staged segment, durably. Appending the newest segment once more changes nothing.
 
         Raises:
             InvalidRun: The ledger holds one of the runs; what was staged is gone, and the ledger as it was.
-            SequenceConflict: Another writer took the number, or has gone on after the same commit; open the ledger again and append what it lacks.
+            SequenceConflict: Another writer took the number, or has gone on after the same commit; open the ledger
+                again and append what it lacks.
             LedgerCorrupted: A folder of the tiles is a link.
             WriteFailed: The disk refused. The ledger is as it was, unless the message says otherwise.
         """
         if self._is_broken or self._lock < 0:
             raise WriteFailed(
-                f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and append what it lacks"
+                f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and "
+                "append what it lacks"
             )
         if self._last and self._last.segment_sha256 == staged.segment_sha256:
             disk.remove(staged_path(self._path, staged.segment_sha256))
@@ -244,7 +254,9 @@ class Writer:
         return self._head
 
     def _new_runs(self, staged: Staged, held: HeldRuns) -> list[str] | None:
-        """The runs of what was staged, none of which the ledger holds; None if it is there no more, as where another writer made this very commit.
+        """Return the runs of the staged segment, after checking that the ledger holds none of them.
+
+        None if the file is gone, as where another writer made this very commit.
 
         Raises:
             InvalidRun, LedgerCorrupted, WriteFailed: As `append`.
@@ -261,7 +273,8 @@ class Writer:
             or staged.rows * HASH_BYTES != len(staged.leaves)
         ):
             raise WriteFailed(
-                f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; stage it again"
+                f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; "
+                "stage it again"
             )
         runs = runs_of(path, staged.rows, data)
         if (again := held.first_of(runs)) is not None:
@@ -289,7 +302,10 @@ class Writer:
         )
 
     def _publish(self, staged: Staged, number: int, data: bytes) -> None:
-        """The record has its number and is the newest. Raises: SequenceConflict if another has the number, or others have gone on from the same record."""
+        """Give the record its number, which must be the newest.
+
+        Raises: SequenceConflict if another record has the number, or others have gone on from the same record.
+        """
         path = commit_path(self._path, number)
         source = staged_path(self._path, staged.segment_sha256)
         temporary = disk.temporary_name(self._path / STAGING / path.name)
@@ -297,7 +313,8 @@ class Writer:
             if not path.exists():
                 if source.stat().st_size != staged.segment_bytes or staged.rows * HASH_BYTES != len(staged.leaves):
                     raise WriteFailed(
-                        f"{source}: found another file than was staged, expected {staged.segment_bytes} bytes; stage it again"
+                        f"{source}: found another file than was staged, expected {staged.segment_bytes} bytes; stage "
+                        "it again"
                     )
                 disk.write_temporary(temporary, data)
                 with suppress(FileExistsError):
@@ -305,7 +322,8 @@ class Writer:
                     return
             if disk.read_document(path) != data:
                 raise SequenceConflict(
-                    f"{path}: found a commit of another writer, expected number {number} to be free; open the ledger again and append what it lacks"
+                    f"{path}: found a commit of another writer, expected number {number} to be free; open the ledger "
+                    "again and append what it lacks"
                 )
             newest = len(commit_names(self._path)) - 1
         if newest > number:  # what would be derived from this commit now is older than what is there
@@ -315,20 +333,23 @@ class Writer:
             )
 
     def _settle(self, staged: Staged, number: int) -> None:
-        """The record and its segment are in place, durably. Raises: WriteFailed if the disk refuses; the commit may stand."""
+        """Sync the record and move its segment into place.
+
+        Raises: WriteFailed if the disk refuses; the commit may stand.
+        """
         with _unfinished(self._path, number):
             disk.sync_folder(self._path / COMMITS)
             disk.move(staged_path(self._path, staged.segment_sha256), segment_path(self._path, number))
 
     def _derive(self, record: CommitRecord, tiles: Mapping[Tile, bytes]) -> None:
-        """What is derived from the commit is there too, durably. Raises: as `_settle`."""
+        """Write the tiles and the checkpoint of the commit, durably. Raises: As `_settle`."""
         with _unfinished(self._path, record.number):
             write_derived(self._path, self._edge, tiles, record)
 
 
 @contextmanager
 def _unfinished(ledger: Path, number: int) -> Iterator[None]:
-    """What the disk refuses inside, after the record had its number, becomes WriteFailed."""
+    """Turn an OSError inside, after the record had its number, into WriteFailed."""
     try:
         yield
     except OSError as error:
@@ -336,76 +357,3 @@ def _unfinished(ledger: Path, number: int) -> Iterator[None]:
             f"{ledger}: commit {number} was made, but the disk refused before it was safe ({error.strerror}); "
             "the next writer finishes it or finds it gone: run the same command again"
         ) from error
-
-
-def _lock(ledger: Path) -> tuple[int, bool]:
-    """A handle of the ledger's folder, and whether it holds the only lock on it; False where another writer is or the file system has no locks."""
-    with disk.refusals(ledger, "locking"):
-        handle = os.open(ledger, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        return handle, False
-    return handle, True
-
-
-def _require_own(view: LedgerView, key: VerifierKey) -> None:
-    """The key has signed the newest commit, if there is one: its next signature covers all before. Raises: UsageError if it has not."""
-    if view.records and (found := doubt(view.records[-1].signed_note(), key)) is not None:
-        raise UsageError(
-            f"{commit_path(view.path, view.records[-1].number)}: found a newest checkpoint with {found}, expected one of {key.key}; "
-            "its next signature would vouch for all that is there: verify the ledger, and say --adopt to sign on from here"
-        )
-
-
-def _confirm(view: LedgerView) -> None:
-    """Every commit that the view shows is on the disk: whoever made it may have been killed before it was."""
-    for folder in (view.path, view.path / COMMITS):
-        with disk.refusals(folder, "syncing a folder"):
-            disk.sync_folder(folder)
-
-
-def _clean(view: LedgerView) -> None:
-    """Staging holds only committed segments that are not yet in place. Only for a writer that is alone: others may be staging."""
-    places = [view.location(number) for number in range(len(view.records))]
-    kept = {path.name for path in places if path.parent.name == STAGING}
-    with disk.refusals(view.path / STAGING, "cleaning up"):
-        disk.make_folder(view.path / STAGING)
-        leftovers = [
-            entry.path
-            for entry in list(os.scandir(view.path / STAGING))
-            if entry.name not in kept and entry.is_file(follow_symlinks=False)
-        ]
-    for leftover in leftovers:
-        disk.remove(Path(leftover))
-
-
-def _roll_forward(view: LedgerView) -> None:
-    """Every committed segment is in place. Raises: LedgerCorrupted if one is missing, WriteFailed if the disk refuses."""
-    for number in range(len(view.records)):
-        path, target = view.location(number), segment_path(view.path, number)
-        if path != target:
-            with disk.refusals(target, "moving a committed segment into place"):
-                disk.move(path, target)
-
-
-def _create(ledger: Path, origin: str) -> None:
-    """There is an empty ledger. A creation that was interrupted is finished; anything else there is left alone."""
-    if os.path.lexists(ledger) and not os.path.isdir(ledger):
-        raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
-    require_outside(ledger.parent, str(ledger))
-    manifest = Manifest(FORMAT, origin, VERSION)
-    temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
-    with disk.refusals(ledger, "creating a ledger"):
-        if os.path.isdir(ledger) and not is_unfinished(ledger):
-            if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
-                return
-            raise NotALedger(
-                f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
-            )
-        for folder in (ledger, ledger / COMMITS, ledger / SEGMENTS, ledger / STAGING):
-            disk.make_folder(folder)
-        disk.write_temporary(temporary, canonical.document(manifest))
-        with suppress(FileExistsError):  # another writer was quicker
-            disk.link_new(temporary, ledger / MANIFEST)
-        disk.sync_folder(ledger)

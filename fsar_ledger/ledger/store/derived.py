@@ -1,7 +1,7 @@
-"""What is derived from the commits and lies beside them: the tiles of the Merkle tree, and `checkpoint`, the newest note.
+"""The files derived from the commits, beside them: the tiles of the Merkle tree, and `checkpoint`, the newest note.
 
-They are written after the commit, tiles first, so a crash leaves them one commit behind at most; the next writer goes on.
-Partial tiles stay until the full tile is there, as C2SP tlog-tiles asks, so each published tree size keeps its own.
+They are written after the commit, tiles first, so a crash leaves them one commit behind at most; the next writer goes
+on. Partial tiles stay until the full tile is there, as C2SP tlog-tiles asks, so each published tree size keeps its own.
 """
 
 import os
@@ -20,7 +20,9 @@ from fsar_ledger.ledger.store.record import CommitRecord
 
 
 def write_derived(ledger: Path, before: Edge, made: Mapping[Tile, bytes], record: CommitRecord) -> None:
-    """The tiles that `before.extend` made for this commit and its checkpoint are there, durably. Doing it twice is as good.
+    """Write the tiles that `before.extend` made for this commit, and its checkpoint, durably.
+
+    Doing it twice changes nothing.
 
     Raises:
         OSError: The disk refused; what is missing can be written again.
@@ -31,14 +33,20 @@ def write_derived(ledger: Path, before: Edge, made: Mapping[Tile, bytes], record
 
 
 def _remove_outgrown(ledger: Path, before: int, record: CommitRecord) -> None:
-    """No partial tile of the tree of `before` events is there, durably, whose full tile came with this commit. Raises: OSError."""
+    """Remove, durably, the partial tiles of the tree of `before` events whose full tile came with this commit.
+
+    Raises: OSError.
+    """
     for tile in partial_tiles(before):
         if (tile.number + 1) * WIDTH <= record.tree_size >> HEIGHT * tile.level:
             disk.remove_folder(ledger / f"{Tile(tile.level, tile.number).name}.p")
 
 
 def check_folders(ledger: Path, tiles: Iterable[Tile]) -> None:
-    """No folder of these tiles is a link, through which a writer would reach files that are not the ledger's. Raises: LedgerCorrupted if one is."""
+    """Require that no folder of these tiles is a link, which would lead a writer to files outside the ledger.
+
+    Raises: LedgerCorrupted if one is.
+    """
     for folder in sorted({ledger / parent for tile in tiles for parent in Path(tile.name).parents if parent.name}):
         if folder.is_symlink():
             raise LedgerCorrupted(
@@ -47,10 +55,13 @@ def check_folders(ledger: Path, tiles: Iterable[Tile]) -> None:
 
 
 def catch_up(view: LedgerView) -> Edge:
-    """The derived files are those of the view's head, durably, whatever moment the last writer was interrupted at; the edge of its tree.
+    """Bring the derived files up to the view's head, durably; return the edge of its tree.
+
+    The last writer may have stopped at any moment.
 
     Raises:
-        LedgerCorrupted: They are further behind than a crash leaves them, or were altered; or they are behind and the newest segment is not as committed.
+        LedgerCorrupted: They are further behind than a crash leaves them, or were altered; or they are behind and the
+            newest segment is not as committed.
         WriteFailed: The disk refused.
     """
     if not view.records:
@@ -64,14 +75,16 @@ def catch_up(view: LedgerView) -> Edge:
         return edge_at(view.path, last.tree())
     if found != (before.note if before else None):
         raise LedgerCorrupted(
-            f"{view.path / CHECKPOINT}: found {'no file' if found is None else 'another note'}, expected that of the newest commit; run fsar-ledger verify, "
+            f"{view.path / CHECKPOINT}: found {'no file' if found is None else 'another note'}, expected that of the "
+            "newest commit; run fsar-ledger verify, "
             "and fsar-ledger recover if only derived files are damaged"
         )
     edge = edge_at(view.path, before.tree() if before else Frontier())
     after, made = edge.extend(view.leaves(last.number))
     if after.frontier() != last.tree():
         raise LedgerCorrupted(
-            f"{view.segment(last.number)}: commit {last.number}: found rows that lead to root {after.frontier().root().hex()}, "
+            f"{view.segment(last.number)}: commit {last.number}: found rows that lead to root "
+            f"{after.frontier().root().hex()}, "
             f"expected {last.tree_root} as committed; run fsar-ledger verify"
         )
     check_folders(view.path, made)
@@ -81,7 +94,7 @@ def catch_up(view: LedgerView) -> Edge:
 
 
 def read_checkpoint(ledger: Path) -> str | None:
-    """The note in the file `checkpoint`; None if there is none. Raises: LedgerCorrupted if it cannot be read."""
+    """Read the note in the file `checkpoint`; None if there is none. Raises: LedgerCorrupted if it cannot be read."""
     path = ledger / CHECKPOINT
     try:
         return disk.read_document(path).decode()
@@ -95,7 +108,10 @@ def read_checkpoint(ledger: Path) -> str | None:
 
 
 def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[list[Problem], bool]:
-    """The file `checkpoint` holds the note of the newest commit, or (True) of the one before it, which a crash may leave."""
+    """Compare the file `checkpoint` with the note of the newest commit.
+
+    Returns the problems, and whether it is the note of the commit before, which a crash may leave.
+    """
     try:
         found = read_checkpoint(ledger)
     except LedgerCorrupted as error:
@@ -113,7 +129,10 @@ def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[lis
 
 
 def tile_reader(ledger: Path) -> Callable[[Tile], bytes]:
-    """Reads the ledger's tiles, each once; of a tile that has become full since, as much as it was. It raises LedgerCorrupted where one is missing."""
+    """Return a reader of the ledger's tiles, each read once; of a tile that has become full since, as much as it was.
+
+    The reader raises LedgerCorrupted where a tile is missing.
+    """
     found: dict[Tile, bytes] = {}
 
     def read(tile: Tile) -> bytes:
@@ -133,18 +152,20 @@ def _read(ledger: Path, tile: Tile) -> bytes:
             continue
         except OSError as error:
             raise LedgerCorrupted(
-                f"{ledger / name}: the tile cannot be read ({error.strerror}); run fsar-ledger recover, which derives it again"
+                f"{ledger / name}: the tile cannot be read ({error.strerror}); run fsar-ledger recover, which derives "
+                "it again"
             ) from error
         if len(data) >= tile.width * HASH_BYTES:
             return data[: tile.width * HASH_BYTES]
     found = "no file" if data is None else f"{len(data)} bytes"
     raise LedgerCorrupted(
-        f"{ledger / tile.name}: found {found}, expected {tile.width} hashes of {HASH_BYTES} bytes; run fsar-ledger recover, which derives them again"
+        f"{ledger / tile.name}: found {found}, expected {tile.width} hashes of {HASH_BYTES} bytes; run fsar-ledger "
+        "recover, which derives them again"
     )
 
 
 def edge_at(ledger: Path, frontier: Frontier) -> Edge:
-    """The edge of the tree with this frontier, out of its partial tiles.
+    """Rebuild the edge of the tree with this frontier from its partial tiles.
 
     Raises:
         LedgerCorrupted: A tile is missing or does not agree with the frontier.
@@ -154,7 +175,8 @@ def edge_at(ledger: Path, frontier: Frontier) -> Edge:
     edge = Edge(frontier.size, tuple(partial.get(level, b"") for level in range(max(partial, default=-1) + 1)))
     if edge.frontier() != frontier:
         raise LedgerCorrupted(
-            f"{ledger / TILE}: the partial tiles of a tree of {frontier.size} events do not agree with its commit record; "
+            f"{ledger / TILE}: the partial tiles of a tree of {frontier.size} events do not agree with its commit "
+            "record; "
             "run fsar-ledger verify, and fsar-ledger recover if only they are damaged"
         )
     return edge

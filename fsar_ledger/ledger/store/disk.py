@@ -34,7 +34,10 @@ MAX_NAMES = 1 << 20
 
 
 def read_document(path: Path | str) -> bytes:
-    """The bytes of a small regular file. Raises: OSError if it is missing, not a regular file (a link is not), too large or unreadable."""
+    """Read a small regular file.
+
+    Raises: OSError if it is missing, not a regular file (a link is not), too large or unreadable.
+    """
     handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
@@ -50,7 +53,7 @@ def read_document(path: Path | str) -> bytes:
 
 
 def entries(folder: Path) -> list["os.DirEntry[str]"]:
-    """What is in the folder, by name. Raises: OSError if it cannot be read or holds more than `MAX_NAMES`."""
+    """List the folder by name. Raises: OSError if it cannot be read or holds more than `MAX_NAMES`."""
     with os.scandir(folder) as found:
         names = list(islice(found, MAX_NAMES + 1))
     if len(names) > MAX_NAMES:
@@ -60,18 +63,19 @@ def entries(folder: Path) -> list["os.DirEntry[str]"]:
 
 @contextmanager
 def refusals(path: Path, doing: str) -> Iterator[None]:
-    """What the disk refuses inside becomes WriteFailed."""
+    """Turn an OSError inside into WriteFailed."""
     try:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
         raise WriteFailed(
-            f"{path}: {doing} failed: {reason}; nothing was committed; make room or permit writing there and run it again"
+            f"{path}: {doing} failed: {reason}; nothing was committed; make room or permit writing there and run it "
+            "again"
         ) from error
 
 
 def sync_folder(folder: Path) -> None:
-    """The names in this folder are on the disk."""
+    """Sync the names in this folder to the disk."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(handle)
@@ -80,13 +84,15 @@ def sync_folder(folder: Path) -> None:
 
 
 def close(handle: int) -> None:
-    """The handle, through which nothing was written, is closed; what the disk says to that does not matter."""
+    """Close a handle through which nothing was written, whatever the disk says to that."""
     with suppress(OSError):
         os.close(handle)
 
 
 def make_folder(folder: Path) -> None:
-    """The folder is there, durably, with those above it. A process may have been killed right after it made the lowest that is there.
+    """Make the folder and those above it, durably.
+
+    The lowest one that exists is synced too: a process may have been killed right after making it.
 
     Raises: OSError if one of them cannot be made.
     """
@@ -107,7 +113,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write_durably(path: Path, data: bytes | memoryview) -> None:
-    """The file holds these bytes, whole and on the disk, whatever it held before."""
+    """Write the file whole and to the disk, replacing what it held."""
     temporary = temporary_name(path)
     try:
         write_temporary(temporary, data)
@@ -118,12 +124,12 @@ def write_durably(path: Path, data: bytes | memoryview) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """A name beside this one that nobody uses: process numbers would be the same in two containers on one volume."""
+    """Return an unused name beside this one. Containers on one volume may share process numbers, so it has none."""
     return path.with_name(f"{path.name}.{secrets.token_hex(8)}{TEMPORARY}")
 
 
 def write_temporary(path: Path, data: bytes | memoryview) -> None:
-    """The new file holds these bytes and they are on the disk, its name not yet. It is left out again when that fails."""
+    """Write a new file and sync its bytes, but not its name. Nothing is left when that fails."""
     _write_new(path, data, 0o666)
 
 
@@ -150,7 +156,10 @@ def _write_all(handle: int, data: bytes | memoryview) -> None:
 
 
 def link_new(temporary: Path, path: Path) -> None:
-    """The file has its name; the temporary one is gone in any case. Raises: FileExistsError if another file has the name."""
+    """Link the temporary file to its name, and remove the temporary name in any case.
+
+    Raises: FileExistsError if another file has the name.
+    """
     try:
         os.link(temporary, path)
     except OSError as error:
@@ -164,7 +173,7 @@ def link_new(temporary: Path, path: Path) -> None:
 
 
 def _is_same(one: Path, other: Path) -> bool:
-    """Whether both names are there and of one file."""
+    """Return whether both names exist and are of one file."""
     try:
         return os.path.samestat(one.lstat(), other.lstat())
     except OSError:
@@ -172,7 +181,7 @@ def _is_same(one: Path, other: Path) -> bool:
 
 
 def move(source: Path, path: Path) -> None:
-    """The file has changed its name, durably. That somebody else has moved it already is as good."""
+    """Rename the file, durably. If another process has moved it already, that is fine."""
     try:
         os.rename(source, path)
     except FileNotFoundError:
@@ -184,13 +193,15 @@ def move(source: Path, path: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """The file is not there, if the disk lets us."""
+    """Remove the file, if the disk allows it."""
     with suppress(OSError):
         os.unlink(path)
 
 
 def remove_folder(path: Path) -> None:
-    """The folder and the files in it are gone, durably, even where a process was killed after it had removed them. What a link leads to stays.
+    """Remove the folder and its files, durably, also where an earlier process was killed halfway.
+
+    What a link leads to stays.
 
     Raises: OSError.
     """
@@ -204,12 +215,14 @@ def remove_folder(path: Path) -> None:
 
 
 def write_files(files: Mapping[Path, bytes], staging: Path, make_way: Callable[[Path], None] | None = None) -> None:
-    """Each file holds its bytes, whole and on the disk, and so do the folders made for it. Each folder is made durable once.
+    """Write each file whole and to the disk, with the folders it needs. Each folder is synced once.
 
     Args:
         files: What each path shall hold.
-        staging: A folder on the same disk, for files on their way. The files' folders are made below the one that it is in.
-        make_way: Told each path before it gets its file, when the bytes are on the disk already: where there is no room for them, all stays.
+        staging: A folder on the same disk, for files on their way. The files' folders are made below the one that it is
+            in.
+        make_way: Told each path before it gets its file, when the bytes are on the disk already: where there is no room
+            for them, all stays.
     """
     folders: set[Path] = set()
     for path in files:
@@ -224,7 +237,7 @@ def write_files(files: Mapping[Path, bytes], staging: Path, make_way: Callable[[
 
 
 def _write_some(files: list[tuple[Path, Path, bytes]], make_way: Callable[[Path], None] | None) -> None:
-    """As `write_files`, for files (temporary name, name, bytes) whose folders are there and are synced later."""
+    """Write files (temporary name, name, bytes) whose folders exist and are synced later, as `write_files`."""
     handles: list[int] = []
     try:
         try:
@@ -246,7 +259,7 @@ def _write_some(files: list[tuple[Path, Path, bytes]], make_way: Callable[[Path]
 
 
 def _at_once(sync: Callable[[_T], None], things: Sequence[_T]) -> None:
-    """All of them are synced: several at once, for a disk does them together in the time of a few."""
+    """Sync several things at once, which a disk does in the time of a few."""
     if SYNCS_AT_ONCE == 1 or len(things) == 1:
         for thing in things:
             sync(thing)
@@ -257,7 +270,10 @@ def _at_once(sync: Callable[[_T], None], things: Sequence[_T]) -> None:
 
 
 def _make_folder(path: Path, top: Path) -> list[Path]:
-    """The folder is there; all folders from `top` down to it, for a process may have been killed before it had synced those it made."""
+    """Make the folder; return all folders from `top` down to it.
+
+    All need a sync: a process may have been killed before it synced those it made.
+    """
     chain = [path, *path.parents]
     chain = chain[: chain.index(top) + 1][::-1]
     for folder in chain:
@@ -268,16 +284,16 @@ def _make_folder(path: Path, top: Path) -> list[Path]:
 
 
 def write_secret(path: Path, data: bytes) -> None:
-    """The new file holds these bytes, durably, and only its owner may read it. Raises: FileExistsError if the name is taken."""
+    """Write a new file, durably, that only its owner may read. Raises: FileExistsError if the name is taken."""
     _write_new(path, data, 0o600)
     sync_folder(path.parent)
 
 
 @contextmanager
 def turn(folder: Path, is_shared: bool = False) -> Iterator[None]:
-    """Nobody else is in a turn on this folder, where the file system has locks; with `is_shared` only others who share it.
+    """Take a turn on this folder that excludes all others, or with `is_shared` all but shared ones.
 
-    A process that dies ends its turn.
+    Without effect where the file system has no locks. A process that dies ends its turn.
 
     Raises: WriteFailed if the folder cannot be opened.
     """

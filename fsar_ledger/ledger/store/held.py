@@ -1,7 +1,8 @@
-"""Which runs a ledger holds, for its writer: a run is in one commit, and only who knows all of them can tell.
+"""Which runs a ledger holds, for its writer: no run may be in two commits.
 
-They are read once, before the first batch is appended: of each segment the few hundred bytes at its beginning that hold the dictionary of `run_id`.
-Ten thousand commits take a second. Who goes on with an experiment has to know exactly which runs are there, and which plans: that takes the rows.
+The runs are read once, before the first batch is appended: of each segment the few hundred bytes at its beginning that
+hold the dictionary of `run_id`. Ten thousand commits take a second. To go on with an experiment the writer needs to
+know exactly which runs and plans are there; that takes the rows.
 """
 
 from itertools import repeat
@@ -48,16 +49,16 @@ class HeldRuns:
             self._plans.update(runs.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
 
     def add(self, number: int, path: Path, rows: int, runs: list[str] | None = None) -> None:
-        """The runs of this commit, whose segment of so many rows has this path, are held too; they are read there unless they are given."""
+        """Add the runs of this commit; unless they are given, read them from its segment, of so many rows."""
         for run in _read(path, rows) if runs is None else runs:
             self._commits.setdefault(run, (number, path))
 
     def told(self) -> Held:
-        """The names of these runs, and of the plans, where they were read row by row."""
+        """Return the names of these runs, and of the plans where they were read row by row."""
         return Held(frozenset(self._commits.keys() - self._plans), frozenset(self._plans))
 
     def first_of(self, runs: list[str]) -> tuple[str, int] | None:
-        """The first of these runs that a commit holds, and the commit's number; None if there is none."""
+        """Return the first of these runs that a commit holds, and the commit's number; None if there is none."""
         for run in runs:
             number, path = self._commits.get(run, (-1, None))
             if path is not None and run in _by_row(path):  # a dictionary may hold strings that no row has
@@ -66,7 +67,9 @@ class HeldRuns:
 
 
 def runs_of(path: Path, rows: int, data: bytes) -> list[str]:
-    """The runs of a segment with these bytes and so many rows; of one that another library wrote perhaps names that no row has.
+    """Return the runs of a segment with these bytes and so many rows.
+
+    Of a segment that another library wrote, names that no row has may be among them.
 
     Raises:
         LedgerCorrupted: They cannot be read.

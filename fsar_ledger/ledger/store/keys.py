@@ -1,4 +1,4 @@
-"""Keys as files: the secret half, which only its owner may read, and the public half beside it in `.pub`."""
+"""Keys as files: the secret half, which only its owner may read, and beside it the public half in `.pub`."""
 
 import base64
 import binascii
@@ -6,7 +6,7 @@ import os
 import stat
 from pathlib import Path
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.log.ed25519 import KEY_BYTES, flaw_of
 from fsar_ledger.ledger.log.note import ED25519, Signer, VerifierKey, is_name
 from fsar_ledger.ledger.store import disk
@@ -15,14 +15,14 @@ _SECRET = "PRIVATE+KEY"
 
 
 def new_key(path: Path, name: str) -> VerifierKey:
-    """There is a new key: its secret half in the file, which only its owner may read, its public half in the same name with `.pub`.
+    """Make a key: the secret half in this file, the public half in the same name with `.pub`; return the public half.
 
     Raises:
         UsageError: The name cannot be that of a key, or one of the files exists; it is left as it is.
         WriteFailed: The disk refused; there is no key.
     """
     if not is_name(name):
-        raise UsageError(f"--name {name!r}: expected a printable name without spaces and plus signs")
+        raise UsageError(f"{option('name', repr(name))}: expected a printable name without spaces and plus signs")
     public = path.parent / (path.name + ".pub")
     for file in (path, public):
         if os.path.lexists(file):
@@ -44,7 +44,7 @@ def new_key(path: Path, name: str) -> VerifierKey:
 
 
 def read_signer(path: Path) -> Signer:
-    """The key in this file. Raises: UsageError if it cannot be read, is none, or is open to others."""
+    """Read the secret key in this file. Raises: UsageError if it cannot be read, is none, or is open to others."""
     text = _read_key(path)
     parts = text.removeprefix(_SECRET + "+").split("+", 2)
     expected = f"{path}: found no secret key, expected the file that `fsar-ledger key new` wrote"
@@ -57,36 +57,40 @@ def read_signer(path: Path) -> Signer:
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
         raise UsageError(
-            f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; run chmod 600 on it, or make a new key"
+            f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; run chmod 600 on "
+            "it, or make a new key"
         )
     signer = Signer(name, secret)
     if signer.verifier.key_id.hex() != key_id:
         raise UsageError(
-            f"{path}: found key id {key_id}, expected {signer.verifier.key_id.hex()} for this key; it was altered, restore it"
+            f"{path}: found key id {key_id}, expected {signer.verifier.key_id.hex()} for this key; it was altered, "
+            "restore it"
         )
     return signer
 
 
 def read_verifier(key: str) -> VerifierKey:
-    """The public key that this is, or that is in the file of this name. Raises: UsageError if it is none."""
+    """Read a public key, given as text or as the name of its file. Raises: UsageError if it is none."""
     is_text = key.count("+") >= 2 and not os.path.lexists(key)
     text = key if is_text else _read_key(Path(key))
     name, _, rest = text.partition("+")
     key_id, _, data = rest.partition("+")
     public = _key_bytes(data)
-    where = "--trusted-key" if is_text else f"--trusted-key {key}"
+    where = option("trusted_key", None if is_text else key)
     if name == "PRIVATE" or public is None or not is_name(name):  # the text is not shown: it may be the secret half
         raise UsageError(
             f"{where}: found no public key, expected one as `fsar-ledger key new` prints, or its .pub file"
         )
     if (flaw := flaw_of(public)) is not None:
         raise UsageError(
-            f"{where}: found {flaw}, expected an Ed25519 public key of prime order; no signature of it would prove anything, get another key"
+            f"{where}: found {flaw}, expected an Ed25519 public key of prime order; no signature of it would prove "
+            "anything, get another key"
         )
     verifier = VerifierKey(name, public)
     if verifier.key_id.hex() != key_id:
         raise UsageError(
-            f"--trusted-key: found key id {key_id:.40}, expected {verifier.key_id.hex()} for this key; it was altered, get it again"
+            f"{where}: found key id {key_id:.40}, expected {verifier.key_id.hex()} for this key; it was "
+            "altered, get it again"
         )
     return verifier
 
@@ -102,7 +106,7 @@ def _read_key(path: Path) -> str:
 
 
 def _key_bytes(data: str) -> bytes | None:
-    """The 32 bytes of an Ed25519 key; None if it is none."""
+    """Decode the 32 bytes of an Ed25519 key; None if these are none."""
     try:
         key = base64.b64decode(data, validate=True)
     except (binascii.Error, ValueError):

@@ -1,8 +1,8 @@
-"""A ledger that is opened for an answer: what `verify --quick` looks at holds.
+"""A ledger opened for an answer, after the checks of `verify --quick`.
 
-The records, their chain and notes, and the file `checkpoint` are compared here; the bytes of a segment when it is handed out
-(`LedgerView.segment`). Stray files are left to `verify`: no answer reads a file that no record names. So are the tiles, but for those that a proof is
-made of, which lead to the root or to nothing.
+The records, their chain and notes, and the file `checkpoint` are compared here; the bytes of a segment when it is
+handed out (`LedgerView.segment`). Stray files are left to `verify`: no answer reads a file that no record names. So are
+the tiles, but for those that a proof is made of, which lead to the root or to nothing.
 """
 
 from pathlib import Path
@@ -15,12 +15,15 @@ from fsar_ledger.ledger.store.read import LedgerView, open_ledger
 
 
 def open_for_answers(path: Path) -> LedgerView:
-    """The ledger at this path, whose checkpoint is the note of its newest commit, or of the one before it, as a crash may leave it.
+    """Open the ledger at this path, and compare its checkpoint with the note of its newest commit.
+
+    The note of the commit before it will do too: a crash may leave that one.
 
     Where a writer is at work and the two do not fit together, it waits while both are read once more.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; LedgerCorrupted also for any other checkpoint, or none.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; LedgerCorrupted also for any other
+            checkpoint, or none.
     """
     view = open_ledger(path)
     problems, _ = check_checkpoint(path, view.records)
@@ -30,6 +33,7 @@ def open_for_answers(path: Path) -> LedgerView:
             problems, _ = check_checkpoint(path, view.records)
     for problem in problems:
         raise LedgerCorrupted(
-            f"{path}/{problem}: commits were removed, or the file was altered; run fsar-ledger verify, and fsar-ledger recover if it says so"
+            f"{path}/{problem}: commits were removed, or the file was altered; run fsar-ledger verify, and "
+            "fsar-ledger recover if it says so"
         )
     return view

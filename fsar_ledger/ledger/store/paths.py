@@ -1,4 +1,4 @@
-"""Where the files of a ledger are, what tells a folder that holds one, and what nobody else may write there."""
+"""Where the files of a ledger are, how to tell a folder that holds one, and what others may not write there."""
 
 import os
 from contextlib import suppress
@@ -48,21 +48,26 @@ def staged_path(ledger: Path, sha256: str) -> Path:
 
 
 def require_created(ledger: Path) -> None:
-    """The folder is not what an interrupted creation left: that is no damage, and the command that creates the ledger finishes it.
+    """Refuse a folder that an interrupted creation left: that is no damage, and creating the ledger again finishes it.
 
     Raises:
-        NotALedger: It is: it holds some of a ledger's folders, in them nothing but a ledger.json on its way, and nothing else.
+        NotALedger: It is: it holds some of a ledger's folders, in them nothing but a ledger.json on its way, and
+            nothing else.
     """
     with suppress(OSError):
         if os.listdir(ledger) and is_unfinished(ledger):
             raise NotALedger(
-                f"{ledger}: found a ledger whose creation was interrupted before anything was in it, expected one with {MANIFEST}; "
+                f"{ledger}: found a ledger whose creation was interrupted before anything was in it, expected one "
+                f"with {MANIFEST}; "
                 "run the command that creates it again"
             )
 
 
 def is_unfinished(ledger: Path) -> bool:
-    """Whether this folder holds nothing but what an interrupted creation leaves behind, or nothing at all. Raises: OSError if it cannot be read."""
+    """Return whether this folder is empty, or holds only what an interrupted creation leaves behind.
+
+    Raises: OSError if it cannot be read.
+    """
     for entry in list(os.scandir(ledger)):
         if entry.name not in (COMMITS, SEGMENTS, STAGING) or not entry.is_dir(follow_symlinks=False):
             return False
@@ -76,7 +81,9 @@ def is_unfinished(ledger: Path) -> bool:
 
 
 def require_outside(out: Path, what: str) -> None:
-    """The file `out` would not lie inside any ledger, whether or not the command reads that ledger; a message calls it `what`, as the user did.
+    """Refuse a file `out` inside a ledger, also one that the command does not read.
+
+    Messages call the file `what`, as the user did.
 
     A folder counts as a ledger if two of its three parts are there: a damaged one is evidence, too.
 
@@ -88,5 +95,6 @@ def require_outside(out: Path, what: str) -> None:
         for folder in (place, *place.parents):
             if sum(os.path.lexists(folder / part) for part in (MANIFEST, COMMITS, SEGMENTS)) > 1:
                 raise UsageError(
-                    f"{what}: found a place inside the ledger {folder}, which holds nothing but its own files; choose one outside"
+                    f"{what}: found a place inside the ledger {folder}, which holds nothing but its own files; choose "
+                    "one outside"
                 )

@@ -1,4 +1,4 @@
-"""One thing that `verify` doubts, with its place."""
+"""One problem that `verify` found, with its place."""
 
 from pathlib import Path
 
@@ -12,9 +12,12 @@ MAX_TEXT = 600
 
 
 class Problem(msgspec.Struct, frozen=True):
-    """One doubt: where (a file within the ledger, and as much of commit, run, seq and field as is known), found, expected.
+    """One problem: where it is, what was found and what was expected.
 
-    Whatever a file or its name holds, the texts (but for `run`, which is as stored) are one printable line each, of at most `MAX_TEXT` characters of it.
+    The place is a file within the ledger, and the commit, run, seq and field as far as they are known.
+
+    Whatever a file or its name holds, the texts (but for `run`, which is as stored) are one printable line each, of at
+    most `MAX_TEXT` characters of it.
     """
 
     where: str
@@ -38,7 +41,10 @@ class Problem(msgspec.Struct, frozen=True):
             for name, value in (("commit", self.commit), ("run", run), ("seq", self.seq), ("field", self.field))
             if value is not None
         ]
-        return f"{': '.join([self.where, ', '.join(place)] if place else [self.where])}: found {self.found}, expected {self.expected}"
+        return (
+            f"{': '.join([self.where, ', '.join(place)] if place else [self.where])}: found {self.found}, expected "
+            f"{self.expected}"
+        )
 
 
 def _printable(text: str) -> str:
@@ -49,12 +55,15 @@ def _printable(text: str) -> str:
 
 
 def refusal(place: str | Path, error: FsarLedgerError) -> str:
-    """What a reader that was given this place says of it, in brackets, without the place."""
+    """Return, in brackets, what a reader says of this place, without the place."""
     return f"({str(error).removeprefix(f'{place}: ')})"
 
 
 def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:
-    """A check stopped with an exception: that is a finding, not an accident. Raises: MemoryError as it is, for that is no fault of the ledger's."""
+    """Turn an exception that stopped a check into a problem.
+
+    Raises: MemoryError as it is, for that is no fault of the ledger's.
+    """
     if isinstance(error, MemoryError):
         raise error
     return Problem(where, f"{type(error).__name__}: {error!s:.300}", "data that can be checked", commit=commit)

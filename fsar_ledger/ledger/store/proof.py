@@ -1,4 +1,4 @@
-"""Proof that one event is in a ledger, in one file that is checked without the ledger: a C2SP tlog-proof.
+"""Proof that one event is in a ledger, in one file that can be checked without the ledger: a C2SP tlog-proof.
 
 ```
 c2sp.org/tlog-proof@v1
@@ -40,7 +40,7 @@ Value = str | int | bool | list[str]
 
 
 class Proof(msgspec.Struct, frozen=True):
-    """An event (its canonical bytes), its index in the ledger, the hashes from it to the root, and a checkpoint with that root."""
+    """An event (its canonical bytes), its index in the ledger, the hashes from it to the root, and a checkpoint."""
 
     event: bytes
     index: int
@@ -53,7 +53,7 @@ class Proof(msgspec.Struct, frozen=True):
 
 
 class Proven(msgspec.Struct, frozen=True):
-    """What a proof shows: the event as it is stored, and whose ledger it is in, as far as the signature says.
+    """What a proof shows: the event as stored, and whose ledger it is in, as far as the signature says.
 
     `index` and `size` count events, `root` is hex; `signer` is the trusted key (`name+id`), else whom the note names.
     """
@@ -76,7 +76,9 @@ class Block(msgspec.Struct, frozen=True):
 
 
 def prove(view: LedgerView, index: int) -> Proof:
-    """The proof that the ledger holds this event, of those from 0; it leads to the root of the newest commit whose tiles are there.
+    """Prove that the ledger holds the event of this index, from 0.
+
+    The proof leads to the root of the newest commit whose tiles are there.
 
     Raises:
         ValueError: There is no such event.
@@ -90,14 +92,17 @@ def prove(view: LedgerView, index: int) -> Proof:
     leaf, hashes = prove_inclusion(view.path, note.checkpoint, index)
     if leaf_hash(event) != leaf:
         raise LedgerCorrupted(
-            f"{view.segment(number)}: event {index} has leaf hash {leaf_hash(event).hex()}, expected {leaf.hex()} as the ledger's root says: "
+            f"{view.segment(number)}: event {index} has leaf hash {leaf_hash(event).hex()}, expected {leaf.hex()} as "
+            "the ledger's root says: "
             "the row was altered; run fsar-ledger verify"
         )
     return Proof(event, index, hashes, note)
 
 
 def prove_inclusion(ledger: Path, tree: Checkpoint, index: int) -> tuple[bytes, tuple[bytes, ...]]:
-    """The leaf hash at this index and its inclusion proof, read from the tiles alone; they lead to the root of the checkpoint.
+    """Return the leaf hash at this index and its inclusion proof, from the tiles alone.
+
+    They lead to the root of the checkpoint.
 
     Raises:
         ValueError: The tree has no such leaf.
@@ -109,21 +114,25 @@ def prove_inclusion(ledger: Path, tree: Checkpoint, index: int) -> tuple[bytes, 
     found = root_of_inclusion(leaf, index, tree.size, hashes)
     if found != tree.root:
         raise LedgerCorrupted(
-            f"{ledger}: the tiles lead from event {index} to the root {found.hex() if found else 'of no tree'}, expected {tree.root.hex()} of {tree.size} "
+            f"{ledger}: the tiles lead from event {index} to the root {found.hex() if found else 'of no tree'}, "
+            f"expected {tree.root.hex()} of {tree.size} "
             "events; run fsar-ledger verify, and fsar-ledger recover if only tiles are damaged"
         )
     return leaf, hashes
 
 
 def _published(view: LedgerView, index: int) -> CommitRecord:
-    """The newest commit; the one before it if that has the event and a writer has not yet written the newest one's tiles."""
+    """Return the newest commit whose tiles are written.
+
+    That is the newest, or the one before it if that has the event and a writer is still at work.
+    """
     *_, before, newest = (None, *view.records)
     is_behind = before is not None and index < before.tree_size and read_checkpoint(view.path) == before.note
     return before if before is not None and is_behind else newest
 
 
 def blocks(view: LedgerView) -> Iterator[Block]:
-    """The runs of the ledger, in order. Raises: LedgerCorrupted for a segment that cannot be read."""
+    """Yield the runs of the ledger, in order. Raises: LedgerCorrupted for a segment that cannot be read."""
     for number, table in enumerate(view.tables(["run_id"])):
         first = view.records[number - 1].tree_size if number else 0
         runs = pc.run_end_encode(table.column("run_id").combine_chunks())
@@ -134,7 +143,7 @@ def blocks(view: LedgerView) -> Iterator[Block]:
 
 
 def read_proof(path: Path) -> Proof:
-    """The proof in this file. Raises: UsageError if there is no such file, LedgerCorrupted if it is no proof."""
+    """Read the proof in this file. Raises: UsageError if there is no such file, LedgerCorrupted if it is no proof."""
     try:
         return parse_proof(str(path), disk.read_document(Path(os.path.realpath(path))).decode())
     except FileNotFoundError as error:
@@ -147,7 +156,7 @@ def read_proof(path: Path) -> Proof:
 
 
 def parse_proof(where: str, text: str) -> Proof:
-    """The proof in this text, which it gives back to the byte; an error calls it `where`. Nothing of it is checked yet.
+    """Parse the proof in this text, without checking it. `str` gives the text back to the byte; errors call it `where`.
 
     Raises:
         LedgerCorrupted: It is not written as C2SP says, or without the event.
@@ -163,16 +172,20 @@ def parse_proof(where: str, text: str) -> Proof:
         ) from error
     if str(proof) != text or proof.index < 0 or any(len(one) != HASH_BYTES for one in proof.hashes):
         raise LedgerCorrupted(
-            f"{where}: found {head!r:.80}, expected a C2SP tlog-proof (title, extra, index, hashes of 32 bytes, an empty line, checkpoint); get it again"
+            f"{where}: found {head!r:.80}, expected a C2SP tlog-proof (title, extra, index, hashes of 32 bytes, an "
+            "empty line, checkpoint); get it again"
         )
     return proof
 
 
 def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) -> Proven:
-    """The event is in the ledger of the proof's checkpoint, which the trusted key, if there is one, signed; an error calls the proof `where`.
+    """Check that the event is in the ledger of the proof's checkpoint, and that the trusted key, if given, signed it.
+
+    Errors call the proof `where`.
 
     Raises:
-        LedgerCorrupted: The hashes do not lead to the root, the event is not written canonically, or the key did not sign.
+        LedgerCorrupted: The hashes do not lead to the root, the event is not written canonically, or the key did not
+            sign.
     """
     tree = proof.note.checkpoint
     found = root_of_inclusion(leaf_hash(proof.event), proof.index, tree.size, proof.hashes)
@@ -198,12 +211,16 @@ def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) ->
 
 
 def _event(where: str, data: bytes) -> dict[str, Value]:
-    """The fields in these bytes. Raises: LedgerCorrupted unless they are the RFC 8785 JSON of a row with run, seq and type."""
+    """Decode the fields of an event.
+
+    Raises: LedgerCorrupted unless the bytes are the RFC 8785 JSON of a row with run, seq and type.
+    """
     try:
         row = msgspec.json.decode(data, type=dict[str, Value])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LedgerCorrupted(
-            f"{where}: found an event that is no flat JSON object ({error}), expected a row of a ledger; get the proof again"
+            f"{where}: found an event that is no flat JSON object ({error}), expected a row of a ledger; get the "
+            "proof again"
         ) from error
     numbers = [value for value in row.values() if isinstance(value, int)]
     is_row = isinstance(row.get("run_id"), str) and isinstance(row.get("type"), str) and type(row.get("seq")) is int
@@ -214,7 +231,8 @@ def _event(where: str, data: bytes) -> dict[str, Value]:
     )
     if not is_row or not is_canonical:
         raise LedgerCorrupted(
-            f"{where}: found event {data!r:.80}, expected the RFC 8785 JSON of a row with run_id, seq and type; get the proof again"
+            f"{where}: found event {data!r:.80}, expected the RFC 8785 JSON of a row with run_id, seq and type; get "
+            "the proof again"
         )
     return row
 

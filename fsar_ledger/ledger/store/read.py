@@ -1,4 +1,7 @@
-"""What is committed, as a reader sees it. Readers never write, never see half a commit, and never get a segment that is not the one committed."""
+"""What is committed, as a reader sees it.
+
+Readers never write, never see half a commit, and never get a segment other than the committed one.
+"""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -44,7 +47,10 @@ EMPTY_HEAD = Head(0, 0, merkle.EMPTY_ROOT.hex())
 
 
 class Checked(NamedTuple):
-    """A segment that is as committed: where it is, and what of its file changes when somebody writes to it or puts another in its place."""
+    """A segment found to be as committed.
+
+    Its path, and the file attributes that change when it is written to or replaced.
+    """
 
     path: Path
     device: int
@@ -57,7 +63,8 @@ class Checked(NamedTuple):
 class LedgerView(msgspec.Struct, frozen=True):
     """A ledger as it was when it was opened; later commits do not show.
 
-    `record_sha256` is the hash of the newest record, of ledger.json where there is none: it vouches for every byte of the ledger but what is derived.
+    `record_sha256` is the hash of the newest record, of ledger.json where there is none: it vouches for every byte of
+    the ledger but what is derived.
     """
 
     path: Path
@@ -69,14 +76,14 @@ class LedgerView(msgspec.Struct, frozen=True):
 
     @property
     def head(self) -> Head:
-        """How far the ledger goes."""
+        """Return how far the ledger goes."""
         if not self.records:
             return EMPTY_HEAD
         last = self.records[-1]
         return Head(len(self.records), last.tree_size, last.tree_root, last.last_run)
 
     def location(self, number: int) -> Path:
-        """Find the segment of this commit: in place, or in staging where the writer was interrupted. Its bytes are not looked at: for who only moves it.
+        """Find the segment of this commit, in place or in staging, without reading it: to move it.
 
         Raises:
             LedgerCorrupted: The segment is in neither place, is no regular file, or has another size than committed.
@@ -84,7 +91,7 @@ class LedgerView(msgspec.Struct, frozen=True):
         return self._found(number).path
 
     def segment(self, number: int) -> Path:
-        """The file with the rows of this commit: exactly the bytes that the record names, and no more to unpack than a batch of runs.
+        """Return the file with the rows of this commit, once checked: the committed one, within the bounds.
 
         They are read once for each view; a file that changed since is read again.
 
@@ -102,7 +109,10 @@ class LedgerView(msgspec.Struct, frozen=True):
         return found.path
 
     def segments(self) -> list[Path]:
-        """The files with the rows of all commits, in order, each as committed. Raises: as `segment`, of the first that is not."""
+        """Return the files with the rows of all commits, in order, each checked.
+
+        Raises: As `segment`, of the first that fails.
+        """
         numbers = range(len(self.records))
         if sum(record.segment_bytes for record in self.records) < _WORTH_THREADS_BYTES:
             return [self.segment(number) for number in numbers]
@@ -110,7 +120,7 @@ class LedgerView(msgspec.Struct, frozen=True):
             return list(pool.map(self.segment, numbers))
 
     def _found(self, number: int) -> Checked:
-        """Find the segment, whose bytes are not looked at. Raises: as `location`."""
+        """Find the segment without reading it. Raises: As `location`."""
         found = find_segment(self.path, number, self.records[number])
         if found.problem is not None or found.status is None:
             raise LedgerCorrupted(f"{self.path}/{found.problem}; restore the file")
@@ -119,7 +129,10 @@ class LedgerView(msgspec.Struct, frozen=True):
         return Checked(path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
 
     def _require_committed(self, number: int, path: Path) -> None:
-        """Raises: LedgerCorrupted if the file is not the one that the record names, or goes beyond the bounds; FileNotFoundError if it is gone."""
+        """Require that the file is the one that the record names, and within the bounds.
+
+        Raises: LedgerCorrupted if it is not; FileNotFoundError if it is gone.
+        """
         file = str(path.relative_to(self.path))
         data, problem = read_segment(self.path, file, number, self.records[number])
         if problem is not None:
@@ -127,7 +140,10 @@ class LedgerView(msgspec.Struct, frozen=True):
         check_layout(path, data)
 
     def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
-        """The rows of each commit as they are stored, in order, with these columns (all: None). Raises: LedgerCorrupted for a segment that cannot be read."""
+        """Yield the stored rows of each commit, in order, with these columns (all: None).
+
+        Raises: LedgerCorrupted for a segment that cannot be read.
+        """
         for number in range(len(self.records)):
             yield self._table(number, columns)
 
@@ -141,20 +157,30 @@ class LedgerView(msgspec.Struct, frozen=True):
             return segment.read_table(self.segment(number), columns)  # a writer moved it into place in between
 
     def row(self, number: int, at: int) -> bytes:
-        """The canonical bytes of one row of this commit. Raises: LedgerCorrupted for a segment that cannot be read or has no such row."""
+        """Return the canonical bytes of one row of this commit.
+
+        Raises: LedgerCorrupted for a segment that cannot be read or has no such row.
+        """
         table = self._table(number)
         if not 0 <= at < table.num_rows:
             raise LedgerCorrupted(
-                f"{self.segment(number)}: commit {number}: found {table.num_rows} rows, expected {self.records[number].rows}; restore the file"
+                f"{self.segment(number)}: commit {number}: found {table.num_rows} rows, expected "
+                f"{self.records[number].rows}; restore the file"
             )
         return canonical.from_table(table.take([at]))[0].removeprefix(b"\x00")
 
     def leaves(self, number: int) -> bytes:
-        """The packed RFC 6962 leaf hashes of the rows of this commit. Raises: LedgerCorrupted for a segment that cannot be read."""
+        """Return the packed RFC 6962 leaf hashes of the rows of this commit.
+
+        Raises: LedgerCorrupted for a segment that cannot be read.
+        """
         return canonical.leaves(self._table(number))
 
     def runs(self) -> Iterator[codec.RunRecord]:
-        """Every run, in order, its events as their newest versions. Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events."""
+        """Yield every run, in order, its events as their newest versions.
+
+        Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events.
+        """
         for number in range(len(self.records)):
             table = self._table(number)
             try:
@@ -165,12 +191,13 @@ class LedgerView(msgspec.Struct, frozen=True):
 
 
 def open_ledger(path: Path) -> LedgerView:
-    """The ledger at this path, with its commit records checked against each other, without reading any events.
+    """Open the ledger at this path: check its commit records against each other, without reading any events.
 
     Raises:
         NotALedger: There is no ledger.
         FormatVersionMismatch: It was written in another format, or holds events of a later release.
-        LedgerCorrupted: A record is missing, is not canonical, or contradicts the one before it; a folder is a link to elsewhere.
+        LedgerCorrupted: A record is missing, is not canonical, or contradicts the one before it; a folder is a link to
+            elsewhere.
     """
     data = read_manifest(path)
     manifest = parse_manifest(path / MANIFEST, data)
@@ -187,7 +214,7 @@ def open_ledger(path: Path) -> LedgerView:
 
 
 def _refused(path: Path, commit: Commit) -> LedgerCorrupted | FormatVersionMismatch:
-    """Say why a reader does not take this commit, nor any after it."""
+    """Return the error that says why a reader rejects this commit, and all after it."""
     found = f"{path}/{commit.problems[0]}"
     if commit.record is not None and is_later(commit.record.release):
         return FormatVersionMismatch(found)
@@ -195,14 +222,15 @@ def _refused(path: Path, commit: Commit) -> LedgerCorrupted | FormatVersionMisma
 
 
 def read_manifest(path: Path) -> bytes:
-    """The bytes of ledger.json. Raises: NotALedger if there is none, or its creation was interrupted."""
+    """Read ledger.json. Raises: NotALedger if there is none, or its creation was interrupted."""
     try:
         return disk.read_document(path / MANIFEST)
     except (FileNotFoundError, NotADirectoryError) as error:
         require_created(path)
         found = "no such path" if not path.exists() else "no ledger.json in it" if path.is_dir() else "a file"
         raise NotALedger(
-            f"{path}: found {found}, expected the directory of a ledger; give the path that `fsar-ledger simulate` wrote to"
+            f"{path}: found {found}, expected the directory of a ledger; give the path that `fsar-ledger simulate` "
+            "wrote to"
         ) from error
     except OSError as error:
         raise LedgerCorrupted(

@@ -1,4 +1,4 @@
-"""The JSON files of a ledger: `ledger.json` says what it is, `commits/NNNNNNNNNNNN.json` what was committed.
+"""The JSON files of a ledger: `ledger.json` describes it, `commits/NNNNNNNNNNNN.json` what was committed.
 
 Each file is the RFC 8785 JSON of one struct, to the byte. Each record holds the SHA-256 of the record
 before it (the first: of ledger.json), so the last record vouches for all.
@@ -29,7 +29,7 @@ _Document = TypeVar("_Document", bound=msgspec.Struct)
 
 
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What `ledger.json` holds: the format, and the origin, the name under which tree heads are published."""
+    """The content of `ledger.json`: the format, and the origin, the name under which tree heads are published."""
 
     format: str
     origin: str
@@ -37,10 +37,13 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What one commit added and what the ledger was after it. `release` is the first one with the event types and columns of these rows.
+    """What one commit added, and what the ledger was after it.
+
+    `release` is the first with the event types and columns of these rows.
 
     Units: `segment_bytes` bytes, `rows` and `tree_size` events. `tree_root` and `frontier` (the roots of the
-    complete subtrees, largest first, which determine it) are hex; `note` is the C2SP checkpoint of that tree, with one signature or none.
+    complete subtrees, largest first, which determine it) are hex; `note` is the C2SP checkpoint of that tree, with one
+    signature or none.
     """
 
     number: Count
@@ -58,21 +61,21 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     note: str
 
     def tree(self) -> Frontier:
-        """The tree after this commit. Raises: ValueError where a hash is not hex."""
+        """Return the tree after this commit. Raises: ValueError where a hash is not hex."""
         return Frontier(self.tree_size, tuple(map(bytes.fromhex, self.frontier)))
 
     def signed_note(self, where: str = "note") -> Note:
-        """The note in parts. Raises: LedgerCorrupted where it is not written as C2SP says."""
+        """Parse the note. Raises: LedgerCorrupted where it is not written as C2SP says."""
         return parse_note(where, self.note)
 
 
 def sha256_hex(data: bytes) -> str:
-    """The SHA-256 in hex."""
+    """Return the SHA-256 in hex."""
     return hashlib.sha256(data).hexdigest()
 
 
 def parse_manifest(path: Path, data: bytes) -> Manifest:
-    """The manifest in these bytes of `path`.
+    """Parse these bytes of `path` as a manifest.
 
     Raises:
         NotALedger: They are JSON, but of something else.
@@ -91,7 +94,8 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
         )
     if header.get("version") != VERSION:
         raise FormatVersionMismatch(
-            f"{path}: found format version {header.get('version')!r:.80}, expected {VERSION}; read it with the version that wrote it"
+            f"{path}: found format version {header.get('version')!r:.80}, expected {VERSION}; read it with the "
+            "version that wrote it"
         )
     manifest = _parse(path, data, Manifest)
     if not is_name(manifest.origin):
@@ -102,7 +106,10 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
 
 
 def parse_record(path: Path | str, data: bytes) -> CommitRecord:
-    """The record in these bytes of `path`. Raises: LedgerCorrupted if they are not the canonical JSON of one with fields in range."""
+    """Parse these bytes of `path` as a commit record.
+
+    Raises: LedgerCorrupted if they are not the canonical JSON of one with fields in range.
+    """
     record = _parse(path, data, CommitRecord)
     _require_hash(
         path, "segment_sha256", record.segment_sha256
@@ -111,7 +118,8 @@ def parse_record(path: Path | str, data: bytes) -> CommitRecord:
         _require_hash(path, "frontier", subtree)
     if len(record.frontier) != record.tree_size.bit_count():
         raise LedgerCorrupted(
-            f"{path}: field frontier: found {len(record.frontier)} hashes, expected one for each bit set in tree size {record.tree_size}"
+            f"{path}: field frontier: found {len(record.frontier)} hashes, expected one for each bit set in tree size "
+            f"{record.tree_size}"
         )
     return record
 
@@ -119,7 +127,10 @@ def parse_record(path: Path | str, data: bytes) -> CommitRecord:
 def contradictions(
     record: CommitRecord, number: int, previous: str, origin: str, before: Frontier
 ) -> Iterator[tuple[str, object, object]]:
-    """Each field (name, found, expected) in which a record contradicts itself, its place, the tree before it or what this version knows."""
+    """Yield each field (name, found, expected) in which a record contradicts something.
+
+    That is itself, its place, the tree before it, or what this version knows.
+    """
     tree = record.tree()
     if record.release not in FINGERPRINTS:
         yield "release", record.release, _readable_releases(record.release)
@@ -139,7 +150,7 @@ def contradictions(
 
 
 def _readable_releases(found: str) -> str:
-    """What a record's release should be instead."""
+    """Say in words which releases a record may name."""
     return (
         f"at most {RELEASE}; read it with fsar-ledger {found} or later"
         if is_later(found)
@@ -148,7 +159,7 @@ def _readable_releases(found: str) -> str:
 
 
 def _is_note_of(record: CommitRecord, checkpoint: Checkpoint) -> bool:
-    """Whether the record's note is that of this checkpoint, by the ledger's own key or unsigned."""
+    """Return whether the record's note is that of this checkpoint, unsigned or signed by the ledger's own key."""
     if record.note == str(Note(checkpoint)):  # unsigned, as most are: no need to take it apart
         return True
     try:
@@ -169,7 +180,7 @@ def _require_hash(path: Path | str, name: str, value: str) -> None:
 
 
 def _parse(path: Path | str, data: bytes, kind: type[_Document]) -> _Document:
-    """The struct in these bytes. Raises: LedgerCorrupted unless they are its canonical JSON."""
+    """Parse these bytes as the struct. Raises: LedgerCorrupted unless they are its canonical JSON."""
     try:
         found = msgspec.json.decode(data, type=kind)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -181,6 +192,7 @@ def _parse(path: Path | str, data: bytes, kind: type[_Document]) -> _Document:
             min(len(data), len(expected)),
         )
         raise LedgerCorrupted(
-            f"{path}: byte {at}: found {data[at : at + 20]!r}, expected {expected[at : at + 20]!r} (canonical JSON); restore the file"
+            f"{path}: byte {at}: found {data[at : at + 20]!r}, expected {expected[at : at + 20]!r} (canonical JSON); "
+            "restore the file"
         )
     return found

@@ -1,6 +1,8 @@
-"""The one walk through a ledger: what stands at each commit. Nothing is changed, and damage is a finding, never an exception.
+"""The one walk through a ledger: what stands at each commit.
 
-Whoever opens a ledger folds this walk. What each needs of it, and what that costs:
+It changes nothing and reports damage as findings, not exceptions.
+
+All that open a ledger fold this walk. What each needs of it, and what that costs:
 
 ```
 reader, info   every record; the first finding refuses the ledger        one small file a commit
@@ -10,8 +12,8 @@ recover        the commits before the first finding, and their rows;     as veri
                then what stands after them, and every stray
 ```
 
-So the walk is lazy, hashes no segment, and asks for none: `find_segment` says where one is, `read_segment` whether it is the one committed.
-The same file has the same answer for all of them:
+So the walk is lazy, hashes no segment, and asks for none: `find_segment` says where one is, `read_segment` whether it
+is the one committed. The same file has the same answer for all of them:
 
 ```
 a link, or no file, where a record or a segment should be    is not read; the commit is in doubt
@@ -59,8 +61,9 @@ _NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 class Commit(msgspec.Struct, frozen=True):
     """What stands at one commit.
 
-    `sha256` is that of the file of its record, None where it cannot be read; `record` what it holds, None where it is none; `before` the tree that
-    the record before claims, None where there is none. `problems` are all that is wrong with the record, by itself and after those before it.
+    `sha256` is that of the file of its record, None where it cannot be read; `record` what it holds, None where it is
+    none; `before` the tree that the record before claims, None where there is none. `problems` are all that is wrong
+    with the record, by itself and after those before it.
     """
 
     number: int
@@ -71,7 +74,7 @@ class Commit(msgspec.Struct, frozen=True):
 
 
 class FoundSegment(NamedTuple):
-    """Where the segment of a commit is, within the ledger: in place, or in staging where its writer was interrupted.
+    """Where the segment of a commit is: in place, or in staging where its writer was interrupted.
 
     `status` is that of the file; with a `problem` no file there can be the segment.
     """
@@ -120,7 +123,10 @@ def read_commit(
 def _doubts(
     number: int, record: CommitRecord, origin: str | None, previous: str | None, before: Frontier | None
 ) -> Iterator[Problem]:
-    """Yield each field that contradicts the place of the record, the file before it or the tree before it, as far as those are known."""
+    """Yield a problem for each field that contradicts the record's place, the file before or the tree before it.
+
+    What is not known of these is not compared.
+    """
     known = {"previous_sha256": previous, "note": origin, "rows": before}
     for name, found, expected in contradictions(record, number, previous or "", origin or "", before or Frontier()):
         if name in known and known[name] is None:
@@ -135,7 +141,7 @@ def _doubts(
 
 
 def find_segment(ledger: Path, number: int, record: CommitRecord) -> FoundSegment:
-    """Find the segment of this commit without a look at its bytes. Never raises."""
+    """Find the segment of this commit without reading it. Never raises."""
     place, staged = segment_file(number), staged_file(record.segment_sha256)
     for file in (place, staged, place):  # a writer may move it in between
         try:
@@ -167,7 +173,7 @@ def _unfit(file: str, number: int, record: CommitRecord, status: os.stat_result)
 def read_segment(
     ledger: Path, file: str, number: int, record: CommitRecord, *, is_kept: bool = True
 ) -> tuple[bytes, Problem | None]:
-    """Read this file, which is the one that the record names, or there is a problem; its bytes only if they are kept.
+    """Read this file, and return a problem unless it is the one that the record names; its bytes only if `is_kept`.
 
     Raises:
         FileNotFoundError: It is not there, or no more.
@@ -194,7 +200,9 @@ def read_segment(
 
 
 def commit_names(ledger: Path) -> list[str]:
-    """List the folder of the commit records, sorted; nothing if it is none, or a link. Raises: OSError if it cannot be listed.
+    """List the folder of the commit records, sorted; nothing if it is missing or a link.
+
+    Raises: OSError if it cannot be listed.
 
     A listing may lack a commit that is made meanwhile, and yet hold a later one: then the folder is listed again.
     """
@@ -206,7 +214,7 @@ def commit_names(ledger: Path) -> list[str]:
 
 
 def check_names(names: Sequence[str]) -> Iterator[Problem]:
-    """Yield each name in the folder of the commit records that is that of no record, or whose number leaves a gap before it."""
+    """Yield a problem for each name in the folder of records that is no record's, or leaves a gap before it."""
     numbers = numbers_of(names, ".json")
     for name in names:
         if not numbers_of([name], ".json"):
@@ -218,7 +226,10 @@ def check_names(names: Sequence[str]) -> Iterator[Problem]:
 
 
 def names_in(folder: Path) -> list[str]:
-    """List a folder, sorted; nothing if it is none, or a link. Raises: OSError if it cannot be read or holds too much."""
+    """List a folder, sorted; nothing if it is missing or a link.
+
+    Raises: OSError if it cannot be read or holds too much.
+    """
     try:
         return [entry.name for entry in disk.entries(folder)] if stat.S_ISDIR(os.lstat(folder).st_mode) else []
     except FileNotFoundError:
@@ -231,7 +242,7 @@ def numbers_of(names: Sequence[str], suffix: str) -> set[int]:
 
 
 def check_folders(ledger: Path) -> Iterator[Problem]:
-    """Yield each folder of the ledger that is missing, or is none."""
+    """Yield a problem for each folder of the ledger that is missing or is not a folder."""
     for name in sorted(FOLDERS):
         try:
             is_folder = stat.S_ISDIR(os.lstat(f"{ledger}/{name}").st_mode)
@@ -260,11 +271,12 @@ def check_manifest(ledger: Path) -> tuple[str | None, bytes | None, Problem | No
 
 
 def strays(ledger: Path, kept: Container[str], folders: Sequence[str] = (COMMITS, SEGMENTS, STAGING)) -> Iterator[str]:
-    """Name every file that is none of the ledger's but for those below `tile/`, and every folder of it that is none.
+    """Name every file that does not belong to the ledger, except below `tile/`, and every folder of it that is not one.
 
     Args:
         ledger: Its folder.
-        kept: The names within it that are the ledger's: its files, those of its commits, and what of staging is a committed segment.
+        kept: The names within it that are the ledger's: its files, those of its commits, and what of staging is a
+            committed segment.
         folders: Those that are looked into.
     """
     wrong = {problem.where for problem in check_folders(ledger) if problem.found != MISSING}

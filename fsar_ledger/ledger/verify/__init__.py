@@ -1,4 +1,4 @@
-"""Everything a ledger says about itself, derived again and compared; and its recovery.
+"""Derive again everything that a ledger says about itself and compare; and recover it.
 
 ```
 verify           the whole ledger

@@ -1,4 +1,4 @@
-"""The tiles and the checkpoint, compared with those that the rows give: a part of `verify`."""
+"""The comparison of tiles and checkpoint with those that the rows give: a part of `verify`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,14 +9,17 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import tile_files
 from fsar_ledger.ledger.store.problem import Problem
 
-BEHIND = "the tiles and the checkpoint are one commit behind, as a crash leaves them; the next writer, or fsar-ledger recover, goes on from there"
+BEHIND = (
+    "the tiles and the checkpoint are one commit behind, as a crash leaves them; the next writer, or fsar-ledger "
+    "recover, goes on from there"
+)
 LEFT_OVER = (
     "partial tiles are there whose full tile is there too, as a crash leaves them; fsar-ledger recover sets them aside"
 )
 
 
 class TileCheck:
-    """Compares tiles with those of a tree that grows, commit by commit; `finish` says what does not agree."""
+    """A comparison of tiles with those of a tree that grows, commit by commit; `finish` says what does not agree."""
 
     def __init__(self, ledger: Path) -> None:
         self._ledger = ledger
@@ -28,7 +31,7 @@ class TileCheck:
         self._problems: list[Problem] = []
 
     def add(self, commit: int, made: Mapping[Tile, bytes]) -> None:
-        """A commit made these tiles."""
+        """Take the tiles that a commit made."""
         self._newest = dict(made)
         full = {(tile.level, tile.number) for tile in made if tile.width == WIDTH}
         self._outgrown = {tile: data for tile, data in self._partial.items() if (tile.level, tile.number) in full}
@@ -42,7 +45,7 @@ class TileCheck:
                 self._partial[tile] = data
 
     def finish(self, *, is_behind: bool) -> tuple[list[Problem], tuple[str, ...]]:
-        """What does not agree, and what may be there or missing only because a crash came in between."""
+        """Return what does not agree, and remarks on what only a crash may have left or lost."""
         for tile, data in self._partial.items():
             self._compare(tile, data, None)
         found = set(tile_files(self._ledger))
@@ -97,6 +100,6 @@ class TileCheck:
         self._problems.append(Problem(tile.name, hashes[0], hashes[1], commit=commit, field=f"hash {place}, of {of}"))
 
     def _is_full(self, name: str) -> bool:
-        """Whether this is the name of a full tile of the tree."""
+        """Return whether this is the name of a full tile of the tree."""
         tile = tile_named(name)
         return tile is not None and tile.width == WIDTH and tile.number < self._full.get(tile.level, 0)

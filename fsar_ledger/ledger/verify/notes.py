@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, names, parse_note, signers_of
 from fsar_ledger.ledger.log.tiles import TILE, node_of
@@ -18,7 +18,10 @@ from fsar_ledger.ledger.store.record import CommitRecord
 
 
 class Signatures(msgspec.Struct, frozen=True):
-    """Who signed: the state of the newest note, the key (`name+id`) that it names, and how many commits that key signed, or any if none is trusted."""
+    """Who signed: the state of the newest note, the key (`name+id`) that it names, and the number of signed commits.
+
+    `commits` counts those that this key signed, or any key where none is trusted.
+    """
 
     state: Signed
     signer: str | None = None
@@ -26,7 +29,7 @@ class Signatures(msgspec.Struct, frozen=True):
 
 
 class Anchor(msgspec.Struct, frozen=True):
-    """An earlier checkpoint, kept elsewhere: the file it was in, and the note, None with the reason where it is none."""
+    """An earlier checkpoint that was kept elsewhere: its file, and its note, or None and the reason."""
 
     file: str
     note: Note | None
@@ -34,19 +37,22 @@ class Anchor(msgspec.Struct, frozen=True):
 
 
 def read_anchor(path: Path) -> Anchor:
-    """The checkpoint in this file. Raises: UsageError if there is no such file."""
+    """Read the checkpoint in this file. Raises: UsageError if there is no such file."""
     try:
         return Anchor(str(path), parse_note("anchor", disk.read_document(Path(os.path.realpath(path))).decode()))
     except FileNotFoundError as error:
         raise UsageError(
-            f"--anchor {path}: found no file, expected a checkpoint of this ledger that was kept elsewhere"
+            f"{option('anchor', path)}: found no file, expected a checkpoint of this ledger that was kept elsewhere"
         ) from error
     except (OSError, UnicodeDecodeError, LedgerCorrupted) as error:
         return Anchor(str(path), None, (error.strerror or str(error)) if isinstance(error, OSError) else str(error))
 
 
 def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -> tuple[list[Problem], Signatures]:
-    """The newest note is signed by the trusted key, and no note pretends to be; without a key, whether the newest is signed at all."""
+    """Check that the trusted key signed the newest note and that no note pretends to be of it.
+
+    Without a key, only tell whether the newest note is signed at all.
+    """
     notes = [record.signed_note() for record in records]
     signers = signers_of(notes[-1]) if notes else None
     if trusted is None:
@@ -72,7 +78,10 @@ def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -
 
 
 class ByTiles(msgspec.Struct, frozen=True):
-    """What the tiles prove of an anchor: its root, None if nothing; the events of the tree that begins with it; the tile that was missing."""
+    """What the tiles prove of an anchor.
+
+    Its root, None if nothing; the events of the tree that begins with it; the tile that was missing.
+    """
 
     root: bytes | None = None
     size: int = 0
@@ -80,9 +89,10 @@ class ByTiles(msgspec.Struct, frozen=True):
 
 
 def root_by_tiles(ledger: Path, then: Checkpoint, records: Sequence[CommitRecord]) -> ByTiles:
-    """The root of an earlier checkpoint, where the tiles prove that the tree of one of these records, the first with tiles, begins with its events.
+    """Return the root of an earlier checkpoint if the tiles prove that the ledger begins with its events.
 
-    There are some such events. The proof counts, not the tiles: whoever rewrote history may have left old tiles in place.
+    Tried are the trees of these records, the first whose tiles are there; the checkpoint has some events. The proof
+    counts, not the tiles: an attacker who rewrote history may have left old tiles in place.
     """
     missing = ""
     for record in records:
@@ -106,7 +116,7 @@ def check_anchor(
     trusted: VerifierKey | None,
     missing: str = "",
 ) -> list[Problem]:
-    """The ledger, of this origin and size, begins with the events of the anchor.
+    """Check that the ledger, of this origin and size, begins with the events of the anchor.
 
     Args:
         anchor: The earlier checkpoint.
@@ -134,7 +144,10 @@ def check_anchor(
             Problem(COMMITS, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")
         ]
     if missing:
-        expected = f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger recover, or verify without --quick"
+        expected = (
+            f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger "
+            f"recover, or verify without {option('quick')}"
+        )
         return [Problem(TILE, f"one that cannot be read ({missing})", expected)]
     if root_then is None:
         found = f"no way from its {then.size} events to the ledger's {size}"

@@ -1,10 +1,12 @@
-"""Recovery: what a crash left is finished or set aside, what was altered is explained, and nothing is ever deleted.
+"""Recovery: finish or set aside what a crash left, explain what was altered, and delete nothing.
 
 1. What can be trusted is found first, without changing anything (`trusted_prefix.py`).
-2. If that is the whole ledger: committed segments move into place, and what only stands beside the commits (ledger.json, tiles, checkpoint)
-   is made again from them where it is wrong. Whatever else is there is set aside: it moves to `LEDGER.set-aside/NNN/` under the same name.
-   Every step may be the last one before a crash; the next recovery goes on from there.
-3. If it is not, the ledger stays as it is, as evidence; `into` copies the trusted commits to a new ledger, byte for byte.
+2. If that is the whole ledger: committed segments move into place, and what only stands beside the commits
+   (ledger.json, tiles, checkpoint)
+   is made again from them where it is wrong. Whatever else is there is set aside: it moves to `LEDGER.set-aside/NNN/`
+   under the same name. Every step may be the last one before a crash; the next recovery goes on from there.
+3. If it is not, the ledger stays as it is, as evidence; `into` copies the trusted commits to a new ledger, byte for
+   byte.
 """
 
 import fcntl
@@ -18,7 +20,7 @@ from typing import Literal
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed
+from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed, option
 from fsar_ledger.ledger.log.tiles import TILE
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
@@ -43,10 +45,11 @@ class Step(msgspec.Struct, frozen=True):
 class Recovery(msgspec.Struct, frozen=True):
     """What `recover` found and did.
 
-    `outcome`: the ledger was *whole* already, or is so again (*mended*); or it is *damaged* and was not touched, with the trusted commits in
-    a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits; `problems` are those of the first commit after
-    them, `later` each commit after them on its own. `anchored` counts those of their events that the anchor vouches for, None if it cannot or
-    none was given. `report` is what `verify` says about the mended or the new ledger.
+    `outcome`: the ledger was *whole* already, or is so again (*mended*); or it is *damaged* and was not touched, with
+    the trusted commits in a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits;
+    `problems` are those of the first commit after them, `later` each commit after them on its own. `anchored` counts
+    those of their events that the anchor vouches for, None if it cannot or none was given. `report` is what `verify`
+    says about the mended or the new ledger.
     """
 
     outcome: Outcome
@@ -61,7 +64,7 @@ class Recovery(msgspec.Struct, frozen=True):
 def recover(
     path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None, into: Path | None = None
 ) -> Recovery:
-    """The ledger verifies, or it is as it was and the answer says what of it can be trusted.
+    """Mend the ledger so that it verifies, or leave it as it is and say what of it can be trusted.
 
     Args:
         path: The directory of the ledger.
@@ -71,17 +74,19 @@ def recover(
         into: Where the trusted commits of a damaged ledger go; nothing is there yet.
 
     Raises:
-        NotALedger, FormatVersionMismatch: There is no ledger that this version reads, or its creation was interrupted before anything was in it.
+        NotALedger, FormatVersionMismatch: There is no ledger that this version reads, or its creation was interrupted
+            before anything was in it.
         UsageError: There is something at `into` already, or it is within the ledger, or the anchor is none.
         LedgerCorrupted: No commit can be trusted, so there is nothing to copy; or files changed while they were read.
-        WriteFailed: Another writer is at work, or the disk refused; what was done so far stays, and the next recovery goes on.
+        WriteFailed: Another writer is at work, or the disk refused; what was done so far stays, and the next recovery
+            goes on.
     """
     asked = asked or Asked()
     _require_ledger(path)
     _require_free(path, into)
     if asked.anchor is not None and asked.anchor.note is None:
         raise UsageError(
-            f"--anchor {asked.anchor.file}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
+            f"{option('anchor', asked.anchor.file)}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
         )
     with _alone(path):
         prefix = find_prefix(path, workers, progress, asked)
@@ -109,7 +114,8 @@ def _require_ledger(path: Path) -> None:
         os.listdir(path / name) for name in names - {STAGING} if os.path.isdir(path / name)
     ):
         raise NotALedger(
-            f"{path}: found a ledger whose creation was interrupted before anything was in it, expected one with {MANIFEST}; "
+            f"{path}: found a ledger whose creation was interrupted before anything was in it, expected one with "
+            f"{MANIFEST}; "
             "run the command that creates it again"
         )
 
@@ -118,14 +124,16 @@ def _require_free(path: Path, into: Path | None) -> None:
     if into is None:
         return
     if os.path.lexists(into):
-        raise UsageError(f"--into {into}: found something there, expected a free path; give another one")
+        raise UsageError(f"{option('into', into)}: found something there, expected a free path; give another one")
     if path.resolve() in into.resolve().parents:
-        raise UsageError(f"--into {into}: found a path within {path}, expected one outside of it; give another one")
+        raise UsageError(
+            f"{option('into', into)}: found a path within {path}, expected one outside of it; give another one"
+        )
 
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """No writer has the ledger open or opens it meanwhile, where the file system has locks. Raises: WriteFailed if one has, or it cannot be opened."""
+    """Lock out writers, where the file system has locks. Raises: WriteFailed if one is at work, or locking fails."""
     with disk.refusals(path, "locking"):
         handle = os.open(
             path, os.O_RDONLY | os.O_DIRECTORY
@@ -152,7 +160,7 @@ def _lock(path: Path, handle: int) -> None:
 
 
 def _mend(path: Path, prefix: TrustedPrefix, workers: int, progress: Progress | None, asked: Asked) -> Recovery:
-    """The ledger verifies again."""
+    """Mend the ledger and verify it."""
     mending = _Mending(path)
     with disk.refusals(path, "mending"):
         mending.make_room(prefix)
@@ -168,7 +176,7 @@ def _mend(path: Path, prefix: TrustedPrefix, workers: int, progress: Progress | 
 
 
 class _Mending:
-    """The steps on one ledger. Each may be the last before a crash, and doing all of them again is as good."""
+    """The steps on one ledger. Each may be the last before a crash; all of them can be done again."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -176,7 +184,7 @@ class _Mending:
         self._aside: Path | None = None
 
     def make_room(self, prefix: TrustedPrefix) -> None:
-        """Nothing stands in the place of a file of the ledger, and there are folders for all of them."""
+        """Set aside what stands in the place of a file of the ledger, and make the folders."""
         for name in prefix.strays:
             if not is_tile(name):
                 self._set_aside(name)
@@ -186,7 +194,10 @@ class _Mending:
                 disk.make_folder(self.path / name)
 
     def set_strays_aside(self, prefix: TrustedPrefix) -> None:
-        """There is nothing but the ledger's own files. Tiles of an earlier tree go last: until the later ones are there, the next writer needs them."""
+        """Set aside all that is not the ledger's.
+
+        Tiles of an earlier tree go last: the next writer needs them until the later ones are there.
+        """
         for name in prefix.strays:
             if is_tile(name):
                 self._set_aside(name)
@@ -198,7 +209,7 @@ class _Mending:
                 os.rmdir(folder)
 
     def settle(self, prefix: TrustedPrefix) -> None:
-        """Every committed segment is in place, after its record is on the disk for certain."""
+        """Move every committed segment into place, after syncing its record."""
         for number, name in enumerate(prefix.files):
             place = segment_path(self.path, number)
             if self.path / name != place:
@@ -207,18 +218,18 @@ class _Mending:
                 self.steps.append(Step("moved into place", name, str(place.relative_to(self.path))))
 
     def make_again(self, prefix: TrustedPrefix) -> None:
-        """What can be told from the commits is as they tell it: ledger.json, the tiles, the checkpoint."""
+        """Make again what follows from the commits: ledger.json, the tiles, the checkpoint."""
         made = put(self.path, {MANIFEST: prefix.manifest or b""}, self._set_aside)
         made += derive(open_ledger(self.path), prefix.redo, self._set_aside)
         self.steps += [Step("made again", name, name) for name in made]
 
     def confirm(self) -> None:
-        """If anything was done, all that is there is on the disk: whoever made it may have been killed before it was."""
+        """Sync the folders if anything was done: an earlier process may have been killed before it did."""
         for folder in (self.path, self.path / COMMITS, self.path / SEGMENTS) if self.steps else ():
             disk.sync_folder(folder)
 
     def _set_aside(self, name: str) -> None:
-        """The file is beside the ledger now, durably, under the same name below the first free number."""
+        """Move the file beside the ledger, durably, under the same name below the first free number."""
         if self._aside is None:
             self._aside = _new_folder(self.path)
         target = self._aside / name
@@ -228,7 +239,7 @@ class _Mending:
 
 
 def _new_folder(ledger: Path) -> Path:
-    """A new folder beside the ledger, durably."""
+    """Make a new folder beside the ledger, durably."""
     real = ledger.resolve() if ledger.is_symlink() or ledger.name in ("", "..") else ledger
     top = real.with_name(f"{real.name}.set-aside")
     disk.make_folder(top)
@@ -246,10 +257,11 @@ def _new_folder(ledger: Path) -> Path:
 def _copy(
     path: Path, prefix: TrustedPrefix, into: Path, workers: int, progress: Progress | None, asked: Asked
 ) -> VerifyReport:
-    """There is a new ledger with the trusted commits, byte for byte, which verifies; or nothing is there."""
+    """Copy the trusted commits to a new ledger, byte for byte, and verify it; on failure nothing is there."""
     if not prefix.records:
         raise LedgerCorrupted(
-            f"{prefix.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; begin a new ledger there"
+            f"{prefix.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; "
+            "begin a new ledger there"
         )
     work = disk.temporary_name(into)
     if (
@@ -265,7 +277,8 @@ def _copy(
         report = verify(work, workers, progress, asked)
         if not report.ok:
             raise LedgerCorrupted(
-                f"{report.problems[0]}\n{path}: found other files than a moment ago, expected nobody else to write; run it again"
+                f"{report.problems[0]}\n{path}: found other files than a moment ago, expected nobody else to write; "
+                "run it again"
             )
         with disk.refusals(into, "naming the new ledger"):
             os.rename(work, into)
@@ -277,7 +290,7 @@ def _copy(
 
 
 def _write_copy(path: Path, prefix: TrustedPrefix, work: Path) -> None:
-    """The new folder holds a ledger of the trusted commits, durably. Raises: OSError."""
+    """Write a ledger of the trusted commits to the new folder, durably. Raises: OSError."""
     for folder in (work, work / COMMITS, work / SEGMENTS, work / STAGING):
         folder.mkdir()
     for number, (name, record) in enumerate(zip(prefix.files, prefix.records, strict=True)):

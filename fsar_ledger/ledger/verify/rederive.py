@@ -1,7 +1,4 @@
-"""The tiles and the checkpoint against rows that were verified: what is wrong, what gives away removed commits, and how they are derived again.
-
-A part of `recover`.
-"""
+"""Tiles and checkpoint against verified rows: what is wrong, and deriving them again. A part of `recover`."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -24,7 +21,7 @@ SetAside = Callable[[str], None]
 
 
 class Redo(msgspec.Struct, frozen=True):
-    """From which commit on tiles must be derived again, and the edge of the tree before it."""
+    """The commit from which tiles must be derived again, and the edge of the tree before it."""
 
     commit: int
     before: Edge = Edge()
@@ -39,7 +36,7 @@ class _Made(msgspec.Struct, frozen=True):
 
 
 class TilePlan:
-    """Compares tiles with those of a tree that grows commit by commit."""
+    """A comparison of tiles with those of a tree that grows commit by commit."""
 
     def __init__(self, ledger: Path) -> None:
         self._ledger = ledger
@@ -47,7 +44,7 @@ class TilePlan:
         self._partial: dict[tuple[int, int], list[_Made]] = {}  # those that no full tile has followed
 
     def add(self, by: Redo, made: Mapping[Tile, bytes]) -> list[_Made]:
-        """The commit made these tiles; the full ones."""
+        """Take the tiles that a commit made; return the full ones."""
         full = []
         for tile, data in made.items():
             if tile.width < WIDTH:
@@ -58,20 +55,20 @@ class TilePlan:
         return full
 
     def compare(self, made: list[_Made]) -> None:
-        """Those that are not on the disk as they are here count as wrong."""
+        """Count those as wrong that are not on the disk as they are here."""
         self._wrong += [one.by for one in made if not is_as(self._ledger, one.tile.name, one.data)]
 
     def redo(self) -> Redo | None:
-        """Where to begin so that all is right afterwards; None if all is right."""
+        """Return where to begin so that all is right afterwards; None if all is right."""
         return min(self._wrong, key=lambda by: by.commit, default=None)
 
     def partial(self) -> list[_Made]:
-        """The partial tiles that must be there."""
+        """Return the partial tiles that must be there."""
         return [one for made in self._partial.values() for one in made]
 
 
 def is_as(ledger: Path, name: str, data: bytes) -> bool:
-    """Whether the file of this name is there with these bytes, in the ledger itself and not behind a link."""
+    """Return whether the file of this name is there with these bytes, in the ledger itself and not behind a link."""
     try:
         return (
             os.path.realpath(ledger / name) == os.path.join(os.path.realpath(ledger), name)
@@ -82,10 +79,10 @@ def is_as(ledger: Path, name: str, data: bytes) -> bool:
 
 
 def derive(view: LedgerView, redo: Redo | None, set_aside: SetAside) -> list[str]:
-    """The tiles from `redo` on and the checkpoint are as the rows give them, durably; the names of those that were written.
+    """Derive the tiles from `redo` on and the checkpoint from the rows, durably; return the names of those written.
 
-    Each is written after the rows gave the tree of their commit record. What is there instead is set aside, unless it is an older
-    note, which a commit record holds too.
+    Each is written after the rows gave the tree of their commit record. What is there instead is set aside, unless it
+    is an older note, which a commit record holds too.
 
     Raises:
         LedgerCorrupted: The rows are not those that were verified.
@@ -98,7 +95,8 @@ def derive(view: LedgerView, redo: Redo | None, set_aside: SetAside) -> list[str
         after, made = edge.extend(view.leaves(number))
         if after.frontier() != view.records[number].tree():
             raise LedgerCorrupted(
-                f"{view.segment(number)}: commit {number}: found other rows than a moment ago, expected nobody else to write; run it again"
+                f"{view.segment(number)}: commit {number}: found other rows than a moment ago, expected nobody else "
+                "to write; run it again"
             )
         written += put(view.path, {one.tile.name: one.data for one in plan.add(Redo(number, edge), made)}, set_aside)
         edge = after
@@ -111,11 +109,11 @@ def derive(view: LedgerView, redo: Redo | None, set_aside: SetAside) -> list[str
 
 
 def _leave(name: str) -> None:
-    """What is there is replaced: nothing is lost by it."""
+    """Let the file be replaced: nothing is lost by it."""
 
 
 def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[str]:
-    """Each file is there with these bytes, durably; the names of those that had to be written. Raises: OSError."""
+    """Write each file that is not there with these bytes, durably; return their names. Raises: OSError."""
     wrong = {name: data for name, data in files.items() if not is_as(ledger, name, data)}
 
     def make_way(path: Path) -> None:
@@ -129,7 +127,10 @@ def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[s
 
 
 def begins_with(ledger: Path, then: Checkpoint, head: Head) -> bool:
-    """Whether the tiles prove that the tree of a checkpoint begins with the events of this head, not none. The proof counts, not the tiles."""
+    """Return whether the tiles prove that a checkpoint's tree begins with the events of this head, at least one.
+
+    The proof counts, not the tiles.
+    """
     if not 0 < head.size <= then.size:
         return False
     try:
@@ -143,18 +144,21 @@ def begins_with(ledger: Path, then: Checkpoint, head: Head) -> bool:
 
 
 def tile_strays(ledger: Path, head: Head, partial: list[_Made]) -> list[str]:
-    """Every file below `tile/` that is no tile of this tree, outgrown partial tiles among them; links and other things are files."""
+    """Name every file below `tile/` that is no tile of this tree.
+
+    Outgrown partial tiles, links and other things are among them.
+    """
     expected = {one.tile.name for one in partial}
     return [name for name in tile_files(ledger) if name not in expected and not _is_full(tile_named(name), head.size)]
 
 
 def is_tile(name: str) -> bool:
-    """Whether a tile of some tree has this name: then nothing else of a ledger can have its place."""
+    """Return whether this is the name of a tile of some tree; nothing else of a ledger can have its place."""
     return name.startswith(f"{TILE}/") and tile_named(name) is not None
 
 
 def grown_beyond(ledger: Path, head: Head, origin: str) -> Iterator[Problem]:
-    """What can be there only if the ledger had more commits than it has: they were made durable before anything was derived from them."""
+    """Yield a problem for what is there only because the ledger had more commits, which were durable first."""
     expected = (
         f"nothing of a tree of more than the {head.size} events that are committed: the newest commits were removed"
     )
@@ -181,7 +185,7 @@ def grown_beyond(ledger: Path, head: Head, origin: str) -> Iterator[Problem]:
 
 
 def checkpoint_note(ledger: Path) -> Note | None:
-    """The note in the file `checkpoint`; None if there is none."""
+    """Return the note in the file `checkpoint`; None if there is none."""
     text = _checkpoint(ledger)
     try:
         return None if text is None else parse_note(CHECKPOINT, text)
@@ -197,5 +201,5 @@ def _checkpoint(ledger: Path) -> str | None:
 
 
 def _is_full(tile: Tile | None, size: int) -> bool:
-    """Whether this is a full tile of a tree of this size."""
+    """Return whether this is a full tile of a tree of this size."""
     return tile is not None and tile.width == WIDTH and (tile.number + 1) * WIDTH <= size >> HEIGHT * tile.level

@@ -1,4 +1,4 @@
-"""One segment, examined on its own: what a worker of `verify` does."""
+"""The examination of one segment on its own: what a worker of `verify` does."""
 
 from collections.abc import Callable
 from functools import partial
@@ -25,7 +25,7 @@ from fsar_ledger.ledger.store.walk import find_segment, read_segment
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
-    """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None where the rows cannot be trusted to be as written.
+    """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None where the rows are in doubt.
 
     `alone` are those of `runs` that are no runs but one event which stands alone.
     """
@@ -39,7 +39,8 @@ class SegmentFacts(msgspec.Struct, frozen=True):
 
 
 SecondReader = Callable[[str, pa.Table, bool], tuple[str, str] | None]
-"""Reads the file at a path with other code than `segment` and compares it with these rows: (found, expected), None if it holds them. True: the file is byte
+"""Reads the file at a path with other code than `segment` and compares it with these rows: (found, expected), None if
+it holds them. True: the file is byte
 for byte what these rows are written as."""
 
 
@@ -51,7 +52,10 @@ def examine(
 
 
 def examine_file(ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
-    """Say whether the segment of this commit is the file that its record names, without a look at its rows. Never raises."""
+    """Say whether the segment of this commit is the file that its record names, without a look at its rows.
+
+    Never raises.
+    """
     return _guarded(_examine_file, Path(ledger), number, record)
 
 
@@ -125,7 +129,9 @@ def _examine(
 
 
 def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tuple[str, str] | None]:
-    """Whether the file is what these rows are written as, and what in it beside them (found, expected) could make a reader see others; None if nothing.
+    """Return whether the file is what these rows are written as, and what in it could make a reader see other rows.
+
+    That is (found, expected), None if nothing.
 
     A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
     must write the same bytes; of a file by another version the statistics are compared.
@@ -156,12 +162,12 @@ def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tup
 
 
 def _stored(value: int | str) -> bytes:
-    """A value as the statistics of Parquet hold it."""
+    """Return a value as the statistics of Parquet hold it."""
     return value.encode() if isinstance(value, str) else value.to_bytes(8, "little", signed=True)
 
 
 def _is_sorted(column: pa.Array) -> bool:
-    """Whether a column is no dictionary, or one as we write it."""
+    """Return whether a column is no dictionary, or one as we write it."""
     if not isinstance(column, pa.DictionaryArray):
         return True
     texts = column.dictionary

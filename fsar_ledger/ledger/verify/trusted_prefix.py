@@ -1,7 +1,8 @@
-"""How much of a ledger can be trusted, found without changing anything: the longest verified prefix. A part of `recover`.
+"""The longest verified prefix of a ledger, found without changing anything. A part of `recover`.
 
-The prefix is commits 0 to k-1 of which every record, segment, row and hash was derived again and agrees; with a trusted key it
-ends with a commit that the key signed, and with an anchor it agrees with it. What comes after is looked at piece by piece.
+The prefix is commits 0 to k-1 of which every record, segment, row and hash was derived again and agrees; with a trusted
+key it ends with a commit that the key signed, and with an anchor it agrees with it. What comes after is looked at piece
+by piece.
 """
 
 from collections.abc import Iterator
@@ -43,8 +44,8 @@ NO_SEGMENT = "the segment is missing or not as its record says"
 class Later(msgspec.Struct, frozen=True):
     """A commit after the trusted ones, on its own.
 
-    `restore` is the SHA-256 of its segment where that is lost or altered and all records up to this one are whole: whoever has the file
-    with this SHA-256 can put it back.
+    `restore` is the SHA-256 of its segment where that is lost or altered and all records up to this one are whole:
+    whoever has the file with this SHA-256 can put it back.
     """
 
     number: int
@@ -55,9 +56,10 @@ class Later(msgspec.Struct, frozen=True):
 class TrustedPrefix(msgspec.Struct, frozen=True):
     """What can be trusted, and the first doubt after it.
 
-    `manifest` are the right bytes of ledger.json, None where they cannot be known; `records` are the trusted records and `files` their segments
-    within the ledger. `problems` are those of the first commit in doubt, none if the ledger is whole; then `redo` and `strays` say what a crash
-    has left. `anchored` counts the events that the anchor vouches for.
+    `manifest` are the right bytes of ledger.json, None where they cannot be known; `records` are the trusted records
+    and `files` their segments within the ledger. `problems` are those of the first commit in doubt, none if the ledger
+    is whole; then `redo` and `strays` say what a crash has left. `anchored` counts the events that the anchor vouches
+    for.
     """
 
     origin: str | None
@@ -72,7 +74,7 @@ class TrustedPrefix(msgspec.Struct, frozen=True):
 
     @property
     def head(self) -> Head:
-        """How far it goes."""
+        """Return how far it goes."""
         if not self.records:
             return EMPTY_HEAD
         last = self.records[-1]
@@ -82,7 +84,7 @@ class TrustedPrefix(msgspec.Struct, frozen=True):
 def find_prefix(
     path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None
 ) -> TrustedPrefix:
-    """What of the ledger can be trusted. Nothing is changed; damage never raises.
+    """Find what of the ledger can be trusted. Changes nothing; damage never raises.
 
     Args:
         path: The directory of the ledger.
@@ -143,7 +145,7 @@ class _Search:
         return commits, []
 
     def prefix(self, doubts: list[Problem]) -> TrustedPrefix:
-        """What the walk has found, and what the key, the anchor and the files beside the commits say to it."""
+        """Combine what the walk found with what the key, the anchor and the files beside the commits say."""
         problems = self.problems + doubts
         kept = len(self.files)
         is_cut = False
@@ -174,7 +176,7 @@ class _Search:
         return msgspec.structs.replace(found, redo=self.plan.redo(), strays=strays, anchored=self._anchored(found.head))
 
     def _signed(self, kept: int) -> tuple[int, Problem | None]:
-        """How many of these commits the trusted key vouches for, and why not for more."""
+        """Return how many of these commits the trusted key vouches for, and why not for more."""
         if self.trusted is None or self.problems:
             return kept, None
         signed, found = 0, "no signature of it"
@@ -192,7 +194,7 @@ class _Search:
         )
 
     def _ask(self, anchor: Anchor, *, is_whole: bool) -> tuple[list[Problem], bool]:
-        """What an anchor says against what was verified, and whether it knows of more than that and so cannot contradict it."""
+        """Return how an anchor contradicts what was verified, and whether it knows of more than that and so cannot."""
         size = self.chain[len(self.files) - 1].tree_size if self.files else 0
         if self.origin is None or anchor.note is None:
             return [], False
@@ -204,7 +206,7 @@ class _Search:
         ), is_beyond
 
     def _anchored(self, head: Head) -> int | None:
-        """The events of the trusted ones that the anchor that was given vouches for."""
+        """Count the trusted events that the given anchor vouches for."""
         note = self.anchor.note if self.anchor is not None else None
         if self.anchor is None or note is None:
             return None
@@ -215,7 +217,7 @@ class _Search:
         return head.size if is_own and begins_with(self.path, then, head) else None
 
     def _grown_beyond(self, head: Head) -> Iterator[Problem]:
-        """What shows that the newest commits were removed."""
+        """Yield what shows that the newest commits were removed."""
         yield from grown_beyond(self.path, head, self.origin or "")
         for number in sorted(self._segments()):
             if number >= head.commits:
@@ -227,7 +229,7 @@ class _Search:
         return numbers_of(names_in(self.path / SEGMENTS), ".parquet")
 
     def _later(self, kept: int, *, is_cut: bool) -> Iterator[Later]:
-        """Each commit after the trusted ones, on its own."""
+        """Yield each commit after the trusted ones, examined on its own."""
         for number in sorted(numbers_of(self.names, ".json") | self._segments()):
             if number < kept:
                 continue
@@ -244,7 +246,9 @@ class _Search:
 
 
 def _right_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, bytes | None]:
-    """Return the origin and the right bytes of ledger.json, which the first record vouches for; None where they cannot be known.
+    """Return the origin and the right bytes of ledger.json, each None where it cannot be known.
+
+    The first record vouches for them.
 
     Raises:
         NotALedger, FormatVersionMismatch: They are of something else, and the first record cannot tell what they were.
@@ -265,7 +269,7 @@ def _right_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, by
 
 
 def _manifest_of(first: CommitRecord) -> bytes | None:
-    """The bytes of ledger.json, if this first record vouches for them."""
+    """Return the bytes of ledger.json, if this first record vouches for them."""
     try:
         data = canonical.document(Manifest(FORMAT, first.signed_note().checkpoint.origin, VERSION))
     except LedgerCorrupted:
@@ -274,13 +278,16 @@ def _manifest_of(first: CommitRecord) -> bytes | None:
 
 
 def _signed_checkpoint(path: Path, trusted: VerifierKey | None) -> list[Anchor]:
-    """The ledger's own checkpoint, if the trusted key signed it: then it vouches like one that was kept elsewhere."""
+    """Return the ledger's own checkpoint if the trusted key signed it.
+
+    Then it vouches like one that was kept elsewhere.
+    """
     note = checkpoint_note(path)
     return [Anchor(CHECKPOINT, note)] if note is not None and trusted is not None and trusted.has_signed(note) else []
 
 
 def _strays(path: Path, found: TrustedPrefix) -> Iterator[str]:
-    """Name every file that is not the ledger's, but for those below `tile/`."""
+    """Name every file that is not the ledger's, except below `tile/`."""
     numbers = range(len(found.records))
     own = {MANIFEST, *((CHECKPOINT,) if found.records else ()), *found.files}
     return strays(path, own.union(map(commit_file, numbers), map(segment_file, numbers)))

@@ -1,8 +1,8 @@
-"""Everything a ledger says about itself, derived again from its rows and compared.
+"""Derive again from the rows everything that a ledger says about itself, and compare.
 
-What this proves without a signature or an anchor: nothing was altered, removed or added *inside* the ledger
-that its last commit record vouches for. Who rewrites every record, or removes the newest ones, is caught by a
-trusted key (nobody else can sign what he wrote) and by an anchor, an earlier checkpoint kept elsewhere.
+Without a signature or an anchor this proves that nothing was altered, removed or added *inside* the ledger that its
+last commit record vouches for. Rewriting every record, or removing the newest ones, is caught by a trusted key (nobody
+else can sign other records) and by an anchor, an earlier checkpoint kept elsewhere.
 """
 
 import os
@@ -42,11 +42,11 @@ Progress = Callable[[int, int], None]
 
 
 class Asked(msgspec.Struct, frozen=True):
-    """What `verify` shall look at beyond the ledger itself.
+    """What `verify` is asked to check beyond the ledger itself.
 
-    With `is_quick` the rows are not read: the chain of records, the files' hashes and the notes must do. `witnessed` are more anchors, whose
-    signatures were looked at where they came from. `second_reader` reads the rows of each segment once more, with other code, and compares
-    them; it can be pickled.
+    With `is_quick` the rows are not read: the chain of records, the files' hashes and the notes must do. `witnessed`
+    are more anchors, whose signatures were looked at where they came from. `second_reader` reads the rows of each
+    segment once more, with other code, and compares them; it can be pickled.
     """
 
     is_quick: bool = False
@@ -56,18 +56,21 @@ class Asked(msgspec.Struct, frozen=True):
     second_reader: SecondReader | None = None
 
     def sizes(self) -> set[int]:
-        """The sizes of the anchors' trees."""
+        """Return the sizes of the anchors' trees."""
         anchors = (self.anchor, *self.witnessed)
         return {anchor.note.checkpoint.size for anchor in anchors if anchor is not None and anchor.note is not None}
 
 
 class VerifyReport(msgspec.Struct, frozen=True):
-    """What `verify` found. Units: `commits`, `events` and `runs` are counts of what was read without doubt; `signed` counts signed commits.
+    """The findings of `verify`.
 
-    `root` is the Merkle root in hex over the rows themselves (as recorded, where rows were not read), None if there is any doubt.
-    `signer` is the trusted key (`name+id`) if one was given, else whom the newest note names; `anchored` counts the events of the anchor.
-    `remarks` are no doubts: what a crash may leave behind, and what a quick look leaves open.
-    `record_sha256` is the hash of the newest commit record (of ledger.json where there is none), which vouches for all before; None if there is any doubt.
+    Units: `commits`, `events` and `runs` count what was read without doubt; `signed` counts commits.
+
+    `root` is the Merkle root in hex over the rows themselves (as recorded, where rows were not read), None if there is
+    any doubt. `signer` is the trusted key (`name+id`) if one was given, else whom the newest note names; `anchored`
+    counts the events of the anchor. `remarks` are no doubts: what a crash may leave behind, and what a quick look
+    leaves open. `record_sha256` is the hash of the newest commit record (of ledger.json where there is none), which
+    vouches for all before; None if there is any doubt.
     """
 
     ok: bool
@@ -86,10 +89,10 @@ class VerifyReport(msgspec.Struct, frozen=True):
 
 
 def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None) -> VerifyReport:
-    """Every field of every record was derived again, and every difference is a problem of the report.
+    """Derive every field of every record again, and report every difference as a problem.
 
-    Damage never raises, whatever the files hold. Symbolic links are refused as damage. Where a writer is at work and what
-    was read does not fit together, the writer waits while all is read once more.
+    Damage never raises, whatever the files hold. Symbolic links are refused as damage. Where a writer is at work and
+    what was read does not fit together, the writer waits while all is read once more.
 
     Args:
         path: The directory of the ledger.
@@ -99,7 +102,8 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
 
     Raises:
         NotALedger: There is no directory at the path, nothing of a ledger is in it, or its creation was interrupted.
-        WorkerDied: A process that reads segments was ended; the ledger is neither consistent nor damaged for all that is known.
+        WorkerDied: A process that reads segments was ended; the ledger is neither consistent nor damaged for all that
+            is known.
     """
     if not any(os.path.lexists(path / name) for name in (MANIFEST, COMMITS, SEGMENTS)):
         raise NotALedger(
@@ -117,7 +121,7 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
 
 
 def _moment(path: Path) -> tuple[list[str], list[str], str | None] | None:
-    """What changes while a writer is at work; None where it cannot be read."""
+    """Return what changes while a writer is at work; None where it cannot be read."""
     try:
         commits, staged = ([entry.name for entry in disk.entries(path / folder)] for folder in (COMMITS, STAGING))
         return commits, staged, read_checkpoint(path)
@@ -126,7 +130,7 @@ def _moment(path: Path) -> tuple[list[str], list[str], str | None] | None:
 
 
 def _look(path: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
-    """One look at the whole ledger. Raises: WorkerDied, and nothing else: then nothing is known."""
+    """Look at the whole ledger once. Raises: WorkerDied, and nothing else: then nothing is known."""
     verification = _Verification(path, asked)
     try:
         return verification.run(max(1, workers), progress)
@@ -166,7 +170,7 @@ class _Verification:
         return self._report(origin, [commit.record for commit in commits if commit.record is not None], newest)
 
     def _add(self, standing: Standing) -> None:
-        """Take one commit more."""
+        """Take one more commit."""
         self.problems += standing.problems
         if standing.made:
             self.tiles.add(standing.commit.number, standing.made)
@@ -201,7 +205,7 @@ class _Verification:
         )
 
     def _check_derived(self, records: list[CommitRecord]) -> tuple[str, ...]:
-        """What is derived is compared only where all it is derived from is beyond doubt; the remarks on it."""
+        """Compare what is derived, but only where all it is derived from is beyond doubt; return the remarks on it."""
         if self.problems:
             return ()
         found, self.is_behind = check_checkpoint(self.path, records)
@@ -213,7 +217,10 @@ class _Verification:
         return remarks
 
     def _check_anchor(self, origin: str | None, records: list[CommitRecord]) -> tuple[int | None, int]:
-        """The events that the anchor vouches for, if the ledger begins with them; the events of the tree up to which that was shown."""
+        """Check the anchors.
+
+        Returns the events that the anchor vouches for, and the size of the tree up to which that was shown.
+        """
         size = records[-1].tree_size if records else 0
         for witnessed in self.asked.witnessed:
             found = self._look_then(witnessed, records, size)
@@ -226,7 +233,7 @@ class _Verification:
         return (anchor.note.checkpoint.size if anchor.note is not None else None), found.size
 
     def _look_then(self, anchor: Anchor, records: list[CommitRecord], size: int) -> ByTiles:
-        """The root of the ledger's first so many events as the anchor counts, if it is known."""
+        """Return the root of as many first events of the ledger as the anchor counts, if it is known."""
         then = anchor.note.checkpoint if anchor.note is not None else None
         if then is not None and then.size == 0:
             return ByTiles(merkle.EMPTY_ROOT, size)
@@ -236,19 +243,26 @@ class _Verification:
 
 
 def _not_compared(anchored: int | None, proved: int, size: int) -> str:
-    """What a quick look leaves open: the anchor's events begin the tree of `proved` events, and the newest has `size`."""
+    """Say what a quick look leaves open.
+
+    The anchor's events begin the tree of `proved` events; the newest tree has `size`.
+    """
     if anchored is None:
         return "rows were not compared with the recorded roots"
     if proved == size:
         return f"the recorded roots only grew since the anchor's {anchored:,} events; rows were not compared with them"
     return (
-        f"the recorded roots only grew from the anchor's {anchored:,} events to {proved:,}, those before the newest commit, whose tiles are missing; "
+        f"the recorded roots only grew from the anchor's {anchored:,} events to {proved:,}, those before the newest "
+        "commit, whose tiles are missing; "
         "neither its root nor any rows were compared with them"
     )
 
 
 def _check_strays(path: Path, count: int) -> Iterator[Problem]:
-    """Yield every file that the ledger should not hold; what is in staging is harmless, and `check_names` looks at the records."""
+    """Yield a problem for every file that the ledger should not hold.
+
+    What is in staging is harmless, and `check_names` looks at the records.
+    """
     for name in strays(path, FILES.union(map(segment_file, range(count))), [SEGMENTS]):
         if name.startswith(f"{SEGMENTS}/"):
             expected = f"segments of {count} commits; restore the record or take it away"

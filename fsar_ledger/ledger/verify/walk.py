@@ -25,8 +25,8 @@ from fsar_ledger.workers import WorkerPool
 class Standing(msgspec.Struct, frozen=True):
     """What stands at one commit, with its rows.
 
-    `problems` are all of this commit: of its record, its segment, its rows, and what they add to the ledger. `edge` is that of the tree before its
-    rows, None where that is not known, and `made` the tiles that they make.
+    `problems` are all of this commit: of its record, its segment, its rows, and what they add to the ledger. `edge` is
+    that of the tree before its rows, None where that is not known, and `made` the tiles that they make.
     """
 
     commit: Commit
@@ -58,7 +58,10 @@ class RowWalk:
     def over(
         self, commits: Sequence[Commit], workers: int = 1, second_reader: SecondReader | None = None
     ) -> Iterator[Standing]:
-        """Yield what stands at each of these commits, the first ones of the ledger; of those without a record, no rows are read."""
+        """Yield what stands at each of these commits, the first ones of the ledger.
+
+        Of commits without a record no rows are read.
+        """
         facts = _examine_all(self.ledger, commits, workers, second_reader, is_quick=self.is_quick)
         for commit, found in zip(commits, facts, strict=True):
             yield self._stand(commit, found)
@@ -76,7 +79,10 @@ class RowWalk:
     def _grow(
         self, commit: Commit, record: CommitRecord, facts: SegmentFacts, problems: list[Problem]
     ) -> dict[Tile, bytes]:
-        """Add the leaves of a commit to the tree: those of its rows if they could be read and agree, else as claimed, so that each error shows once."""
+        """Add the leaves of a commit to the tree: its rows' if they were read and agree, else as claimed.
+
+        So each error shows once.
+        """
         claimed = self.tree = record.tree()
         made: dict[Tile, bytes] = {}
         if facts.leaves is None or commit.before is None:
@@ -97,14 +103,14 @@ class RowWalk:
         return made
 
     def _look_back(self, edge: Edge, leaves: bytes) -> None:
-        """The root of a wanted tree is known if it ends within these leaves, or before them."""
+        """Note the root of each wanted tree that ends within these leaves, or before them."""
         for size in self.sizes:
             wanted = size - edge.size
             if 0 <= wanted * HASH_BYTES <= len(leaves):
                 self.roots[size] = edge.extend(leaves[: wanted * HASH_BYTES])[0].frontier().root()
 
     def _check_runs(self, number: int, record: CommitRecord, facts: SegmentFacts) -> Iterator[Problem]:
-        """Yield where the runs are not those of the record, or are in an earlier commit too."""
+        """Yield a problem where the runs are not those of the record, or are in an earlier commit too."""
         if facts.runs is None:
             return
         for name, found, expected in (
