@@ -41,7 +41,7 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
     },
 }
 """All that can be taken out of each architecture: what it is, and what stands in its place. No name is that of two. The handlers know the paper's four;
-what is done instead of each other one says `runtime.switches`."""
+what is done instead of each other one says `runtime.knockouts`."""
 
 ON_RECORD_ALONE = frozenset(
     {"engine-closing", "unnamed-requests", "central-decisions", "handoff-records", "agent-decisions"}

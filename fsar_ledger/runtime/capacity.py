@@ -16,7 +16,7 @@ from fsar_ledger.designs.registered import fleet as registered_fleet
 from fsar_ledger.events.configuration import Configuration, lacks
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 
-from .architectures.wiring import Growth
+from .architectures.handler_table import Growth
 from .world.founding import team_size
 from .world.schedule import arrivals_expected, happening, teams_working
 

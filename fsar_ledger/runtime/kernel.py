@@ -8,7 +8,7 @@ events of a batch are caused by its first.
 What a robot should do while it is off, and what a message should bring over a link that is down, is kept until the
 fact that brings the robot or the link back, and is due then: what the robot was at after the time that was left. A
 message sets out when its sender can send, travels whatever happens to the sender then and whoever receives it, and
-waits there until it can be received. So the world binds whoever governs; which robot does a command is data of the wiring.
+waits there until it can be received. So the world binds whoever governs; which robot does a command is data of the handler table.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
 from fsar_ledger.projections.fold import ROUTES, State, apply
 from fsar_ledger.projections.world import is_linked
 
-from .architectures.wiring import Wiring
+from .architectures.handler_table import HandlerTable
 from .handlers.commands import React, Scheduled
 from .world.draws import Draws
 from .world.schedule import Fact
@@ -37,9 +37,9 @@ MOMENT_US = 60_000_000
 
 
 @lru_cache(maxsize=32)
-def _plan(wiring: Wiring) -> _Plan:
+def _plan(table: HandlerTable) -> _Plan:
     """What happens to an event of each type: the projections that handle it, and the reactions that follow it."""
-    return {kind: (ROUTES.get(kind, ()), wiring.reacts.get(kind, ())) for kind in EVENT_TYPES}
+    return {kind: (ROUTES.get(kind, ()), table.reacts.get(kind, ())) for kind in EVENT_TYPES}
 
 
 class Kernel:
@@ -47,7 +47,7 @@ class Kernel:
 
     def __init__(
         self,
-        wiring: Wiring,
+        table: HandlerTable,
         facts: Sequence[Fact],
         draws: Draws,
         founding: Sequence[Event],
@@ -58,9 +58,9 @@ class Kernel:
         self.caused_by: list[int | None] = []
         self.events: list[Event] = []
         self.state = State()
-        self._decides = wiring.decides
-        self._actors = wiring.actors
-        self._plan = _plan(wiring)
+        self._decides = table.decides
+        self._actors = table.actors
+        self._plan = _plan(table)
         self._facts = facts
         self._next_fact = 0
         self._draws = draws

@@ -44,10 +44,11 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.workers import WorkerPool
 
 from .experiment import Experiment
+from .handler_tables import handler_table_of
 from .handlers.commands import Command, Decide
 from .kernel import Kernel
 from .plan import misnamed
-from .simulation import MODEL_VERSION, RunSpec, draws_of, founding_of, run_id, run_started, wiring
+from .simulation import MODEL_VERSION, RunSpec, draws_of, founding_of, run_id, run_started
 from .world.founding import founding
 from .world.schedule import arrivals_expected, schedule
 from .worlds import Played, played, remarks_on
@@ -233,7 +234,7 @@ class _Replay(Kernel):
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
         draws = draws_of(spec, constants)
-        super().__init__(wiring(spec.architecture, spec.configuration), self._facts, draws, events, founded)
+        super().__init__(handler_table_of(spec.architecture, spec.configuration), self._facts, draws, events, founded)
         self._decides = {command: self._noted(decide) for command, decide in self._decides.items()}
 
     def handler(self) -> str:

@@ -2,7 +2,6 @@
 
 from functools import lru_cache
 from hashlib import sha256
-from importlib import import_module
 
 import msgspec
 
@@ -11,12 +10,13 @@ from fsar_ledger.designs import Fleet
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, lacks
+from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.projections.fold import State, fold
 
-from .architectures.wiring import Wiring
+from .architectures.handler_table import HandlerTable
+from .handler_tables import handler_table_of
 from .kernel import Kernel
 from .world.draws import Draws, run_key
 from .world.founding import founding
@@ -43,21 +43,6 @@ class RunSpec(msgspec.Struct, frozen=True):
 _parameters = lru_cache(maxsize=8)(write_constants)
 
 
-def wiring(architecture: str, configuration: Configuration = FULL) -> Wiring:
-    """The architecture's handlers and reactions, without what the configuration lacks; the paper's ablations are known to the handlers themselves."""
-    module = import_module(f".architectures.{architecture}", __package__)
-    whole: Wiring = getattr(module, architecture.upper())
-    return whole if lacks(configuration) <= set(MECHANISMS) else _switched(architecture, configuration)
-
-
-@lru_cache(maxsize=32)
-def _switched(architecture: str, configuration: Configuration) -> Wiring:
-    """One object for all runs, so that the clock plans it once."""
-    from .switches import switched
-
-    return switched(wiring(architecture), architecture, configuration)
-
-
 def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
     """Event 0 of the run."""
     return RunStarted(
@@ -81,13 +66,15 @@ def run_id(started: RunStarted) -> str:
     return f"{name}-{digest}"
 
 
-def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> Kernel:
-    """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
+def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> Kernel:
+    """Return the run at its founding, before the world has done anything.
+
+    `table` replaces the architecture's own handler table.
+    """
     facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     draws = draws_of(spec, constants)
-    return Kernel(
-        structure or wiring(spec.architecture, spec.configuration), facts, draws, *founding_of(spec, constants)
-    )
+    table = table or handler_table_of(spec.architecture, spec.configuration)
+    return Kernel(table, facts, draws, *founding_of(spec, constants))
 
 
 def draws_of(spec: RunSpec, constants: Constants) -> Draws:
@@ -116,8 +103,8 @@ def _founded(fleet_size: int, floor_teams: int, fleet: Fleet | None) -> State:
     return fold(_founding(fleet_size, floor_teams, fleet))
 
 
-def simulate_run(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> RunRecord:
+def simulate_run(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> RunRecord:
     """The whole run."""
-    one = kernel(spec, constants, structure)
+    one = kernel(spec, constants, table)
     one.run()
     return RunRecord(run_id(run_started(spec, constants)), one.times_us, one.caused_by, one.events)

@@ -1,12 +1,12 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
-from fsar_ledger.runtime.architectures.wiring import Growth, Wiring, wire
+from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
 from fsar_ledger.runtime.handlers import assistance, supervision, task, withdrawal
 from fsar_ledger.runtime.handlers import execution as bodies
 
 from . import answers, coordinator, execution, recovery, request
 
-CFC: Wiring = wire(
+CFC: HandlerTable = HandlerTable.of(
     task,
     bodies,
     assistance,

@@ -1,6 +1,6 @@
 """Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates. Paper: eq:federation, eq:fleet-model."""
 
-from fsar_ledger.runtime.architectures.wiring import Growth, Wiring, wire
+from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
 from fsar_ledger.runtime.handlers import (
     advertising,
     assistance,
@@ -20,7 +20,7 @@ from . import authority, availability, discovery, execution, recovery, request
 
 _PUBLIC = (fleet, registry, advertising, requests, rights, trust, policy)
 
-FSAR: Wiring = wire(
+FSAR: HandlerTable = HandlerTable.of(
     task,
     bodies,
     assistance,
