@@ -21,4 +21,4 @@ CFC: HandlerTable = HandlerTable.of(
 )
 
 GROWTH = Growth(6, 350, 0, 12, 190, 0)
-"""Every candidate is matched, but the more there are, the fewer steps the coordinator comes to."""
+"""Every candidate is matched, but the more candidates there are, the fewer steps the coordinator gets to."""

@@ -11,4 +11,4 @@ DHMA: HandlerTable = HandlerTable.of(
 )
 
 GROWTH = Growth(17, 670, 10.2, 3, 450, 5.2)
-"""Every candidate bids, which takes three agents and a record of each word between them."""
+"""Every candidate bids, which takes three agents and a record of each message between them."""

@@ -51,26 +51,26 @@ LONGEST = 3  # a call that is delivered within the answer time, and two hops, ar
 
 
 class DetectGap(Command):
-    """The step needs another robot."""
+    """Detect that the step needs another robot."""
 
     action_id: str
 
 
 class CallForProposals(Command):
-    """The communication agent has the planner's wish."""
+    """Deliver the planner's wish to the communication agent."""
 
     action_id: str
 
 
 class EvaluateBid(Command):
-    """A candidate's planner has the call and its snapshot before it."""
+    """Judge the call by the snapshot of a candidate's planner."""
 
     action_id: str
     robot: Robot
 
 
 class ReceiveBid(Command):
-    """A bid has been relayed to the requester's planner."""
+    """Deliver a relayed bid to the requester's planner."""
 
     action_id: str
     robot: Robot
@@ -78,13 +78,16 @@ class ReceiveBid(Command):
 
 
 class Award(Command):
-    """All bids are in, or H_F has approved the one under review."""
+    """Award the contract when all bids are in, or when H_F has approved the one under review."""
 
     action_id: str
 
 
 class CloseBidding(Command):
-    """The time in which the calls of this round should have been delivered is over; `is_last` when who was called in time has judged it, too."""
+    """End the time in which the calls of this round should have been delivered.
+
+    `is_last`: all who were called in time have judged the call as well.
+    """
 
     action_id: str
     round: int
@@ -92,20 +95,20 @@ class CloseBidding(Command):
 
 
 class GoOnWithout(Command):
-    """The requester has waited long enough for the word of the robot that was awarded the contract in this round."""
+    """Stop waiting for the robot that was awarded the contract in this round."""
 
     action_id: str
     round: int
 
 
 class AcceptAward(Command):
-    """The award has reached the executor's communication agent."""
+    """Deliver the award to the executor's communication agent."""
 
     action_id: str
 
 
 def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
-    """The first bid that allows, else the first under review, else None."""
+    """Return the first bid that allows, else the first under review, else None."""
     for wanted in ("allow", "review"):
         for robot, outcome in request.bids:
             if outcome == wanted:
@@ -114,7 +117,7 @@ def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
 
 
 def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
-    """The planner has found that the step needs another robot."""
+    """Record the planner's finding that the step needs another robot."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -129,7 +132,7 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
 
 
 def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
-    """Every capable robot has been called."""
+    """Call every capable robot."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -149,7 +152,7 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
 
 
 def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
-    """The candidate has bid by its planner's snapshot; its bid does not say which of its agents would execute."""
+    """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -174,7 +177,7 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
 
 
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
-    """The planner knows the bid."""
+    """Record the bid at the requester's planner."""
     request = state.request.get(command.action_id)
     return (
         ()
@@ -184,7 +187,7 @@ def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
 
 
 def award(state: State, command: Award) -> tuple[Event, ...]:
-    """The contract is awarded, or the best bid is put before H_F."""
+    """Award the contract, or put the best bid before H_F."""
     request = state.request.get(command.action_id)
     best = best_bid(request) if request is not None else None
     if (
@@ -206,9 +209,10 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
 
 
 def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
-    """Whom the call has not reached in time counts as a refusal: the contract goes to the best of the others, or nobody has answered. Reading: R44.
+    """Count robots that the call did not reach in time as refusals, and award to the best of the others.
 
-    A bid that is on its way is waited for, and so is a robot that the call has reached but whose agents still judge it.
+    The request is unanswered if none is left. A bid that is on its way is waited for, and so is a robot that the call
+    has reached but whose agents still judge it. Reading: R44.
     """
     request = state.request.get(command.action_id)
     if (
@@ -231,7 +235,7 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
-    """An award that was not accepted in time is no contract: the step is tried again later. Reading: R44."""
+    """Void an award that was not accepted in time; the step is tried again later. Reading: R44."""
     request = state.request.get(command.action_id)
     if request is None or request.round != command.round or request.target is None or request.is_accepted:
         return ()
@@ -245,7 +249,7 @@ def _unanswered(state: State, request: Request, executor: Robot | None) -> Reque
 
 
 def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
-    """The executor is committed; its communication agent claims execution until the planner acknowledges."""
+    """Commit the executor; its communication agent claims execution until the planner acknowledges."""
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
@@ -287,7 +291,7 @@ def _parties(state: State, request: Request, near: Robot, executor: Robot | None
 
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
-    """The requester's communication agent has closed the request."""
+    """Close the request at the requester's communication agent."""
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
@@ -297,7 +301,7 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
 
 
 def call(state: State, request: Request, robot: Robot, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
-    """The call reaches the candidate, whose agents work out a bid; `before` comes first."""
+    """Deliver the call to the candidate, whose agents work out a bid; `before` comes first."""
     key = f"{request.action_id}/{request.round}/{robot}"
     said, record = talk(state, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
     return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
@@ -321,7 +325,10 @@ def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Schedu
 
 
 def _closing(state: State, request: Request, draws: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
-    """The bidding closes when the calls should have been delivered, or later by as long as a call that was delivered takes to be judged at the most."""
+    """Schedule the close of bidding for when the calls should have been delivered.
+
+    Where a call was delivered, add the longest time that agents take to judge one.
+    """
     answer_us = state.fleet.answer_us
     last = CloseBidding(request.action_id, request.round, is_last=True)
     return (
@@ -377,7 +384,7 @@ def _on_unanswered(state: State, event: RequestUnanswered, _now_us: int) -> tupl
 
 
 def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
-    """Both sides' agents agree that it is void and negotiate again, under the same action."""
+    """Let both sides' agents agree that the contract is void, and negotiate again under the same action."""
     request = state.request[event.subject.action_id]
     key = f"{request.action_id}/{request.round}/void"
     said, record = talk(state, event.robot, VOIDING, key, "void")

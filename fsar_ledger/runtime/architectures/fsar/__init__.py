@@ -1,4 +1,7 @@
-"""Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates. Paper: eq:federation, eq:fleet-model."""
+"""Federated single-agent robotics: every robot stays one accountable principal, and the federation coordinates.
+
+Paper: eq:federation, eq:fleet-model.
+"""
 
 from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
 from fsar_ledger.runtime.handlers import (

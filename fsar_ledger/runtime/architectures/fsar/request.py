@@ -59,39 +59,42 @@ from .discovery import unanswered
 
 
 class IssueRequest(Command):
-    """The answer has reached the requester."""
+    """Deliver the answer to the requester."""
 
     action_id: str
 
 
 class RelayRequest(Command):
-    """The request has reached the doubly trusted peer."""
+    """Deliver the request to the doubly trusted peer."""
 
     action_id: str
 
 
 class EvaluateRequest(Command):
-    """The request has reached the executor."""
+    """Deliver the request to the executor."""
 
     action_id: str
 
 
 class GoOnWithout(Command):
-    """The time in which the request should have been delivered is over: to whom it was sent, or (`is_relayed`) to whom the relay has passed it on."""
+    """End the time in which the request should have been delivered.
+
+    To the robot it was sent to, or (`is_relayed`) to the one that the relay has passed it on to.
+    """
 
     action_id: str
     is_relayed: bool = False
 
 
 class AdmitReviewed(Command):
-    """A supervisor has approved what policy or supervision density wanted reviewed, or not."""
+    """Take a supervisor's decision on what policy or supervision density wanted reviewed."""
 
     action_id: str
     approves: bool = True
 
 
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
-    """The requester has sent its request, its own policy in it; without a candidate it backs off."""
+    """Send the request with the requester's own policy; back off without a candidate."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -117,7 +120,7 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
 
 
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
-    """The peer has passed the request on, its own policy composed, or denied its link of the chain. Paper: eq:nontransitive."""
+    """Pass the request on with the peer's policy composed, or deny this link of the chain. Paper: eq:nontransitive."""
     request = state.request.get(command.action_id)
     if request is None or request.relay is None:
         return ()
@@ -137,7 +140,7 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
 
 
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
-    """The executor has admitted, countered or denied the request, or asked H_F for review. Paper: eq:admissible, phase 4."""
+    """Admit, counter or deny the request at the executor, or ask H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.get(command.action_id)
     if request is not None and request.silent:  # too late; it was found silent, and its word says otherwise
         return report_back(state, ReportBack(request.silent[0]))
@@ -147,7 +150,7 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
 
 
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
-    """The executor has admitted the approved request, if all but policy still holds, or denied the one that was not."""
+    """Admit the approved request if all but policy still holds, or deny one that was not approved."""
     request = state.request.get(command.action_id)
     if request is None or not _is_open(state, request):
         return ()
@@ -160,7 +163,10 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
-    """The request was not delivered in time: the requester tries again later, and the registry knows who was silent. Reading: R44."""
+    """Record that the request was not delivered in time, and tell the registry who was silent.
+
+    The requester tries again later. Reading: R44.
+    """
     request = state.request.get(command.action_id)
     if request is None or request.is_relayed != command.is_relayed:
         return ()
@@ -178,7 +184,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
 
 
 def _is_open(state: State, request: Request) -> bool:
-    """True while the request waits for the executor's word."""
+    """Tell whether the request waits for the executor."""
     if not request.is_adhoc and request.task_id not in state.task:  # its task was given up
         return False
     has_word = request.is_over or request.is_accepted or request.is_unanswered or request.offered is not None
@@ -217,7 +223,7 @@ def _principals(state: State, request: Request, executor: Robot) -> Principals:
 
 
 def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
-    """The request is admitted with its authority, and waits for the robot or takes it. Paper: eq:auth, eq:override."""
+    """Admit the request with its authority, and let it wait for the robot or take it. Paper: eq:auth, eq:override."""
     executor = request.candidates[0]
     parties = _parties(state, request, executor)
     principals = parties.decided(executor)
@@ -259,7 +265,10 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
 
 
 def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
-    """The executor has accepted, claims execution and override, and approaches; one that was preempted comes back as accepted. Paper: eq:auth."""
+    """Accept the request, claim execution and override, and approach.
+
+    A request that was preempted comes back as accepted. Paper: eq:auth.
+    """
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state, action):
         return ()
@@ -280,7 +289,7 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
 
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
-    """The coordination engine has closed the request. Paper: sec:architecture:fleet."""
+    """Close the request at the coordination engine. Paper: sec:architecture:fleet."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -293,7 +302,7 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
 
 
 def _is_step(state: State, request: Request | None) -> bool:
-    """True for a step of an open task; what an outsider injected, or a robot asks by itself, is nobody's step."""
+    """Tell whether the request is a step of an open task, not an outsider's or a robot's own."""
     return request is not None and not request.is_adhoc and request.task_id in state.task
 
 
@@ -338,7 +347,7 @@ def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Schedul
 def _let_pass(
     state: State, event: RequestAdmitted | RequestCountered | RequestDenied, _now_us: int
 ) -> tuple[Scheduled, ...]:
-    """Whom H_F has let go first is admitted, or waits for the executor no more: those that waited for it are judged again."""
+    """Evaluate again the requests that waited for one that H_F let go first."""
     if not state.contention.orders:
         return ()
     return tuple(
@@ -348,7 +357,7 @@ def _let_pass(
 
 
 def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Scheduled, ...]:
-    """The executor judges the changed request; a step whose requester let go is tried again later."""
+    """Evaluate the changed request again, or retry a step whose requester let go."""
     assert event.subject.action_id is not None
     if event.override is None:
         return _again(state, event.subject.action_id)
@@ -399,7 +408,7 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
 
 
 def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
-    """The step is done; one that did not succeed is tried again later."""
+    """Complete the step, or retry later a step that did not succeed."""
     if not _is_step(state, state.request.get(event.subject.action_id)):
         return ()
     done = Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),))
