@@ -1,4 +1,4 @@
-"""The handler table of an architecture: which handler decides a command, which reactions follow an event, in no state."""
+"""The handler table of an architecture: which handler decides a command, and which reactions follow an event."""
 
 from types import ModuleType
 from typing import NamedTuple
