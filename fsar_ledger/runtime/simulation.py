@@ -30,7 +30,7 @@ SCENARIOS = PAPER_SCENARIOS
 
 
 class RunSpec(msgspec.Struct, frozen=True):
-    """What makes a run the run it is; another value anywhere is another run."""
+    """What identifies a run; another value anywhere is another run."""
 
     seed: int
     architecture: str
@@ -44,7 +44,7 @@ _parameters = lru_cache(maxsize=8)(write_constants)
 
 
 def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
-    """Event 0 of the run."""
+    """Return event 0 of the run."""
     return RunStarted(
         kind="simulated",
         observes=CONCERNS,
@@ -60,7 +60,7 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
 
 
 def run_id(started: RunStarted) -> str:
-    """A readable name and a digest of all parameters, so that other parameters are another run."""
+    """Return a readable name and a digest of all parameters, so that other parameters are another run."""
     digest = sha256(msgspec.json.encode(started, order="sorted")).hexdigest()[:12]
     name = f"{started.architecture}.{started.configuration}.{started.scenario}.n{started.fleet_size}.s{started.seed}.r{started.run:04d}"
     return f"{name}-{digest}"
@@ -89,7 +89,7 @@ def _world(world: WorldConstants, fleet: Fleet | None) -> WorldConstants:
 
 
 def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:
-    """The events that the run begins with, and the state that all of them but the first make."""
+    """Return the events that the run begins with, and the state that all of them but the first make."""
     fleet = (spec.fleet_size, constants.world.floor_teams, constants.fleet)
     return (run_started(spec, constants), *_founding(*fleet)), _founded(*fleet)
 
@@ -99,12 +99,12 @@ _founding = lru_cache(maxsize=4)(founding)
 
 @lru_cache(maxsize=4)
 def _founded(fleet_size: int, floor_teams: int, fleet: Fleet | None) -> State:
-    """The state of a fleet of which only the run is not known yet."""
+    """Return the state of a fleet of which only the run is not known yet."""
     return fold(_founding(fleet_size, floor_teams, fleet))
 
 
 def simulate_run(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> RunRecord:
-    """The whole run."""
+    """Simulate the whole run."""
     one = kernel(spec, constants, table)
     one.run()
     return RunRecord(run_id(run_started(spec, constants)), one.times_us, one.caused_by, one.events)

@@ -47,7 +47,7 @@ def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
 
 
 def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
-    """Let every agent that is party to an open action of the robot claim override until the planner is done."""
+    """Let every agent that is party to an open action of the robot claim override until the action ends."""
     robot = command.robot
     made: list[Event] = [PlannerEngaged(robot, command.now_us + state.fleet.structure.engagement_us)]
     for action in state.execution.actions.values():

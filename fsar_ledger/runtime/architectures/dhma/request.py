@@ -325,9 +325,10 @@ def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Schedu
 
 
 def _closing(state: State, request: Request, draws: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
-    """Schedule the close of bidding for when the calls should have been delivered.
+    """Schedule both ends of bidding.
 
-    Where a call was delivered, add the longest time that agents take to judge one.
+    The first is when the calls should have been delivered; the last is later by the longest time that agents take to
+    judge a delivered call.
     """
     answer_us = state.fleet.answer_us
     last = CloseBidding(request.action_id, request.round, is_last=True)

@@ -19,7 +19,7 @@ from fsar_ledger.runtime.handlers.registry import Query, rejecting_filter
 
 
 class Revoke(Command):
-    """Withdraw what others execute for a requester whose context has changed."""
+    """Claim override over what others execute for a requester whose context has changed."""
 
     robot: Robot
 

@@ -73,7 +73,7 @@ def peer(state: State, action: Action, recovery: Recovery) -> Found:
 
 
 def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
-    """Return the registry's answer on which peers have a capability of this kind; None for an obstruction.
+    """Record the registry's answer on which peers have a capability of this kind; nothing for an obstruction.
 
     A robot that offers something of the kind that does not do what has failed is left out by its contract.
     """
