@@ -1,4 +1,4 @@
-"""Requests that are under way, one per action, however the architecture negotiates them. Paper: eq:request."""
+"""Open requests, one per action, under every architecture's negotiation. Paper: eq:request."""
 
 from typing import assert_never
 
@@ -112,12 +112,12 @@ class Request(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def subject(self) -> Subject[TaskId, ActionId]:
-        """What an event of this action is about."""
+        """Return what an event of this action is about."""
         return Subject(self.task_id, self.action_id)
 
     @property
     def request_subject(self) -> RequestSubject[TaskId, ActionId, RequestId]:
-        """What an event of this request is about, which has the name of its action."""
+        """Return what an event of this request is about, which has the name of its action."""
         return RequestSubject(self.task_id, self.action_id, self.action_id)
 
 
@@ -127,7 +127,7 @@ INITIAL: Requests = {}
 
 
 def evolve(state: Requests, event: HANDLES) -> Requests:
-    """The requests after the event."""
+    """Return the requests after the event."""
     match event:
         case StepBegan():
             others = {
@@ -227,7 +227,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
 
 
 def _issued(state: Requests, event: RequestIssued) -> Requests:
-    """The step's request is on its way; one that is nobody's step begins here. Paper: eq:request."""
+    """Put the step's request on its way; a request that is nobody's step begins here. Paper: eq:request."""
     task_id, action_id, robot, executor = (
         event.subject.task_id,
         event.subject.action_id,
@@ -250,7 +250,7 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
 
 
 def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
-    """The request is over, or has its result; of a step only a result other than success is news before the step ends."""
+    """End the request or set its result; a step's success is news only when the step ends."""
     known = state.get(event.subject.action_id or "")
     if known is None:
         return state
@@ -264,7 +264,7 @@ def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDe
 
 
 def _called(state: Requests, event: SupervisorCalled) -> Requests:
-    """A supervisor has it before them; whoever calls one to order two requests has received them."""
+    """Put the request before a supervisor; the caller has received both of two requests to be ordered."""
     known = state.get(event.subject.action_id)
     if known is None:
         return state
@@ -275,7 +275,7 @@ def _called(state: Requests, event: SupervisorCalled) -> Requests:
 
 
 def _bid(state: Requests, event: BidSubmitted) -> Requests:
-    """A bid names the task, which has one step at a time."""
+    """Note a bid, which names the task: a task has one step at a time."""
     for name, request in state.items():
         if request.task_id == event.task_id and not request.is_adhoc:
             return _changed(state, name, bidders=(*request.bidders, event.robot))
@@ -283,7 +283,10 @@ def _bid(state: Requests, event: BidSubmitted) -> Requests:
 
 
 def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
-    """The request is over for who did not answer; without a name nobody did, or there was nobody to ask."""
+    """End the request for the robot that did not answer.
+
+    Without a name nobody did, or there was nobody to ask.
+    """
     if event.subject.action_id not in state:
         return state
     silent = (
@@ -295,7 +298,7 @@ def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
 
 
 def _answered(state: Requests, event: OfferAnswered) -> Requests:
-    """The requester takes the terms or asks for others, and the executor is to judge again; or it lets go and the request is over."""
+    """Take the requester's answer: the executor judges again, or the request is over."""
     if event.subject.action_id is None or event.subject.action_id not in state:
         return state
     asked = state[event.subject.action_id].offered if event.is_accepted else event.override

@@ -1,4 +1,4 @@
-"""Pure handlers that every architecture shares:
+"""Pure handlers that every architecture shares.
 
-`decide(state, command)` to events, `react(state, event, time)` to commands.
+`decide(state, command)` returns events, `react(state, event, time)` commands.
 """

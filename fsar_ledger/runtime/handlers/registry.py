@@ -50,8 +50,7 @@ class Query(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """Cand(Q): the robots that may be asked, best first, each with the capability of theirs that matched
-    (`capabilities`).
+    """Cand(Q): the robots that may be asked, best first, each with its capability that matched (`capabilities`).
 
     Each robot of `rejected` offers what was asked for and was left out by the filter at the same place of
     `rejected_by`. `domain` is the registry that answered, `as_of_us` (run time) the age of the copy that it read, None
