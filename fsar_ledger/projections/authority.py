@@ -45,8 +45,9 @@ class Later(msgspec.Struct, frozen=True, gc=False):
 
 
 class Authority(msgspec.Struct, frozen=True, gc=False):
-    """`claims`: action -> open claims; `rights`: grants and revocations in order; `approvals`: action -> what came
-    later.
+    """Claims, rights and approvals.
+
+    `claims`: action to open claims; `rights`: grants and revocations in order; `approvals`: action to what came later.
     """
 
     claims: dict[str, tuple[AuthorityClaimed, ...]] = {}

@@ -19,7 +19,9 @@ HANDLES = SyncPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | Snapsh
 
 
 class Knowledge(msgspec.Struct, frozen=True, gc=False):
-    """`copy` is the coordinator's last synced copy; `ready_us` when its queue of work is done (run time, microseconds).
+    """What each decider was told.
+
+    `copy` is the coordinator's last synced copy; `ready_us` when its queue of work is done (run time, microseconds).
     """
 
     sync_phase_ppm: int = 0

@@ -19,9 +19,9 @@ RoleRule = tuple[PolicyScope, str, str, str | None, str | None]  # scope, role, 
 
 
 class Policy(msgspec.Struct, frozen=True, gc=False):
-    """`rules`: those of single robots, and of every robot; `of_roles`: those of roles; `members`: see below.
+    """The rules in force: of single robots and of every robot (`rules`), and of roles (`of_roles`).
 
-    `members` is robot to its role and domain.
+    `members`: robot to its role and domain.
     """
 
     rules: dict[Rule, PolicyOutcome] = {}

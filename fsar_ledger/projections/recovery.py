@@ -29,11 +29,10 @@ HANDLES = (
 
 
 class Recovery(msgspec.Struct, frozen=True, gc=False):
-    """The open failure of one action: its attempts, the helpers that were asked, and the supervisors called.
+    """The open failure of one action: its attempts, the helpers asked, the one awaited, and the supervisors called.
 
-    `helper` and the like name the one whose answer is waited for. Units: `detected_us` run time, `deadline_us` run time
-    at which the local level's budget ends, `since_us` run time at which recovery turned to the helper that was asked
-    last.
+    Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends, `since_us` run time at
+    which recovery turned to the robot that was asked for help last.
     """
 
     robot: Robot

@@ -65,11 +65,11 @@ class Advertisement(msgspec.Struct, frozen=True, gc=False):
 
 
 class Offers(msgspec.Struct, frozen=True, gc=False):
-    """The registry of one domain, and in it those of the domains below; a change copies only the registries on its
-    path.
+    """The registry of one domain, and in it those of the domains below.
 
-    `records`: capability -> robot -> record of the domain's own robots; `below`: name -> the registry of that domain;
-    `ways`: capability -> names of those below in which somebody offers it. Paper: sec:discussion:heterogeneity.
+    A change copies only the registries on its path. `records`: capability to robot to record of the domain's own
+    robots; `below`: name to the registry of that domain; `ways`: capability to names of those below in which somebody
+    offers it. Paper: sec:discussion:heterogeneity.
     """
 
     records: dict[str, dict[str, Advertisement]] = {}
@@ -85,10 +85,10 @@ class Cache(msgspec.Struct, frozen=True, gc=False):
 
 
 class Registry(msgspec.Struct, frozen=True, gc=False):
-    """`domains`: robot -> its domain; `modules`: robot -> what it possesses; `offers`: robots' surfaces; `caches`:
-    holder -> its copy.
+    """What robots possess and offer.
 
-    `silent`: robot that did not answer -> how available each of its capabilities was said to be before.
+    `domains`: robot to its domain; `modules`: robot to what it possesses; `offers`: robots' surfaces; `caches`: holder
+    to its copy; `silent`: robot that did not answer to the availability that each of its capabilities had before.
     """
 
     domains: dict[Robot, str] = {}

@@ -103,16 +103,18 @@ def evolve(state: World, event: HANDLES) -> World:
         case ObstructionCleared():
             inside = tuple(name for name in state.obstructions.get(event.robot, ()) if name != event.obstruction)
             return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: inside})
-        case AssistanceEnded():  # whoever helped has cleared the way
+        case AssistanceEnded():  # the helper has cleared the way
             return _cleared(state, event.robot)
-        case FailureResolved():  # so has a supervisor; a robot that helped itself found it clear, one whose step another took over stays where it is
+        case FailureResolved():
+            # A supervisor clears the way too. A robot that recovered by itself found it clear, and one whose step
+            # another took over stays where it is.
             return _cleared(state, event.robot) if event.level == "human" else state
         case ActuatorDegraded():
             return _graded(state, event.robot, event.grade)
         case ActuatorServiced():
             serviced = {robot: grade for robot, grade in state.degraded.items() if robot != event.robot}
             return msgspec.structs.replace(state, degraded=serviced)
-        case RecoveryAttemptFailed():  # wear: a retry grips with all its force, and a load that slips through it takes the pads along
+        case RecoveryAttemptFailed():  # wear: a retry grips with full force, and a load that slips wears the pads off
             if event.result != "partial" or state.degraded.get(event.robot) != "slipping":
                 return state
             return _graded(state, event.robot, "lost")

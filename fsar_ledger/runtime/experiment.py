@@ -114,8 +114,10 @@ class Experiment(msgspec.Struct, frozen=True):
         largest = largest_fleet(cells, at_once, self.constants)
         many = "one run" if at_once == 1 else f"{at_once} runs at once"
         raise InvalidExperiment(
-            f"fleet size: found {self.fleet_size}, expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and those of so large a "
-            f"fleet are more; take a smaller fleet, {'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
+            f"fleet size: found {self.fleet_size}, "
+            f"expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and those of so large a "
+            "fleet are more; take a smaller fleet, "
+            f"{'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
         )
 
     def _known_scenarios(self) -> tuple[str, ...]:
@@ -151,7 +153,8 @@ class Experiment(msgspec.Struct, frozen=True):
             ):
                 [whose] = [one for one, names in MECHANISMS_OF.items() if name in names]
                 raise InvalidExperiment(
-                    f"without {name}: found architecture {architecture}, expected {whose} alone, whose mechanism it is; one experiment is of one architecture's"
+                    f"without {name}: found architecture {architecture}, "
+                    f"expected {whose} alone, whose mechanism it is; one experiment is of one architecture's"
                 )
 
     def _require_possible_load(self) -> None:
@@ -171,7 +174,8 @@ class Experiment(msgspec.Struct, frozen=True):
         most = int(world.horizon_s / 2 / load.interval_s) + 1
         if not 1 <= load.task_sets <= most:
             raise InvalidExperiment(
-                f"task sets: found {load.task_sets}, expected 1 to {most}, one each {load.interval_s:g} s in half the world's {world.horizon_s:g} s"
+                f"task sets: found {load.task_sets}, "
+                f"expected 1 to {most}, one each {load.interval_s:g} s in half the world's {world.horizon_s:g} s"
             )
         if any(name in registered.workflows() for name in self.scenarios):
             raise InvalidExperiment(
@@ -188,7 +192,8 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"{about}: found beside scenarios, expected workflows alone")
         if self.architectures != ("fsar",) or self.configurations != (FULL,):
             raise InvalidExperiment(
-                f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)"
+                f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), "
+                "expected fsar (full)"
             )
         if self.fleet_size != team_size(None):
             raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {team_size(None)}")
@@ -262,14 +267,15 @@ def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...])
 
 def _require_configurations(found: tuple[Configuration, ...]) -> None:
     if not found or len(set(found)) != len(found) or not all(map(is_known, found)):
-        expected = f"{FULL}, or without- and some of {', '.join(EVERY_MECHANISM)}, of one architecture, in this order, with + between; each once"
+        expected = (
+            f"{FULL}, or without- and some of {', '.join(EVERY_MECHANISM)}, of one architecture, in this order, "
+            "with + between; each once"
+        )
         raise InvalidExperiment(f"configuration: found {', '.join(found) or 'none'}, expected {expected}")
 
 
 def require_designs(own: Scenario | None, fleet: Fleet | None) -> None:
-    """Raise InvalidExperiment if an own fleet is none, or an own scenario or fleet has the name of one that is
-    registered.
-    """
+    """Check an own fleet and scenario, and that their names are not registered. Raises: InvalidExperiment."""
     if fleet is not None:
         for problem in problems_of_fleet(fleet):
             raise InvalidExperiment(f"fleet {printable.value(fleet.name)}: {problem}")
@@ -315,7 +321,7 @@ def carry_out(
     *,
     adopts: bool = False,
 ) -> Made:
-    """Every run of the experiment is in the ledger, after its plan; runs that were there already are not made again.
+    """Make the runs of the experiment that the ledger lacks, after its plan.
 
     Where all runs are there, nothing is done. Else the plan is committed first, unless it is on record: a larger one
     than before makes the ledger larger, run by run as if it had been asked for at once. The missing runs come in

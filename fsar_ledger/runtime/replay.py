@@ -1,14 +1,14 @@
-"""A recorded run is played again: from its parameters the world and the handlers must make what the record says, event
-by event.
+"""Replay: from its parameters, the world and the handlers must make a run as recorded, event by event.
 
-| what | where replay has it from |
-|---|---|
-| what was played: seed, architecture, scenario, constants | `RunStarted`, as recorded; other constants than this version's are a remark (`worlds.py`) |
-| what the world did by itself (`events/world.py`), and when | made again (`world/schedule.py`), and compared: none is left out, added or another |
-| who founds the fleet, with which capabilities and trust | made again for the recorded fleet size, and compared |
-| every decision: what, by whom, when, caused by which event | made again by the handlers, and compared |
-| what was planned (`ExperimentPlanned`, which is no run) | as recorded; its name is a digest of it |
-| how long messages, ways, attempts, answers and executions take; whether a degraded actuator holds | drawn again under the recorded seed |
+- What was played (seed, architecture, scenario, constants): from `RunStarted`, as recorded. Constants other than this
+  version's are a remark (`worlds.py`).
+- What the world did by itself (`events/world.py`), and when: made again (`world/schedule.py`) and compared, so that
+  none is left out, added or changed.
+- Who founds the fleet, with which capabilities and trust: made again for the recorded fleet size, and compared.
+- Every decision (what, by whom, when, caused by which event): made again by the handlers, and compared.
+- What was planned (`ExperimentPlanned`, which is no run): as recorded; its name is a digest of it.
+- How long messages, ways, attempts, answers and executions take, and whether a degraded actuator holds: drawn again
+  under the recorded seed.
 
 So a simulated run has one record only, and nothing in it is taken on trust but its first event, which its name is a
 digest of. The schedule is made to its horizon and a run ends when nothing is left to happen, so all of the schedule is
@@ -16,8 +16,8 @@ in the record. The facts of the paper's workflows are named by their scenario, a
 run (scripted, forked, live) differs in from the world of its seed has to be declared in its first event: `_Replay`
 takes the schedule with what is declared there, and `_parameters` refuses the kinds that declare nothing.
 
-The length of an execution stands in the record, too, as `ends_us`; it is drawn again all the same, for to take it from
-there would be to believe the decision that is in question.
+The record has the length of an execution, too, as `ends_us`. It is drawn again all the same: to take it from there
+would be to believe the decision that is in question.
 """
 
 import gc
@@ -134,8 +134,7 @@ NOT_REPLAYED = ReplayReport(False)
 def replay(
     path: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, commits: int | None = None
 ) -> ReplayReport:
-    """Every run was played again, and of each that differs the first difference is in the report; so is each run that
-    could not be checked.
+    """Play every run again, and report the first difference of each run that differs or could not be checked.
 
     Args:
         path: The directory of the ledger, which is taken to verify.
@@ -172,7 +171,7 @@ def _replayed(path: str, files: list[str], workers: int) -> Iterator[CommitRepor
 
 
 def replay_commit(path: str, number: int, file: str) -> CommitReport:
-    """The report on the runs of one commit, in `file` of the ledger. Never raises."""
+    """Return the report on the runs of one commit, in `file` of the ledger. Never raises."""
     found: list[Difference] = []
     starts: list[RunStarted] = []
     runs = events = 0
@@ -269,7 +268,8 @@ class _Replay(Kernel):
                 self._silent.append((command.now_us, decide))
                 if len(self._silent) > MAX_SILENT:
                     raise RuntimeError(
-                        f"more than {MAX_SILENT:,} decisions in a row made nothing, the last at {command.now_us} microseconds"
+                        f"more than {MAX_SILENT:,} decisions in a row made nothing, "
+                        f"the last at {command.now_us} microseconds"
                     )
             return events
 

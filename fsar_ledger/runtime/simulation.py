@@ -62,8 +62,8 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
 def run_id(started: RunStarted) -> str:
     """Return a readable name and a digest of all parameters, so that other parameters are another run."""
     digest = sha256(msgspec.json.encode(started, order="sorted")).hexdigest()[:12]
-    name = f"{started.architecture}.{started.configuration}.{started.scenario}.n{started.fleet_size}.s{started.seed}.r{started.run:04d}"
-    return f"{name}-{digest}"
+    cell = f"{started.architecture}.{started.configuration}.{started.scenario}"
+    return f"{cell}.n{started.fleet_size}.s{started.seed}.r{started.run:04d}-{digest}"
 
 
 def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> Kernel:

@@ -61,7 +61,8 @@ def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
             met.setdefault(world, {}).setdefault(who, set()).add(number)
     total = sum(count.total() for count in runs.values())
     lines = [
-        f"{_kind(differences)}: {counts.total():,} of {total:,} runs ({some(f'{count:,} of {who}' for who, count in counts.items())}) "
+        f"{_kind(differences)}: {counts.total():,} of {total:,} runs "
+        f"({some(f'{count:,} of {who}' for who, count in counts.items())}) "
         f"{KINDS[_kind(differences)]}: {some(differences)}"
         for parameters, counts in runs.items()
         if (differences := unlike_ours(parameters))
@@ -77,8 +78,8 @@ def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
         seed, scenario, fleet_size, run = unlike[0]
         lines.append(
             f"no pairs: under {len(unlike):,} of {len(met):,} combinations of seed, scenario, fleet size and run "
-            f"two architectures or configurations met no constants in common, first under {seed}, {scenario}, {fleet_size}, {run}; "
-            "`statistics` does not compare those two there"
+            f"two architectures or configurations met no constants in common, first under {seed}, {scenario}, "
+            f"{fleet_size}, {run}; `statistics` does not compare those two there"
         )
     return tuple(lines)
 

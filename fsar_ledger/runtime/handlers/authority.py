@@ -103,7 +103,10 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
         and command.supervisor != FLEET_SUPERVISOR
         and (robot is None or robot.supervisor != command.supervisor)
     ):
-        reason = f"{command.supervisor} does not supervise {command.executor or 'every robot'}, expected {FLEET_SUPERVISOR} or the executor's own"
+        reason = (
+            f"{command.supervisor} does not supervise {command.executor or 'every robot'}, "
+            f"expected {FLEET_SUPERVISOR} or the executor's own"
+        )
     reason = (
         reason or unknown_word("override level", command.override, LEVELS) or expired_context(state, command.context)
     )

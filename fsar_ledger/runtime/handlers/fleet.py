@@ -122,7 +122,10 @@ def install_capability(state: State, command: InstallCapability) -> tuple[Event,
     robot, capability = command.robot, command.capability
     wrong = unknown_robot(state, robot)
     if wrong is None and possesses(state.registry, robot, capability):
-        wrong = f"{robot} possesses version {state.registry.modules[robot][capability].version} already, expected an upgrade"
+        wrong = (
+            f"{robot} possesses version {state.registry.modules[robot][capability].version} already, "
+            "expected an upgrade"
+        )
     if wrong is None and (not capability.strip() or "*" in capability):
         wrong = f"capability {capability!r} is no name, expected one such as grasp.robust"
     if wrong is None and version_of(command.version) is None:

@@ -183,7 +183,10 @@ def _unfit(state: State, command: SetPolicyRule) -> str | None:
     refused = not_in_charge(state, command.issued_by, command.robot)
     own = state.fleet.robots[command.robot].supervisor
     if refused is None and own is not None and own != command.issued_by:
-        return f"{command.issued_by} does not set {command.robot}'s own policy, expected {own}; a fleet rule composes with it"
+        return (
+            f"{command.issued_by} does not set {command.robot}'s own policy, "
+            f"expected {own}; a fleet rule composes with it"
+        )
     return refused
 
 

@@ -84,7 +84,10 @@ def _impossible(command: SetRecoveryBudget) -> str | None:
         return f"level {command.level}, expected one of {', '.join(LEVELS)}"
     least = 1 if command.level == "human" else 0  # a failure that nobody else resolved must reach somebody
     if command.t_max_us < least or command.n_max < least:
-        return f"budget ({command.t_max_us} microseconds, {command.n_max}), expected at least {least} of both at level {command.level}"
+        return (
+            f"budget ({command.t_max_us} microseconds, {command.n_max}), "
+            f"expected at least {least} of both at level {command.level}"
+        )
     return None
 
 

@@ -46,7 +46,10 @@ def not_in_charge(
     if is_fleet_matter:
         return f"{supervisor} supervises one robot, expected {FLEET_SUPERVISOR} for what concerns the fleet"
     if robot is not None and state.fleet.robots[robot].supervisor != supervisor:
-        return f"{supervisor} does not supervise {robot}, expected {state.fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
+        return (
+            f"{supervisor} does not supervise {robot}, "
+            f"expected {state.fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
+        )
     return None
 
 

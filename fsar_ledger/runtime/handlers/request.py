@@ -204,7 +204,10 @@ def _not_reportable(state: State, action: Action, command: ReportResult) -> str 
     if action.stage not in ("running", "paused"):
         return f"it is {action.stage}, expected an action that is running or paused"
     if (command.result == "partial") != bool(command.achieved):
-        return f"a {command.result} result with {len(command.achieved)} postconditions achieved, expected some for a partial one and none else"
+        return (
+            f"a {command.result} result with {len(command.achieved)} postconditions achieved, "
+            "expected some for a partial one and none else"
+        )
     module = state.registry.modules.get(action.robot, {}).get(action.capability)
     promised = () if module is None else module.contract.postconditions
     unknown = [name for name in command.achieved if promised and name not in promised]

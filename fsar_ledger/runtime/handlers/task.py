@@ -69,7 +69,10 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
             case _:
                 able = False
         if not able:
-            return f"step {step!r}, expected ACTOR CAPABILITY [TARGET] of the robot's team, with a capability that somebody possesses"
+            return (
+                f"step {step!r}, "
+                "expected ACTOR CAPABILITY [TARGET] of the robot's team, with a capability that somebody possesses"
+            )
     return None
 
 
