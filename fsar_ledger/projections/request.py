@@ -70,12 +70,14 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     """The request for one action. `target` is the robot asked; `round` counts negotiations from 0.
 
     `is_adhoc`: it was issued by itself and is no step of a task, whatever its context; it is kept when it is over, so
-    that its name is not used again. `offered` is the override level of the counter-offer that waits for an answer,
-    `offers` counts them; `result` is known once the execution is over; `is_over`: it was refused, closed or let go, and
-    nothing is decided about it any more. `is_relayed`: the relay has passed it on; `is_heard`: who was asked has
-    put it off, or before a supervisor, `is_received`: a robot has it, in its queue
-    or before H_F who orders two; `is_unanswered`: the time for an answer was over;
-    `silent`: the robots whose time it was. `bidders`: who has sent its bid, `bids`: those that have come in.
+    that its name is not used again.
+    `offered` is the override level of the counter-offer that waits for an answer, `offers` counts them.
+    `result` is known once the execution is over. `is_over`: it was refused, closed or let go, and nothing is decided
+    about it any more.
+    `is_relayed`: the relay has passed it on. `is_heard`: the robot asked has put it off, or before a supervisor.
+    `is_received`: a robot has it, in its queue or before H_F who orders two. `is_unanswered`: the time for an answer
+    is over; `silent`: the robots whose time it was.
+    `bidders`: robots that have sent a bid; `bids`: those that have come in.
     """
 
     task_id: str
@@ -130,45 +132,15 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
     """Return the requests after the event."""
     match event:
         case StepBegan():
-            others = {
-                name: request
-                for name, request in state.items()
-                if request.is_adhoc or request.task_id != event.subject.task_id
-            }
-            begun = Request(
-                event.subject.task_id,
-                event.subject.action_id,
-                event.robot,
-                event.capability,
-                event.step,
-                event.attempt,
-                event.target_role is not None,
-            )
-            return {**others, event.subject.action_id: begun}
+            return _begun(state, event)
         case ExecutionFinished() | RequestClosed() | RequestDenied():
             return _ended(state, event)
         case StepCompleted():
             return {name: request for name, request in state.items() if name != event.subject.action_id}
-        case TaskAbandoned():  # what a robot has goes on or is withdrawn there; nobody answers the rest
-            kept = {
-                name: request
-                for name, request in state.items()
-                if request.is_adhoc or request.is_received or request.task_id != event.task_id
-            }
-            return state if len(kept) == len(state) else kept
+        case TaskAbandoned():
+            return _abandoned(state, event)
         case OutsiderRequestInjected():
-            injected = Request(
-                event.task_id,
-                event.task_id,
-                event.robot,
-                event.capability,
-                0,
-                1,
-                True,
-                (event.peer,),
-                target=event.peer,
-            )
-            return {**state, event.task_id: injected}
+            return _injected(state, event)
         case RegistryQueried():
             asking = state.get(event.subject.action_id or "")
             if asking is None or asking.capability != event.capability:  # a query in service of the action's recovery
@@ -185,11 +157,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case BidSubmitted():
             return _bid(state, event)
         case BidReceived():
-            earlier = tuple(
-                bid for bid in state[event.subject.action_id].bids if bid[0] != event.robot
-            )  # one that answers late was asked again
-            bids = (*earlier, (event.robot, event.outcome))
-            return _changed(state, event.subject.action_id, bids=bids)
+            return _bid_received(state, event)
         case AwardMade():
             action_id = next(name for name, request in state.items() if request.task_id == event.task_id)
             return _changed(state, action_id, target=event.robot, is_questioned=False)
@@ -204,18 +172,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case ContractQuestioned():
             return _changed(state, event.subject.action_id, is_questioned=True)
         case ContractVoided():
-            known = state[event.subject.action_id]
-            return _changed(
-                state,
-                event.subject.action_id,
-                bidders=(),
-                bids=(),
-                target=None,
-                is_accepted=False,
-                is_questioned=False,
-                is_received=False,
-                round=known.round + 1,
-            )
+            return _voided(state, event)
         case RequestUnanswered():
             return _unanswered(state, event)
         case RequestCountered():
@@ -224,6 +181,72 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             return _answered(state, event)
         case _:
             assert_never(event)
+
+
+def _begun(state: Requests, event: StepBegan) -> Requests:
+    """Begin the request for the step, in place of the task's earlier one."""
+    others = {
+        name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.subject.task_id
+    }
+    begun = Request(
+        event.subject.task_id,
+        event.subject.action_id,
+        event.robot,
+        event.capability,
+        event.step,
+        event.attempt,
+        event.target_role is not None,
+    )
+    return {**others, event.subject.action_id: begun}
+
+
+def _abandoned(state: Requests, event: TaskAbandoned) -> Requests:
+    """Keep what a robot has, which goes on or is withdrawn there; nobody answers the rest."""
+    kept = {
+        name: request
+        for name, request in state.items()
+        if request.is_adhoc or request.is_received or request.task_id != event.task_id
+    }
+    return state if len(kept) == len(state) else kept
+
+
+def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
+    """Begin an outsider's request, which has the name of its task."""
+    injected = Request(
+        event.task_id,
+        event.task_id,
+        event.robot,
+        event.capability,
+        0,
+        1,
+        True,
+        (event.peer,),
+        target=event.peer,
+    )
+    return {**state, event.task_id: injected}
+
+
+def _bid_received(state: Requests, event: BidReceived) -> Requests:
+    """Note the bid as read, in place of an earlier one: a robot that answers late was asked again."""
+    earlier = tuple(bid for bid in state[event.subject.action_id].bids if bid[0] != event.robot)
+    bids = (*earlier, (event.robot, event.outcome))
+    return _changed(state, event.subject.action_id, bids=bids)
+
+
+def _voided(state: Requests, event: ContractVoided) -> Requests:
+    """Start another round without bids, target or contract."""
+    known = state[event.subject.action_id]
+    return _changed(
+        state,
+        event.subject.action_id,
+        bidders=(),
+        bids=(),
+        target=None,
+        is_accepted=False,
+        is_questioned=False,
+        is_received=False,
+        round=known.round + 1,
+    )
 
 
 def _issued(state: Requests, event: RequestIssued) -> Requests:
