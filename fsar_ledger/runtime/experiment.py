@@ -37,9 +37,7 @@ from .world.founding import team_size
 from .world.schedule import happening
 
 ORIGIN = "fsar-ledger/simulated"
-WORKFLOWS_ORIGIN = (
-    "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
-)
+WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # another ledger of `reproduce`: no key signs two trees under one origin
 BATCH_RUNS = 25  # runs in a commit, if it holds so many, whatever the number of workers
 MAX_OWN = 60_000
 """The most characters of parameters with a fleet or a scenario in them.

@@ -4,10 +4,10 @@ from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
 from fsar_ledger.runtime.handlers import execution as bodies
 from fsar_ledger.runtime.handlers import supervision, task, withdrawal
 
-from . import agents, authority, execution, recovery, request, talk
+from . import agents, authority, execution, recovery, request, request_reactions, talk
 
 DHMA: HandlerTable = HandlerTable.of(
-    task, bodies, supervision, withdrawal, talk, agents, request, authority, execution, recovery
+    task, bodies, supervision, withdrawal, talk, agents, request, request_reactions, authority, execution, recovery
 )
 
 GROWTH = Growth(17, 670, 10.2, 3, 450, 5.2)

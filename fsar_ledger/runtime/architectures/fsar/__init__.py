@@ -19,7 +19,7 @@ from fsar_ledger.runtime.handlers import authority as rights
 from fsar_ledger.runtime.handlers import execution as bodies
 from fsar_ledger.runtime.handlers import request as requests
 
-from . import authority, availability, discovery, execution, recovery, request
+from . import authority, availability, discovery, execution, recovery, request, request_reactions
 
 _PUBLIC = (fleet, registry, advertising, requests, rights, trust, policy)
 
@@ -31,6 +31,7 @@ FSAR: HandlerTable = HandlerTable.of(
     withdrawal,
     discovery,
     request,
+    request_reactions,
     execution,
     authority,
     recovery,

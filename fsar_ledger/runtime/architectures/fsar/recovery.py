@@ -57,9 +57,8 @@ class StartRecovery(Command):
 class AskPeers(Command):
     """Deliver the question for help to the peers, after `asked` of them.
 
-    `is_last`: the time for an answer about this `failure` is over.
-
-    Units: `since_us` run time at which recovery turned to them.
+    `is_last`: the time for an answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
+    them.
     """
 
     action_id: str
@@ -72,9 +71,8 @@ class AskPeers(Command):
 class ConsiderReassignment(Command):
     """Deliver the failure to the recovery orchestrator, and to those it asks.
 
-    `is_last`: the time for an answer about this `failure` is over.
-
-    Units: `since_us` run time at which recovery turned to it.
+    `is_last`: the time for an answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
+    it.
     """
 
     action_id: str
