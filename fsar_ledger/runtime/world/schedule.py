@@ -171,10 +171,10 @@ def _window(
 
 def _contexts(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     instants = _arrivals(Stream(key, f"context/{robot}"), _mean_s(world.context_rate_per_s), world.horizon_s)
-    marks = Stream(key, f"context-window/{robot}")
+    draws = Stream(key, f"context-window/{robot}")
     facts: list[Fact] = []
     for ordinal, time_us in enumerate(instants):
-        if marks.uniform() < world.context_window_share:
+        if draws.uniform() < world.context_window_share:
             name = f"local/{robot[6:]}/{ordinal}"
             facts.append((time_us, ContextChanged(robot, name)))
             facts += _window(world, Stream(key, f"window/{name}"), robot, "local", name, time_us + 1)
@@ -213,10 +213,10 @@ def _in_the_way(world: WorldConstants, key: bytes, robot: Robot, what: str, rate
 
 
 def _routine(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
-    marks = Stream(key, f"routine-operation/{robot}")
+    draws = Stream(key, f"routine-operation/{robot}")
     instants = _arrivals(Stream(key, f"routine/{robot}"), _mean_s(world.routine_rate_per_s), world.routine_until_s)
     return [
-        (time_us, RoutineDue(robot, "motion" if marks.uniform() < world.motion_share else "sensing"))
+        (time_us, RoutineDue(robot, "motion" if draws.uniform() < world.motion_share else "sensing"))
         for time_us in instants
     ]
 

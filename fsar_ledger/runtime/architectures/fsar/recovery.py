@@ -57,7 +57,7 @@ class StartRecovery(Command):
 class AskPeers(Command):
     """Deliver the question for help to the peers, after `asked` of them.
 
-    `is_last`: the time for an answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
+    `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
     them.
     """
 
@@ -71,7 +71,7 @@ class AskPeers(Command):
 class ConsiderReassignment(Command):
     """Deliver the failure to the recovery orchestrator, and to those it asks.
 
-    `is_last`: the time for an answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
+    `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
     it.
     """
 
