@@ -24,15 +24,15 @@ class Robot(Design, frozen=True):
 
     @property
     def kind(self) -> str:
-        """The role, by which trust, policy and visibility are given."""
+        """Return the role, by which trust, policy and visibility are given."""
         return self.name if self.role is None else self.role
 
 
 class Capability(Design, frozen=True):
     """Something that robots of the fleet can do.
 
-    `postconditions` hold after it, in the order in which they come about; the roles in `visible_to` can discover it (none
-    named: all). Units: `lasts_s` seconds, from and to; None: as `world.durations` has it.
+    `postconditions` hold after it, in the order in which they come about; the roles in `visible_to` can discover it
+    (none named: all). Units: `lasts_s` seconds, from and to; None: as `world.durations` has it.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Capability(Design, frozen=True):
 
 
 class Substitute(Design, frozen=True):
-    """A capability that can take the place of another."""
+    """A capability that can replace another."""
 
     of: str
     by: str
@@ -94,7 +94,7 @@ class Fleet(Design, frozen=True):
 
     @property
     def roles(self) -> tuple[str, ...]:
-        """Each role once."""
+        """Return each role once."""
         return tuple(dict.fromkeys(robot.kind for robot in self.robots))
 
     def is_off_shift(self, spell: OffShift, robot: Robot) -> bool:
@@ -105,8 +105,8 @@ class Fleet(Design, frozen=True):
 class Task(Design, frozen=True):
     """A task of a team. Units: `offset_s` seconds after the scenario's start.
 
-    Steps are as in `TaskArrived`: `ACTOR capability` is done by the actor, `ACTOR capability TARGET` delegated by it; both
-    are robots of the team.
+    Steps are as in `TaskArrived`: `ACTOR capability` is done by the actor, `ACTOR capability TARGET` delegated by it;
+    both are robots of the team.
     """
 
     owner: str
@@ -117,7 +117,7 @@ class Task(Design, frozen=True):
 
     @property
     def delegated(self) -> int:
-        """How many steps are delegated."""
+        """Return how many steps are delegated."""
         return sum(step.count(" ") == 2 for step in self.steps)
 
 

@@ -12,7 +12,7 @@ from fsar_ledger.errors import UsageError
 
 _T = TypeVar("_T")
 Field = tuple[str | int, ...]
-"""Where a value stands: keys, and numbers of elements from 0."""
+"""The path of a value: keys, and numbers of elements from 0."""
 
 MAX_BYTES = 40_000
 """Of a file; those that come with the package have at most 2,000. Its content is in event 0 of every run of it."""
@@ -137,7 +137,7 @@ def _lines_before(lines: list[str], element: int) -> int:
 
 
 def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) -> str:
-    """Return what msgspec says as we say it: line, field, found, expected."""
+    """Return msgspec's message in our form: line, field, found, expected."""
     parsed = _AT.match(message)
     assert parsed is not None
     what = parsed["what"]
@@ -177,7 +177,7 @@ def _type(expected: str) -> str:
 
 
 def _inside(kind: Any, field: Field) -> Any:
-    """Return the type of what stands at the field."""
+    """Return the type of the field's value."""
     for part in field:
         kind = _without_none(kind)
         kind = (

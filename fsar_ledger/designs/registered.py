@@ -1,6 +1,6 @@
 """The fleets, scenarios and workflows that come with the package, one file each.
 
-One file more is one more of them, without a change anywhere else. They are read when they are first asked for, and once.
+Another file adds one without any other change. They are read once, when they are first asked for.
 """
 
 from functools import cache
@@ -20,7 +20,7 @@ PAPER_SCENARIOS = (
     "mixed-trust-inspection",
     "fleet-contention",
 )
-"""The five of the paper, in its order; what else is registered comes after them. Paper: sec:evaluation:scenarios."""
+"""The five of the paper, in its order; other registered ones come after them. Paper: sec:evaluation:scenarios."""
 PAPER_WORKFLOWS = ("workflow-door-relay", "workflow-layered-recovery", "workflow-human-supervision")
 
 

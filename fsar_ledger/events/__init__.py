@@ -1,4 +1,7 @@
-"""Typed events: the facts a ledger holds. One file per concept, versions of the past in `retired.py`; imports msgspec only."""
+"""Typed events: the facts a ledger holds.
+
+One file per concept, versions of the past in `retired.py`; imports msgspec only.
+"""
 
 from collections.abc import Mapping
 from typing import get_args
@@ -42,13 +45,16 @@ AnyEvent = (
 EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)
 
 UPCASTS: Chains = chains(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
-"""How an event of each retired type becomes one of today; made, and thereby checked, when the package starts."""
+"""How an event of each retired type becomes a current one; made, and thereby checked, when the package starts."""
 
 ADDITIONS: Mapping[type[Event], Addition] = additions(RETIRED_TYPES, UPCASTERS)
-"""The retired types whose events become ones of today by what is added to each, so that SQL does it where they lie."""
+"""The retired types whose events become current ones by adding fields alone, so that SQL does it in place."""
 
 ALONE: frozenset[type[Event]] = frozenset({ExperimentPlanned})
-"""The types of events that are the only one of their run: they are about runs, and happen in none. Event 0 of any other run is `RunStarted`."""
+"""The types of events that are alone in their run: they are about runs, and happen in none.
+
+Event 0 of any other run is `RunStarted`.
+"""
 
 
 def _concerns() -> dict[str, str]:
@@ -64,6 +70,9 @@ def _concerns() -> dict[str, str]:
 
 
 CONCERN_OF: dict[str, str] = _concerns()
-"""The concern of each event type, by its name whatever its version. What says what a run is has none: it is there whatever a run observes."""
+"""The concern of each event type, by its name whatever its version.
+
+A type that says what a run is has none: it is there whatever a run observes.
+"""
 
 __all__ = ["ADDITIONS", "ALONE", "CONCERN_OF", "EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]

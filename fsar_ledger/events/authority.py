@@ -26,7 +26,10 @@ class AuthorityReleased(Event, frozen=True):
 
 
 class AuthorityGranted(Event, frozen=True, kw_only=True):
-    """`requested_by` may ask (of None: anyone) up to this override level, by role or a supervisor's word; lifts a revocation. Paper: eq:auth, eq:override."""
+    """`requested_by` may ask up to this override level, by role or by a supervisor's word.
+
+    `requested_by` of None: anyone. It lifts a revocation. Paper: eq:auth, eq:override.
+    """
 
     requested_by: Robot
     executed_by: Robot | None
@@ -37,7 +40,10 @@ class AuthorityGranted(Event, frozen=True, kw_only=True):
 
 
 class AuthorityRevoked(Event, frozen=True, kw_only=True):
-    """`requested_by` may no longer ask this, from the next request boundary on: what executes already goes on. Paper: sec:model:authority."""
+    """`requested_by` may no longer ask this, from the next request boundary on.
+
+    What executes already goes on. Paper: sec:model:authority.
+    """
 
     requested_by: Robot
     executed_by: Robot | None

@@ -4,9 +4,11 @@ from .envelope import Event, Principal
 
 
 class CommandRejected(Event, frozen=True, kw_only=True):
-    """The command named something that is unknown, over, or impossible; nothing else has happened. Paper: sec:architecture:overview.
+    """The command named something that is unknown, over, or impossible; nothing else has happened.
 
     `subject` is what it was about, `reason` what was found and what was expected.
+
+    Paper: sec:architecture:overview.
     """
 
     command: str

@@ -1,4 +1,4 @@
-"""How a configuration is named: an architecture in full, or without some of its mechanisms. Paper: tab:ablation."""
+"""The names of configurations: an architecture in full, or without some of its mechanisms. Paper: tab:ablation."""
 
 from collections.abc import Iterable
 from typing import Literal, TypeAlias, get_args
@@ -40,25 +40,33 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
         "nested-queries": "nested queries carry requests past visibility (else they come to nothing)",
     },
 }
-"""All that can be taken out of each architecture: what it is, and what stands in its place. No name is that of two. The handlers know the paper's four;
-what is done instead of each other one says `runtime.switches`."""
+"""All that can be taken out of each architecture: what it does, and what replaces it.
+
+No two mechanisms share a name. The handlers know the paper's four; `runtime.knockouts` holds the others.
+"""
 
 ON_RECORD_ALONE = frozenset(
     {"engine-closing", "unnamed-requests", "central-decisions", "handoff-records", "agent-decisions"}
 )
-"""Without these the same is done at the same times, and the record names others for it, or has less: what they carry is how a metric counts."""
+"""Without these, the same is done at the same times, but the record names others for it or has less.
+
+They show how a metric counts.
+"""
 
 EVERY_MECHANISM: tuple[str, ...] = tuple(name for names in MECHANISMS_OF.values() for name in names)
 
 Configuration: TypeAlias = str
-"""`full`, or `without-` and the mechanisms that are taken out: `without-trust-evaluation`, `without-trust-evaluation+shared-registry`."""
+"""`full`, or `without-` and the mechanisms that are taken out.
+
+`without-trust-evaluation`, `without-trust-evaluation+shared-registry`.
+"""
 
 FULL: Configuration = "full"
 _WITHOUT = "without-"
 
 
 def without(mechanisms: Iterable[str]) -> Configuration:
-    """Return the name of the configuration that lacks these mechanisms; they stand in the order of `EVERY_MECHANISM`, each once."""
+    """Name the configuration that lacks these mechanisms, each once, in the order of `EVERY_MECHANISM`."""
     lacking = set(mechanisms)
     return _WITHOUT + "+".join(one for one in EVERY_MECHANISM if one in lacking) if lacking else FULL
 
@@ -81,7 +89,7 @@ def is_known(configuration: str) -> bool:
 
 
 def rank(configuration: Configuration) -> tuple[int, tuple[int, ...]]:
-    """Return the place of a known configuration among others: full first, then those that lack one mechanism, then two."""
+    """Return the rank of a known configuration: full first, then those that lack one mechanism, then two."""
     lacking = [EVERY_MECHANISM.index(one) for one in EVERY_MECHANISM if one in lacks(configuration)]
     return len(lacking), tuple(lacking)
 

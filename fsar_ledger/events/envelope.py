@@ -1,10 +1,10 @@
 """The shape every event shares: one frozen struct per fact, one tag per version.
 
-An event says what happened; the envelope around it says where in a run. Envelope columns that every
-row has (`run_id`, `seq`, `time_us`, `caused_by`, `type`) are kept beside the structs as columns, because
-they are the same for whole runs or follow from the position. Envelope columns that only some events
-have come in parts, types of their own that are stored as the columns of the same names: a subject (`Subject`,
-`RequestSubject`) says what an event is about, principals (`Principals`, `Parties`) who decided, asked, executes and supervises.
+An event says what happened; the envelope around it says where in a run. Envelope columns that every row has (`run_id`,
+`seq`, `time_us`, `caused_by`, `type`) are kept beside the structs as columns, because they are the same for whole runs
+or follow from the position. Envelope columns that only some events have come in parts, types of their own that are
+stored as the columns of the same names: a subject (`Subject`, `RequestSubject`) says what an event is about, principals
+(`Principals`, `Parties`) who decided, asked, executes and supervises.
 
 A principal is None when the record does not name one; it is never defaulted. Times are integer
 microseconds of run time, shares are parts per million; no event holds a float.
@@ -20,7 +20,7 @@ Service = NewType("Service", str)
 Agent = NewType("Agent", str)
 Coordinator = NewType("Coordinator", str)
 Principal: TypeAlias = Robot | Supervisor | Service | Agent | Coordinator
-"""Whoever can be on record for something."""
+"""Every principal that can be on record for something."""
 
 # What is named after what it is about; to the type checker these are plain text.
 TaskId: TypeAlias = str
@@ -34,7 +34,7 @@ _Request = TypeVar("_Request", bound=RequestId | None, covariant=True)
 
 
 def tag(name: str) -> str:
-    """The stored type of an event class: its name and version."""
+    """Return the stored type of an event class: its name and version."""
     return f"{name}.v1"
 
 
@@ -100,7 +100,10 @@ class Parties(Part, frozen=True, kw_only=True):
 
 
 class Principals(Part, frozen=True, kw_only=True):
-    """Whom the record of a decision names: the parties, the decider, and the principals that the decision traversed (`path`, decider last)."""
+    """Whom the record of a decision names: the parties, the decider, and the principals on the way.
+
+    `path`: the principals that the decision traversed, decider last.
+    """
 
     decided_by: Principal | None
     requested_by: Principal | None
@@ -119,7 +122,7 @@ TRUST = Service("service/trust")
 
 
 def local_supervisor(robot: Robot) -> Supervisor:
-    """The principal of the robot's own supervisor H_i: `robot/A1` is supervised by `supervisor/A1`."""
+    """Return the principal of the robot's own supervisor H_i: `supervisor/A1` for `robot/A1`."""
     return Supervisor("supervisor/" + robot[6:])
 
 
@@ -132,7 +135,7 @@ AgentKind = Literal["planning", "execution", "communication", "recovery"]
 
 
 def agent(robot: Robot, kind: AgentKind) -> Agent:
-    """The principal of one of the four agents into which DHMA splits a robot: `agent/A1/planning`."""
+    """Return the principal of one of the four agents into which DHMA splits a robot: `agent/A1/planning`."""
     return Agent(f"agent/{robot[6:]}/{kind}")
 
 
@@ -142,7 +145,7 @@ def robot_of(agent: Agent) -> Robot:
 
 
 def as_robot(requester: Principal) -> Robot:
-    """Return the requester of a record of which only a robot is the requester, as the robot that it is."""
+    """Return the requester of a record that only robots request, as a robot."""
     return Robot(requester)
 
 

@@ -29,10 +29,12 @@ class OwnStepDecided(Event, frozen=True):
 
 
 class ExecutionQueued(Event, frozen=True, kw_only=True):
-    """The action waits for the robot, which serves one at a time: by override level, else in order of arrival. Paper: eq:override.
+    """The action waits for the robot, which serves one at a time: by override level, then in order of arrival.
 
     The principals are those that the architecture records of the execution; `is_supervised` is False when
     it knows no supervisor for it at all.
+
+    Paper: eq:override.
     """
 
     subject: Subject[TaskId, ActionId]
@@ -88,7 +90,10 @@ class ExecutionPaused(Event, frozen=True):
 
 
 class ExecutionHalted(Event, frozen=True):
-    """The robot went off while it executed; the rest goes on when it is back. Units: `remaining_us` microseconds of execution left."""
+    """The robot went off while it executed; the rest goes on when it is back.
+
+    Units: `remaining_us` microseconds of execution left.
+    """
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
@@ -150,7 +155,10 @@ class ExecutionFinished(Event, frozen=True):
 
 
 class ExecutionWithdrawn(Event, frozen=True):
-    """The action no longer occupies this robot: its contract is void, it was reassigned, or its task was given up before it began."""
+    """The action no longer occupies this robot.
+
+    Its contract is void, it was reassigned, or its task was given up before it began.
+    """
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
@@ -173,7 +181,7 @@ class RoutineWithheld(Event, frozen=True):
 
 
 class RoutineReported(Event, frozen=True):
-    """A second agent's record of a motion that crossed two agents of the robot. Paper: sec:evaluation:baselines (DHMA)."""
+    """A second agent has recorded a motion that crossed two of the robot. Paper: sec:evaluation:baselines (DHMA)."""
 
     principals: Parties
     robot: Robot

@@ -1,14 +1,17 @@
-"""Policy that is set by rule (`eq:policy`, `app:foundations`); what opens and closes by itself is the world's."""
+"""Policy that is set by rule (`eq:policy`, `app:foundations`); the world opens and closes windows by itself."""
 
 from .envelope import ActionId, Event, PolicyOutcome, PolicyScope, Principal, Principals, Robot, Subject, TaskId
 
 
 class PolicyRuleSet(Event, frozen=True, kw_only=True):
-    """P_i(e, sigma) is this from now on: of one robot (`local`) or of the fleet for it, None for every robot. Paper: app:foundations.
+    """P_i(e, sigma) is this from now on: of one robot (`local`) or of the fleet for it, None for every robot.
+
+    Paper: app:foundations.
 
     For one `capability`, in one `context` (task), or (None) for all; the strictest rule that applies holds. A rule
-    replaces the one with the same scope, robot, capability and context, and that of the robot's role (`RolePolicyRuleSet`).
-    A fleet rule that says `allow` is a mandate: where the robot's own policy denies, the two conflict.
+    replaces the one with the same scope, robot, capability and context, and that of the robot's role
+    (`RolePolicyRuleSet`). A fleet rule that says `allow` is a mandate: where the robot's own policy denies, the two
+    conflict.
     """
 
     scope: PolicyScope
@@ -20,11 +23,12 @@ class PolicyRuleSet(Event, frozen=True, kw_only=True):
 
 
 class RolePolicyRuleSet(Event, frozen=True, kw_only=True):
-    """Every robot of `role` has this rule from now on, as its own (`local`) or as the fleet's for it, also robots that join later. Paper: app:foundations.
+    """Every robot of `role` has this rule from now on, also robots that join later.
 
-    They must be in the `domain` or below it; empty is the whole fleet. A rule about the very robot with the same scope, capability and context
-    replaces it for that robot, stricter or not, and so does the role's rule of a smaller domain. Of what is left the strictest holds.
-    Reading: R36.
+    It is the robot's own (`local`) or the fleet's for it. They must be in the `domain` or below it; empty is the whole
+    fleet. A rule about the very robot with the same scope, capability and context replaces it for that robot, stricter
+    or not, and so does the role's rule of a smaller domain. Of what is left the strictest holds. Paper:
+    app:foundations. Reading: R36.
     """
 
     scope: PolicyScope
@@ -37,7 +41,10 @@ class RolePolicyRuleSet(Event, frozen=True, kw_only=True):
 
 
 class PolicyConflictEscalated(Event, frozen=True):
-    """The fleet mandates what the robot's own policy denies: nothing is overridden, a supervisor is told. Paper: sec:architecture:fleet."""
+    """The fleet mandates what the robot's own policy denies.
+
+    Nothing is overridden; a supervisor is told. Paper: sec:architecture:fleet.
+    """
 
     subject: Subject[TaskId | None, ActionId | None]
     principals: Principals

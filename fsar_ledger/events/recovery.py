@@ -18,7 +18,10 @@ from .envelope import (
 
 
 class RecoveryBudgetSet(Event, frozen=True, kw_only=True):
-    """Q_i of the robot gives a level this budget (t_max, n_max) from now on. Units: `t_max_us` microseconds. Paper: app:foundations."""
+    """Q_i of the robot gives a level this budget (t_max, n_max) from now on.
+
+    Units: `t_max_us` microseconds. Paper: app:foundations.
+    """
 
     robot: Robot
     level: RecoveryLevel
@@ -28,7 +31,10 @@ class RecoveryBudgetSet(Event, frozen=True, kw_only=True):
 
 
 class RecoveryAttempted(Event, frozen=True, kw_only=True):
-    """An attempt to recover has begun; `number` counts from 1 within the failure. Units: `deadline_us` run time. Paper: sec:model:recovery."""
+    """An attempt to recover has begun; `number` counts from 1 within the failure.
+
+    Units: `deadline_us` run time. Paper: sec:model:recovery.
+    """
 
     subject: Subject[TaskId, ActionId | None]
     principals: Principals
@@ -52,7 +58,10 @@ class RecoveryAttemptFailed(Event, frozen=True, kw_only=True):
 
 
 class RecoveryEscalated(Event, frozen=True, kw_only=True):
-    """Recovery leaves one level for the next, for this reason; a level that has nothing to try is left at once. Paper: eq:recovery."""
+    """Recovery leaves one level for the next, for this reason; a level that has nothing to try is left at once.
+
+    Paper: eq:recovery.
+    """
 
     subject: Subject[TaskId, ActionId | None]
     principals: Principals
@@ -110,7 +119,10 @@ class AssistanceEnded(Event, frozen=True):
 
 
 class AssistanceFailed(Event, frozen=True, kw_only=True):
-    """The helper could not help, and is free again: its own way was blocked, or its actuator did not hold either. Paper: sec:model:recovery, level 2."""
+    """The helper could not help, and is free again.
+
+    Its own way was blocked, or its actuator did not hold either. Paper: sec:model:recovery, level 2.
+    """
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
@@ -120,7 +132,9 @@ class AssistanceFailed(Event, frozen=True, kw_only=True):
 
 
 class ReassignmentDecided(Event, frozen=True, kw_only=True):
-    """The recovery orchestrator has looked for another robot; `helper` is None when no reassignment is feasible. Paper: sec:model:recovery, level 3.
+    """The recovery orchestrator has looked for another robot; `helper` is None when no reassignment is feasible.
+
+    Paper: sec:model:recovery, level 3.
 
     `checkpoint` is the declared state from which the helper resumes; `reason` says why none can.
     """
@@ -135,7 +149,10 @@ class ReassignmentDecided(Event, frozen=True, kw_only=True):
 
 
 class TaskStateTransferred(Event, frozen=True, kw_only=True):
-    """The helper holds the state of the task as of the checkpoint: the steps done until then. Paper: sec:model:recovery, level 3."""
+    """The helper holds the state of the task as of the checkpoint: the steps done until then.
+
+    Paper: sec:model:recovery, level 3.
+    """
 
     subject: Subject[TaskId, ActionId]
     robot: Robot

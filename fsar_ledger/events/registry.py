@@ -63,7 +63,10 @@ class CapabilityAdvertised(Event, frozen=True, kw_only=True):
 
 
 class CapabilityWithdrawn(Event, frozen=True):
-    """The capability is no longer on the robot's surface; the robot still possesses it. Paper: sec:architecture:registry."""
+    """The capability is no longer on the robot's surface; the robot still possesses it.
+
+    Paper: sec:architecture:registry.
+    """
 
     robot: Robot
     capability: str
@@ -71,9 +74,11 @@ class CapabilityWithdrawn(Event, frozen=True):
 
 
 class AvailabilityChanged(Event, frozen=True, kw_only=True):
-    """Another availability is known, of one capability or (None) of all that the robot advertises. Paper: sec:architecture:registry.
+    """Another availability is known, of one capability or (None) of all that the robot advertises.
 
     The robot has reported it; with the reason `no answer` it did not answer somebody, and the registry has it offline.
+
+    Paper: sec:architecture:registry.
     """
 
     robot: Robot
@@ -83,7 +88,10 @@ class AvailabilityChanged(Event, frozen=True, kw_only=True):
 
 
 class CapabilityDeprecated(Event, frozen=True, kw_only=True):
-    """The version is on its way out: shown last, and to no query that another version satisfies. Paper: sec:discussion:continuity."""
+    """The version is on its way out: shown last, and to no query that another version satisfies.
+
+    Paper: sec:discussion:continuity.
+    """
 
     robot: Robot
     capability: str
@@ -99,7 +107,9 @@ class RegistryCached(Event, frozen=True):
 
 
 class RegistryConsulted(Event, frozen=True, kw_only=True):
-    """Somebody has looked into the registry outside of any request: nothing between two robots follows from it. Paper: sec:architecture:registry.
+    """Somebody has looked into the registry outside of any request: nothing between two robots follows from it.
+
+    Paper: sec:architecture:registry.
 
     The fields are as in `RegistryQueried`.
     """

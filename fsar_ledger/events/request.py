@@ -30,9 +30,9 @@ class RequestIssued(Event, frozen=True, kw_only=True):
     """A request is on its way. `carried_policy` is the requester's own policy at this moment, if it sends it.
 
     `override` is the level it asks for; `parent` the request in whose service the requester asks (a chain);
-    `directives` what it would dictate to the executor (`plan`, `policy`, `recovery`), which no request may; `version` the
-    one that was advertised when it was formulated, if it depends on it.
-    Paper: eq:request, phase 3; eq:override; eq:nontransitive.
+    `directives` what it would dictate to the executor (`plan`, `policy`, `recovery`), which no request may; `version`
+    the one that was advertised when it was formulated, if it depends on it. Paper: eq:request, phase 3; eq:override;
+    eq:nontransitive.
     """
 
     subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
@@ -55,7 +55,10 @@ class RequestRelayed(Event, frozen=True):
 
 
 class RequestUnanswered(Event, frozen=True):
-    """No candidate is known for the step, or the one that was asked (`executed_by`) has not answered in time; it is tried again."""
+    """No candidate is known for the step, or the one that was asked has not answered in time.
+
+    `executed_by` is the one that was asked. It is tried again.
+    """
 
     subject: Subject[TaskId, ActionId]
     principals: Principals
@@ -95,7 +98,10 @@ class AwardMade(Event, frozen=True):
 
 
 class InternalHandoff(Event, frozen=True):
-    """One agent of a robot has passed work to another; nothing ties the message to a request. Paper: sec:evaluation:baselines (DHMA)."""
+    """One agent of a robot has passed work to another; nothing ties the message to a request.
+
+    Paper: sec:evaluation:baselines (DHMA).
+    """
 
     principals: Parties
     sender: Agent
@@ -151,7 +157,10 @@ class RequestCountered(Event, frozen=True):
 
 
 class OfferAnswered(Event, frozen=True):
-    """The requester has answered the counter-offer: it takes the terms, asks for others, or (neither) lets go. Paper: sec:model:request (negotiate)."""
+    """The requester has answered the counter-offer.
+
+    It takes the terms, asks for others, or (neither) lets go. Paper: sec:model:request (negotiate).
+    """
 
     subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
     principals: Principals
@@ -161,7 +170,10 @@ class OfferAnswered(Event, frozen=True):
 
 
 class CommandIssued(Event, frozen=True):
-    """The coordinator has delegated a step to a robot; `seen_busy` is what its copy showed. Paper: sec:evaluation:baselines (CFC)."""
+    """The coordinator has delegated a step to a robot; `seen_busy` is what its copy showed.
+
+    Paper: sec:evaluation:baselines (CFC).
+    """
 
     subject: RequestSubject[TaskId, ActionId, RequestId | None]
     principals: Principals
@@ -177,14 +189,17 @@ class RequestAccepted(Event, frozen=True):
 
 
 class ContractQuestioned(Event, frozen=True):
-    """A party's context changed after the award, so the contract may no longer hold. Paper: sec:evaluation:baselines (DHMA)."""
+    """A party's context changed after the award, so the contract may no longer hold.
+
+    Paper: sec:evaluation:baselines (DHMA).
+    """
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
 
 
 class ContractVoided(Event, frozen=True):
-    """The contract is off and must be negotiated again, under the same action. Paper: sec:evaluation:baselines (DHMA)."""
+    """The contract is off and is negotiated again, under the same action. Paper: sec:evaluation:baselines (DHMA)."""
 
     subject: Subject[TaskId, ActionId]
     robot: Robot

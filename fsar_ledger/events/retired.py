@@ -2,8 +2,9 @@
 
 An event type that changes by more than a new optional field gets the next version: `class StepBegan(Event, frozen=True,
 tag="StepBegan.v2")`. What it was moves here as `class StepBeganV1(Event, frozen=True, tag="StepBegan.v1")`, with an
-upcaster to the next version: `adding` where that only has more fields, which SQL does where the rows lie, however many they are, else a function
-from event to event. Rows stay stored, checked and hashed as they are; who reads events meets the newest version only.
+upcaster to the next version: `adding` where that only has more fields, which SQL does in place, however many rows there
+are, else a function from event to event. Rows stay stored, checked and hashed as they are; readers of events meet the
+newest version only.
 """
 
 from typing import Any, Literal
@@ -43,8 +44,8 @@ class RunStartedV1(Event, frozen=True, tag="RunStarted.v1"):
     parameters: str
 
 
-# The concerns of 0.2.0, by name: one that a later release adds was not observed then. Both kinds of run were made by our own handlers, which record all
-# that they decide, are told and meet.
+# The concerns of 0.2.0, by name: one that a later release adds was not observed then. Both kinds of run were made by
+# our own handlers, which record all that they decide, are told and meet.
 _OBSERVED_BY_V1 = (
     "fleet",
     "registry",
@@ -64,7 +65,7 @@ _OBSERVED_BY_V1 = (
 
 
 RETIRED_TYPES: tuple[type[Event], ...] = (RunStartedV1,)
-"""Every type that was current in a release and is so no more."""
+"""Every type that was current in a release and is not any more."""
 
 UPCASTERS: tuple[Upcaster[Any, Any], ...] = (adding(RunStartedV1, RunStarted, observes=_OBSERVED_BY_V1),)
 """For each retired type the step to its next version."""

@@ -22,7 +22,10 @@ class SupervisorCalled(Event, frozen=True, kw_only=True):
 
 
 class SupervisorResponded(Event, frozen=True):
-    """The supervisor has decided: approved the review or not, resolved the failure, ordered the commands (`preferred` goes first)."""
+    """The supervisor has decided: approved the review or not, resolved the failure, or ordered the commands.
+
+    `preferred` goes first.
+    """
 
     subject: Subject[TaskId, ActionId]
     principals: Principals
@@ -32,7 +35,10 @@ class SupervisorResponded(Event, frozen=True):
 
 
 class SupervisionDensitySet(Event, frozen=True, kw_only=True):
-    """One in so many admissions of the robot (None: of every robot) is put before a supervisor; 0 is none. Paper: sec:model:supervision."""
+    """One in so many admissions of the robot (None: of every robot) is put before a supervisor; 0 is none.
+
+    Paper: sec:model:supervision.
+    """
 
     robot: Robot | None
     review_every: int

@@ -21,10 +21,13 @@ class TrustSet(Event, frozen=True, kw_only=True):
 
 
 class RoleTrustSet(Event, frozen=True, kw_only=True):
-    """Every robot of `role` trusts every robot of `peer_role` with this scope from now on, also those that join later. Paper: eq:trust.
+    """Every robot of `role` trusts every robot of `peer_role` with this scope from now on.
 
-    Both must be in the `domain` or below it; empty is the whole fleet. `capability`, `context` and `decided_by` are as in
-    `TrustSet`. An entry about the very pair goes before every entry about their roles, and that of a smaller domain before that of a larger one.
+    Also those that join later. Both must be in the `domain` or below it; empty is the whole fleet. `capability`,
+    `context` and `decided_by` are as in `TrustSet`. An entry about the very pair goes before every entry about their
+    roles, and that of a smaller domain before that of a larger one.
+
+    Paper: eq:trust.
     """
 
     role: str
@@ -38,7 +41,10 @@ class RoleTrustSet(Event, frozen=True, kw_only=True):
 
 
 class TrustThresholdsSet(Event, frozen=True):
-    """From now on trust follows the record: so many successes in a row promote it, failures downgrade it; 0 is never. Paper: sec:model:trust."""
+    """From now on trust follows the record: so many successes promote it, so many failures downgrade it.
+
+    Successes count in a row; 0 is never. Paper: sec:model:trust.
+    """
 
     promote_after: int
     downgrade_after: int

@@ -1,4 +1,4 @@
-"""How events of retired types become events of today: one pure function a version, checked when the package starts."""
+"""How events of retired types become current ones: one pure function a version, checked when the package starts."""
 
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar, Union, get_args, get_origin
@@ -17,17 +17,17 @@ _UNIONS = (Union, get_origin(int | None))
 
 
 class Upcaster(msgspec.Struct, Generic[_Before, _After], frozen=True):
-    """One step: `change` takes an event of the retired type `before` and gives the same fact as the next version, `after`."""
+    """One step: `change` takes an event of the retired type `before` to the same fact in the next version, `after`."""
 
     before: type[_Before]
     after: type[_After]
     change: Callable[[_Before], _After]
     added: Mapping[str, Value] | None = None
-    """What `change` adds to every event, if it does nothing else (`adding`); None for any other change."""
+    """The fields that `change` adds to every event, if it does nothing else (`adding`); None for any other change."""
 
 
 class Addition(NamedTuple):
-    """A whole way of changes that only add: rows become rows of `after` by column, however many they are. Nobody has to look at one."""
+    """A whole way of changes that only add: rows become rows of `after` by column, without a look at any."""
 
     after: type[Event]
     added: Mapping[str, Value]
@@ -38,12 +38,14 @@ Chains: TypeAlias = Mapping[type[Event], tuple[Change, ...]]
 
 
 def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcaster[_Before, _After]:
-    """The step to a next version that has every field of the one before, and these, each with the same value in every event.
+    """Return the step to a next version that only has these fields more, with the same values in every event.
 
-    A new field that is not named here gets its default, in SQL, too.
+    Every field of the version before is kept. A new field that is not named here gets its default, in SQL, too.
 
     Raises:
-        TypeError: `after` needs a field that neither the version before nor this step gives, lacks one of them, or cannot hold a value.
+        TypeError: `after` needs a field that neither the version before nor this step gives, lacks one of them, or
+            cannot
+            hold a value.
     """
     fields = {field.name: field for field in msgspec.structs.fields(after)}
     given = {*before.__struct_fields__, *added}
@@ -51,7 +53,8 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
     if lacking or not given <= fields.keys() or not added.keys().isdisjoint(before.__struct_fields__):
         own = sorted(fields.keys() - set(before.__struct_fields__))
         raise TypeError(
-            f"upcaster of {_tag(before)}: found that it adds {sorted(added)} and lacks {lacking}, expected of {own}; write a change instead"
+            f"upcaster of {_tag(before)}: found that it adds {sorted(added)} and lacks {lacking}, "
+            f"expected of {own}; write a change instead"
         )
     added = {
         name: field.default for name, field in fields.items() if name not in given and field.default is not None
@@ -60,7 +63,8 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
         if not _takes(fields[field.name].type, field.type):
             kinds = f"found {field.type} become {fields[field.name].type}"
             raise TypeError(
-                f"upcaster of {_tag(before)}: field {field.name}: {kinds}, expected a type that takes every value; write a change instead"
+                f"upcaster of {_tag(before)}: field {field.name}: {kinds}, "
+                "expected a type that takes every value; write a change instead"
             )
     for name, value in added.items():
         try:
@@ -75,7 +79,10 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
 
 
 def _takes(kind: Any, before: Any) -> bool:
-    """Whether a field of this type takes every value of the type before: the same one, a wider choice of words, or None as well."""
+    """Tell whether a field of this type takes every value of the type before.
+
+    It is the same one, a wider choice of words, or None as well.
+    """
     if kind == before:
         return True
     if get_origin(before) in _UNIONS:
@@ -95,7 +102,10 @@ def _takes(kind: Any, before: Any) -> bool:
 def additions(
     retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]
 ) -> Mapping[type[Event], Addition]:
-    """For each retired type whose whole way to a current one only adds: that type and what is added on the way. The steps are as `chains` wants them."""
+    """Return each retired type whose whole way only adds, with its current type and what is added.
+
+    The steps are as `chains` wants them.
+    """
     steps = {step.before: step for step in upcasters}
     found: dict[type[Event], Addition] = {}
     for cls in retired:
@@ -112,22 +122,25 @@ def additions(
 def chains(
     current: Iterable[type[Event]], retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]
 ) -> Chains:
-    """The way of each retired type to a current one, every step of which leads to the next version of the same name.
+    """Return the way of each retired type to a current one, one version of the same name a step.
 
     Raises:
         TypeError: A tag has no version or is there twice; a name's versions do not go from 1 to the current one without
-            gaps; a retired type has no upcaster or several; an upcaster is for other types, forms a cycle or leaves out a version.
+            gaps; a retired type has no upcaster or several; an upcaster is for other types, forms a cycle or leaves out
+                a version.
     """
     current, retired, upcasters = tuple(current), tuple(retired), tuple(upcasters)
     _check_versions(current, retired)
     for step in upcasters:
         if step.before not in retired:
             raise TypeError(
-                f"upcaster of {_tag(step.before)}: found a type that is not retired; list it in RETIRED_TYPES or take the upcaster away"
+                f"upcaster of {_tag(step.before)}: found a type that is not retired; "
+                "list it in RETIRED_TYPES or take the upcaster away"
             )
         if step.after not in (*current, *retired):
             raise TypeError(
-                f"upcaster of {_tag(step.before)}: found that it leads to {_tag(step.after)}, expected a type that is listed; list it"
+                f"upcaster of {_tag(step.before)}: found that it leads to {_tag(step.after)}, "
+                "expected a type that is listed; list it"
             )
     steps: dict[type[Event], Upcaster[Any, Any]] = {}
     for cls in retired:
@@ -142,26 +155,31 @@ def chains(
         name, number = _version(step.before)
         if _version(step.after) != (name, number + 1):
             raise TypeError(
-                f"upcaster of {_tag(step.before)}: found that it leads to {_tag(step.after)}, expected {name}.v{number + 1}; change one version a step"
+                f"upcaster of {_tag(step.before)}: found that it leads to {_tag(step.after)}, "
+                f"expected {name}.v{number + 1}; change one version a step"
             )
     return ways
 
 
 def _way(cls: type[Event], steps: Mapping[type[Event], Upcaster[Any, Any]]) -> tuple[Change, ...]:
-    """The changes from this type on. Raises: TypeError for a cycle."""
+    """Return the changes from this type on. Raises: TypeError for a cycle."""
     passed, changes = [cls], []
     while (step := steps.get(passed[-1])) is not None:
         changes.append(step.change)
         if step.after in passed:
             raise TypeError(
-                f"upcasters: found the cycle {' -> '.join(map(_tag, [*passed, step.after]))}, expected a way to a current type; take one step away"
+                f"upcasters: found the cycle {' -> '.join(map(_tag, [*passed, step.after]))}, "
+                "expected a way to a current type; take one step away"
             )
         passed.append(step.after)
     return tuple(changes)
 
 
 def _check_versions(current: tuple[type[Event], ...], retired: tuple[type[Event], ...]) -> None:
-    """Raises: TypeError unless each name has its versions from 1 on, the last of them current and the others retired."""
+    """Check the versions of each name.
+
+    Raises: TypeError unless they go from 1 on, the last of them current and the others retired.
+    """
     found: dict[str, dict[int, type[Event]]] = {}
     for cls in (*current, *retired):
         name, number = _version(cls)
@@ -174,22 +192,24 @@ def _check_versions(current: tuple[type[Event], ...], retired: tuple[type[Event]
         newest = max(versions)
         if missing := sorted(set(range(1, newest)) - versions.keys()):
             raise TypeError(
-                f"{name}: found version {newest} without version {missing[0]}, expected all from 1; keep the old struct in RETIRED_TYPES"
+                f"{name}: found version {newest} without version {missing[0]}, "
+                "expected all from 1; keep the old struct in RETIRED_TYPES"
             )
         for number, cls in versions.items():
             if (cls in current) != (number == newest):
                 raise TypeError(
-                    f"{_tag(cls)}: found it {'current' if cls in current else 'retired'}, expected only version {newest} of {name} to be current"
+                    f"{_tag(cls)}: found it {'current' if cls in current else 'retired'}, "
+                    f"expected only version {newest} of {name} to be current"
                 )
 
 
 def _tag(cls: type[Event]) -> str:
-    """The stored type of this class."""
+    """Return the stored type of this class."""
     return str(cls.__struct_config__.tag)
 
 
 def _version(cls: type[Event]) -> tuple[str, int]:
-    """Name and version number of an event type. Raises: TypeError for a tag that has none."""
+    """Return name and version number of an event type. Raises: TypeError for a tag that has none."""
     name, _, number = _tag(cls).rpartition(".v")
     if not name or not number.isdecimal() or number != str(int(number)) or number == "0":
         raise TypeError(

@@ -1,7 +1,7 @@
-"""What the world does, whoever governs it: the only events that come from draws.
+"""What the world does under every architecture: the only events that come from draws.
 
-Every one of these comes from the schedule that is generated before the run (see `runtime/world/`), so
-their (time_us, type, payload) is the same under every architecture and configuration.
+Every one of these comes from the schedule that is generated before the run (see `runtime/world/`), so their (time_us,
+type, payload) is the same under every architecture and configuration.
 """
 
 from typing import Literal
@@ -65,7 +65,8 @@ class ObstructionCleared(Event, frozen=True):
 class ActuatorDegraded(Event, frozen=True):
     """The robot's actuator has become unreliable. Paper: sec:evaluation:simulator (failure injection).
 
-    An unreliable one fails some attempts, a slipping one grips but does not hold, a lost one does not grip. One that is worse already stays so.
+    An unreliable one fails some attempts, a slipping one grips but does not hold, a lost one does not grip. One that is
+    worse already stays so.
     """
 
     robot: Robot
@@ -73,7 +74,10 @@ class ActuatorDegraded(Event, frozen=True):
 
 
 class RobotWentOff(Event, frozen=True):
-    """The robot is off from now on: it executes, hears, decides and answers nothing; what it was at stops, and goes on when it is back."""
+    """The robot is off from now on: it executes, hears, decides and answers nothing.
+
+    What it was at stops, and goes on when it is back.
+    """
 
     robot: Robot
 
@@ -125,8 +129,8 @@ class PeersMet(Event, frozen=True):
 class TaskArrived(Event, frozen=True, kw_only=True):
     """A task is there. `steps` are `ACTOR capability` (own) or `ACTOR capability TARGET` (delegated), roles of `team`.
 
-    Another robot can resume before each step whose number stands in `checkpoints` (None: before every step); a task that
-    is time-critical competes for robots.
+    Another robot can resume before each step whose number stands in `checkpoints` (None: before every step); a task
+    that is time-critical competes for robots.
 
     Units: `budget_us` microseconds from arrival; `due_us` run time at which the budget ends.
     """

@@ -1,4 +1,4 @@
-"""Who holds which dimension of authority over which action, who may ask for what, and what an approval covers. Paper: eq:auth."""
+"""Claims, rights and what approvals cover: who holds or may ask for what. Paper: eq:auth."""
 
 from typing import assert_never
 
@@ -37,7 +37,7 @@ Right = AuthorityGranted | AuthorityRevoked
 
 
 class Later(msgspec.Struct, frozen=True, gc=False):
-    """Policy that came after an approval, which the approval therefore does not cover: windows, rules, and fleet rules heard by robot."""
+    """Policy that came after an approval, which does not cover it: windows, rules, fleet rules heard by robot."""
 
     windows: frozenset[str] = frozenset()
     rules: frozenset[Rule | RoleRule] = frozenset()
@@ -45,7 +45,10 @@ class Later(msgspec.Struct, frozen=True, gc=False):
 
 
 class Authority(msgspec.Struct, frozen=True, gc=False):
-    """`claims`: action -> open claims; `rights`: grants and revocations in order; `approvals`: action -> what came later."""
+    """Claims, rights and approvals.
+
+    `claims`: action to open claims; `rights`: grants and revocations in order; `approvals`: action to what came later.
+    """
 
     claims: dict[str, tuple[AuthorityClaimed, ...]] = {}
     rights: tuple[Right, ...] = ()
@@ -56,12 +59,12 @@ INITIAL = Authority()
 
 
 def rank(level: OverrideLevel) -> int:
-    """The place of the level from weak (0) to strong. Paper: eq:override."""
+    """Return the rank of the level from weak (0) to strong. Paper: eq:override."""
     return LEVELS.index(level)
 
 
 def right_of(state: Authority, requester: Robot, executor: Robot, capability: str, context: str) -> Right | None:
-    """The last grant or revocation that concerns this request, or None when nobody has said anything. Paper: sec:model:authority."""
+    """Return the last grant or revocation that concerns this request, or None. Paper: sec:model:authority."""
     for right in reversed(state.rights):
         if (
             right.requested_by == requester
@@ -74,7 +77,7 @@ def right_of(state: Authority, requester: Robot, executor: Robot, capability: st
 
 
 def evolve(state: Authority, event: HANDLES) -> Authority:
-    """The claims, rights and approvals after the event."""
+    """Return the claims, rights and approvals after the event."""
     match event:
         case AuthorityClaimed():
             claims = {**state.claims, event.subject.action_id: (*state.claims.get(event.subject.action_id, ()), event)}
@@ -108,7 +111,7 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
 
 
 def _with(later: Later, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRuleSet | FleetRuleLearned) -> Later:
-    """What came after the approval, this included."""
+    """Return what came after the approval, this included."""
     match event:
         case PolicyWindowOpened():
             return Later(later.windows | {event.window}, later.rules, later.heard)
@@ -121,5 +124,5 @@ def _with(later: Later, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRu
 
 
 def _key(event: AuthorityClaimed | AuthorityReleased) -> tuple[str, str, str]:
-    """A claimant may hold the same dimension for two reasons, and let go of one."""
+    """Return the claim's identity: a claimant may hold a dimension for two reasons, and release one."""
     return event.dimension, event.claimant, event.reason

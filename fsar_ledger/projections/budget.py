@@ -1,4 +1,7 @@
-"""What Q_i of each robot allows each level of recovery, where it differs from the fleet's structure. Paper: app:foundations."""
+"""Recovery budgets Q_i of each robot and level, where they differ from the fleet's structure.
+
+Paper: app:foundations.
+"""
 
 from typing import NamedTuple
 
@@ -21,5 +24,5 @@ INITIAL: Budgets = {}
 
 
 def evolve(state: Budgets, event: HANDLES) -> Budgets:
-    """The budgets after the event."""
+    """Return the budgets after the event."""
     return {**state, (event.robot, event.level): Budget(event.t_max_us, event.n_max)}

@@ -11,7 +11,7 @@ HANDLES = SupervisorCalled | SupervisorResponded | RequestDeferred | RequestDeni
 
 
 class Order(msgspec.Struct, frozen=True, gc=False):
-    """Two actions were put before H_F by the first of them; `preferred` is the one that goes first, once that is answered."""
+    """Two actions put before H_F by the first of them; `preferred` goes first, once H_F has answered."""
 
     action_id: str
     other: str
@@ -20,7 +20,7 @@ class Order(msgspec.Struct, frozen=True, gc=False):
 
 
 class Contention(msgspec.Struct, frozen=True, gc=False):
-    """What competes, and in which order it goes.
+    """The requests that compete, and their order.
 
     `orders`: the two actions -> their order; `arrived`: actions that wait at the executor for an order;
     `refused`: actions that were denied or had nobody to ask, and compete no more.
@@ -35,7 +35,7 @@ INITIAL = Contention()
 
 
 def evolve(state: Contention, event: HANDLES) -> Contention:
-    """Contention after the event."""
+    """Return contention after the event."""
     match event:
         case SupervisorCalled():
             if event.competing is None:

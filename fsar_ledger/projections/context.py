@@ -1,4 +1,7 @@
-"""Which contexts (tasks) are over: nothing may be asked, granted or trusted in them any more. Paper: sec:model:authority (context expiration)."""
+"""The contexts (tasks) that are over: nothing may be asked, granted or trusted in them any more.
+
+Paper: sec:model:authority (context expiration).
+"""
 
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 
@@ -10,5 +13,5 @@ INITIAL: Over = frozenset()
 
 
 def evolve(state: Over, event: HANDLES) -> Over:
-    """The contexts that are over after the event."""
+    """Return the contexts that are over after the event."""
     return state | {event.task_id}

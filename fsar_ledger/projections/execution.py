@@ -1,4 +1,7 @@
-"""Each robot serves one action at a time, by override level and else in order of arrival; and how far each action is. Paper: eq:override."""
+"""What each robot executes, one action at a time by override level, and how far each action is.
+
+Actions of one level are served in order of arrival. Paper: eq:override.
+"""
 
 from typing import Literal, assert_never
 
@@ -49,8 +52,8 @@ INTERRUPTING = rank("hard-preempt")  # from this level on a request takes the ro
 class Action(msgspec.Struct, frozen=True, gc=False):
     """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left.
 
-    `has_begun` says of a preempted one whether it had begun to execute. `supervised_by` is the supervisor on record when it was
-    queued, None if none was.
+    `has_begun` says of a preempted action whether it had begun to execute. `supervised_by` is the supervisor on record
+    when it was queued, None if none was.
     """
 
     task_id: str
@@ -78,12 +81,12 @@ class Action(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def subject(self) -> Subject[TaskId, ActionId]:
-        """What an event of this action is about."""
+        """Return what an event of this action is about."""
         return Subject(self.task_id, self.action_id)
 
 
 class Execution(msgspec.Struct, frozen=True, gc=False):
-    """`current`: robot -> action or assistance that holds it; `queues`: robot -> actions waiting."""
+    """`current`: robot to action or assistance that holds it; `queues`: robot to actions waiting."""
 
     current: dict[Robot, str] = {}
     queues: dict[Robot, tuple[str, ...]] = {}
@@ -94,7 +97,7 @@ INITIAL = Execution()
 
 
 def evolve(state: Execution, event: HANDLES) -> Execution:
-    """The robots and actions after the event."""
+    """Return the robots and actions after the event."""
     match event:
         case ExecutionQueued():
             return _queued(state, event)
@@ -168,7 +171,10 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
 
 
 def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) -> int:
-    """Ahead of everything weaker; only a level that interrupts goes ahead of an action that was interrupted itself. Paper: eq:override."""
+    """Return the position ahead of everything weaker.
+
+    Only a level that interrupts goes ahead of an action that was interrupted itself. Paper: eq:override.
+    """
     for place, name in enumerate(queue):
         waiting = state.actions[name]
         if rank(waiting.override) < rank(override) and (waiting.stage != "preempted" or rank(override) >= INTERRUPTING):
@@ -177,7 +183,7 @@ def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) ->
 
 
 def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
-    """The action waits at the head of the queue, and the robot is there for whoever has preempted it."""
+    """Put the action at the head of the queue, and free the robot for what has preempted it."""
     known = state.actions[event.subject.action_id]
     changed = msgspec.structs.replace(
         known,
@@ -193,7 +199,10 @@ def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
 
 
 def _held(state: Execution, event: ExecutionHeld) -> Execution:
-    """It polls the fleet's rule, or waits for the window of its own policy; `path` is there when waiting is a denial."""
+    """Hold the action: it polls the fleet's rule, or waits for the window of its own policy.
+
+    `path` is there when waiting is a denial.
+    """
     action = state.actions[event.subject.action_id]
     stage: Stage = "polling" if event.reason == "fleet-rule" else "held"
     changed = msgspec.structs.replace(action, stage=stage, was_denied=action.was_denied or bool(event.principals.path))
@@ -216,7 +225,7 @@ def _staged(
 
 
 def _freed(state: Execution, robot: Robot) -> Execution:
-    """The robot turns to the next in its queue, if there is one."""
+    """Turn the robot to the next in its queue, if there is one."""
     queue = state.queues.get(robot, ())
     if queue:
         return Execution({**state.current, robot: queue[0]}, {**state.queues, robot: queue[1:]}, state.actions)

@@ -1,4 +1,4 @@
-"""Who is in the fleet, and what run this is. Paper: eq:fleet, eq:runtime."""
+"""The members of the fleet, and the run's structure. Paper: eq:fleet, eq:runtime."""
 
 from functools import lru_cache
 from typing import assert_never
@@ -26,10 +26,10 @@ class Member(msgspec.Struct, frozen=True, gc=False):
 
 
 class Fleet(msgspec.Struct, frozen=True, gc=False):
-    """The run's structure, the mechanisms that its configuration is without, and its robots by name, in order of joining.
+    """The run's structure, the mechanisms that its configuration lacks, and its robots in order of joining.
 
-    `teams` is the highest number of a team; `bodies` are the roles whose robots can clear an obstruction, `substitutes` the capability that
-    can take the place of another, by that. Units: `answer_us` microseconds for which who asked another waits for the answer.
+    `teams` is the highest number of a team; `bodies` are the roles whose robots can clear an obstruction, `substitutes`
+    the capability that can replace another, by that. Units: `answer_us` microseconds that a robot waits for an answer.
     """
 
     without: frozenset[str] = frozenset()
@@ -43,7 +43,7 @@ class Fleet(msgspec.Struct, frozen=True, gc=False):
 
 
 def evolve(state: Fleet, event: HANDLES) -> Fleet:
-    """The fleet after the event."""
+    """Return the fleet after the event."""
     match event:
         case RunStarted():
             made = _made(event.parameters)
@@ -61,7 +61,10 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
 
 @lru_cache(maxsize=4)
 def _made(parameters: str | None) -> Fleet:
-    """Return a fleet without robots that is made as a run records it, as ours where it records nothing; all runs of an experiment are made alike."""
+    """Return a fleet without robots as a run records it, as ours where it records nothing.
+
+    All runs of an experiment are made alike.
+    """
     constants = Constants() if parameters is None else read_constants(parameters)
     design = constants.fleet or registered.fleet()
     return Fleet(

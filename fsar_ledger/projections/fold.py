@@ -107,13 +107,13 @@ STATELESS = frozenset(EVENT_TYPES) - ROUTES.keys()
 
 
 def apply(state: State, event: Event) -> None:
-    """The state takes the event in."""
+    """Take the event into the state."""
     for slot, evolve in ROUTES.get(type(event), ()):
         setattr(state, slot, evolve(getattr(state, slot), event))
 
 
 def fold(events: Iterable[Event]) -> State:
-    """The state that the events make."""
+    """Return the state that the events make."""
     state = State()
     for event in events:
         apply(state, event)

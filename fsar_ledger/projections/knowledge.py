@@ -1,4 +1,4 @@
-"""What deciders have been told: it may lag behind the world, and decisions rest on it."""
+"""Knowledge: what deciders have been told. It may lag behind the world, and decisions rest on it."""
 
 from typing import assert_never
 
@@ -19,7 +19,10 @@ HANDLES = SyncPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | Snapsh
 
 
 class Knowledge(msgspec.Struct, frozen=True, gc=False):
-    """`copy` is the coordinator's last synced copy; `ready_us` when its queue of work is done (run time, microseconds)."""
+    """What each decider was told.
+
+    `copy` is the coordinator's last synced copy; `ready_us` when its queue of work is done (run time, microseconds).
+    """
 
     sync_phase_ppm: int = 0
     fleet_rule: dict[Robot, PolicyOutcome] = {}
@@ -35,7 +38,7 @@ INITIAL = Knowledge()
 
 
 def evolve(state: Knowledge, event: HANDLES) -> Knowledge:
-    """What is known after the event."""
+    """Return what is known after the event."""
     replace = msgspec.structs.replace
     match event:
         case WorkQueued():

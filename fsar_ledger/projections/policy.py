@@ -19,7 +19,10 @@ RoleRule = tuple[PolicyScope, str, str, str | None, str | None]  # scope, role, 
 
 
 class Policy(msgspec.Struct, frozen=True, gc=False):
-    """`rules`: those of single robots, and of every robot; `of_roles`: those of roles; `members`: robot -> its role and domain."""
+    """The rules in force: of single robots and of every robot (`rules`), and of roles (`of_roles`).
+
+    `members`: robot to its role and domain.
+    """
 
     rules: dict[Rule, PolicyOutcome] = {}
     of_roles: dict[RoleRule, PolicyOutcome] = {}
@@ -27,7 +30,7 @@ class Policy(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def is_empty(self) -> bool:
-        """True while nothing is ruled."""
+        """Tell whether nothing is ruled."""
         return not self.rules and not self.of_roles
 
 
@@ -42,10 +45,10 @@ def ruled(
     context: str | None,
     among: Container[Rule | RoleRule] | None = None,
 ) -> PolicyOutcome | None:
-    """The strictest rule of this scope that applies, of all or of those `among` them, or None when nothing is ruled. Reading: R36.
+    """Return the strictest rule of this scope that applies, or None when nothing is ruled. Reading: R36.
 
-    About the same capability and context the rule of the very robot replaces those of its role, and that of a smaller domain those of
-    larger ones; a rule of every robot applies beside them.
+    `among`: only these rules count. About the same capability and context the rule of the very robot replaces those of
+    its role, and that of a smaller domain those of larger ones; a rule of every robot applies beside them.
     """
     outcome: PolicyOutcome | None = None
     for rule, found in _applying(state, scope, robot, capability, context):
@@ -57,7 +60,7 @@ def ruled(
 def _applying(
     state: Policy, scope: PolicyScope, robot: Robot, capability: str | None, context: str | None
 ) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
-    """The rules that apply, without those that another replaces."""
+    """Yield the rules that apply, without those that another replaces."""
     for about in ((capability, context), (capability, None), (None, context), (None, None)):
         of_all: Rule = (scope, None, *about)
         if of_all in state.rules:
@@ -74,7 +77,7 @@ def _applying(
 
 
 def evolve(state: Policy, event: HANDLES) -> Policy:
-    """The rules after the event."""
+    """Return the rules after the event."""
     match event:
         case RobotJoined():
             return Policy(state.rules, state.of_roles, {**state.members, event.robot: (event.role, event.domain)})
@@ -88,7 +91,7 @@ def evolve(state: Policy, event: HANDLES) -> Policy:
 
 
 def key_of(event: PolicyRuleSet | RolePolicyRuleSet) -> Rule | RoleRule:
-    """What the rule is about; a later one about the same replaces it."""
+    """Return what the rule is about; a later one about the same replaces it."""
     if isinstance(event, PolicyRuleSet):
         return event.scope, event.robot, event.capability, event.context
     return event.scope, event.role, event.domain, event.capability, event.context

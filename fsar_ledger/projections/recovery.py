@@ -29,10 +29,10 @@ HANDLES = (
 
 
 class Recovery(msgspec.Struct, frozen=True, gc=False):
-    """The open failure of one action: the attempts it took, the helpers that were asked, the one whose answer is waited for, and the calls of supervisors.
+    """The open failure of one action: its attempts, the helpers asked, the one awaited, and the supervisors called.
 
-    Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends, `since_us` run time at which recovery turned to
-    whoever was asked for help last.
+    Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends, `since_us` run time at
+    which recovery turned to the robot that was asked for help last.
     """
 
     robot: Robot
@@ -54,7 +54,7 @@ INITIAL: Recoveries = {}
 
 
 def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
-    """The open failures after the event."""
+    """Return the open failures after the event."""
     match event:
         case ExecutionFailed():
             return {

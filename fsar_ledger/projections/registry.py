@@ -1,4 +1,4 @@
-"""What robots possess, and what they advertise to whom. Paper: eq:adv, eq:possess, eq:advertise."""
+"""The capabilities that robots possess, and advertise to whom. Paper: eq:adv, eq:possess, eq:advertise."""
 
 from collections.abc import Iterator
 from typing import assert_never
@@ -65,10 +65,11 @@ class Advertisement(msgspec.Struct, frozen=True, gc=False):
 
 
 class Offers(msgspec.Struct, frozen=True, gc=False):
-    """The registry of one domain, and in it those of the domains below; a change copies only the registries on its path.
+    """The registry of one domain, and in it those of the domains below.
 
-    `records`: capability -> robot -> record of the domain's own robots; `below`: name -> the registry of that domain;
-    `ways`: capability -> names of those below in which somebody offers it. Paper: sec:discussion:heterogeneity.
+    A change copies only the registries on its path. `records`: capability to robot to record of the domain's own
+    robots; `below`: name to the registry of that domain; `ways`: capability to names of those below in which somebody
+    offers it. Paper: sec:discussion:heterogeneity.
     """
 
     records: dict[str, dict[str, Advertisement]] = {}
@@ -84,9 +85,10 @@ class Cache(msgspec.Struct, frozen=True, gc=False):
 
 
 class Registry(msgspec.Struct, frozen=True, gc=False):
-    """`domains`: robot -> its domain; `modules`: robot -> what it possesses; `offers`: robots' surfaces; `caches`: holder -> its copy.
+    """What robots possess and offer.
 
-    `silent`: robot that did not answer -> how available each of its capabilities was said to be before.
+    `domains`: robot to its domain; `modules`: robot to what it possesses; `offers`: robots' surfaces; `caches`: holder
+    to its copy; `silent`: robot that did not answer to the availability that each of its capabilities had before.
     """
 
     domains: dict[Robot, str] = {}
@@ -101,12 +103,12 @@ NO_ANSWER = "no answer"  # reason of `AvailabilityChanged` for a robot that othe
 
 
 def possesses(state: Registry, robot: Robot, capability: str) -> bool:
-    """True when the robot has the capability installed. Paper: eq:possess."""
+    """Tell whether the robot has the capability installed. Paper: eq:possess."""
     return capability in state.modules.get(robot, ())
 
 
 def advertisement(state: Registry, robot: Robot, capability: str) -> Advertisement | None:
-    """The robot's record of the capability, or None while it does not advertise it. Paper: eq:advertise."""
+    """Return the robot's record of the capability, or None while it does not advertise it. Paper: eq:advertise."""
     found = state.offers
     for name in path_of(state.domains.get(robot, "")):
         if name not in found.below:
@@ -116,7 +118,7 @@ def advertisement(state: Registry, robot: Robot, capability: str) -> Advertiseme
 
 
 def surface(state: Registry, robot: Robot) -> Iterator[Advertisement]:
-    """What the robot advertises. Paper: sec:model:robot (capability surface)."""
+    """Return what the robot advertises. Paper: sec:model:robot (capability surface)."""
     for capability in state.modules.get(robot, ()):
         record = advertisement(state, robot, capability)
         if record is not None:
@@ -124,7 +126,10 @@ def surface(state: Registry, robot: Robot) -> Iterator[Advertisement]:
 
 
 def offers(found: Offers, capability: str, but: str | None = None) -> Iterator[Advertisement]:
-    """Every record of the capability in the domain, then in each of those below (`but` one), in order of advertisement."""
+    """Yield every record of the capability in the domain, then in each of those below (except `but`).
+
+    The order is that of advertisement.
+    """
     yield from found.records.get(capability, {}).values()
     for name in found.ways.get(capability, ()):
         if name != but:
@@ -132,7 +137,10 @@ def offers(found: Offers, capability: str, but: str | None = None) -> Iterator[A
 
 
 def enclosing(found: Offers, domain: str) -> Iterator[tuple[str, Offers, str | None]]:
-    """The registries around a domain from its own to the fleet's: path, registry, and which one below was the last."""
+    """Yield the registries around a domain, from its own to the fleet's.
+
+    Each with its path, and the one below that was the last.
+    """
     path = path_of(domain)
     levels = [found]
     for name in path:
@@ -145,12 +153,12 @@ def enclosing(found: Offers, domain: str) -> Iterator[tuple[str, Offers, str | N
 
 
 def path_of(domain: str) -> tuple[str, ...]:
-    """The names on the way from the fleet's registry to that of the domain: none for the fleet's own."""
+    """Return the names on the way from the fleet's registry to the domain's; none for the fleet's own."""
     return tuple(domain.split("/")) if domain else ()
 
 
 def evolve(state: Registry, event: HANDLES) -> Registry:
-    """The registry after the event."""
+    """Return the registry after the event."""
     replace = msgspec.structs.replace
     match event:
         case RobotJoined():
@@ -223,7 +231,7 @@ def _put(state: Registry, robot: Robot, capability: str, record: Advertisement |
 def _silent(
     state: Registry, event: AvailabilityChanged, changed: list[Advertisement]
 ) -> dict[Robot, dict[str, Availability]]:
-    """Who is silent by now: whoever did not answer, but for what it has spoken of since."""
+    """Return the robots that are silent: those that did not answer, except for what they have reported since."""
     known = state.silent.get(event.robot)
     if event.reason == NO_ANSWER and event.availability == "offline":
         return {
@@ -240,7 +248,7 @@ def _silent(
 def _changed(
     found: Offers, path: tuple[str, ...], robot: Robot, capability: str, record: Advertisement | None
 ) -> Offers:
-    """The registry with this record of the robot in the domain at the path, or with none of it."""
+    """Return the registry with this record of the robot in the domain at the path, or with none of it."""
     if path:
         name = path[0]
         before = found.below.get(name, Offers())
@@ -266,7 +274,7 @@ def _leads(found: Offers, capability: str) -> bool:
 
 
 def _turned(ways: dict[str, tuple[str, ...]], name: str, capability: str) -> dict[str, tuple[str, ...]]:
-    """The ways with this one if it was not there, else without it."""
+    """Return the ways with this one if it was not there, else without it."""
     names = ways.get(capability, ())
     if name not in names:
         return {**ways, capability: (*names, name)}

@@ -1,4 +1,4 @@
-"""Requests that are under way, one per action, however the architecture negotiates them. Paper: eq:request."""
+"""Open requests, one per action, under every architecture's negotiation. Paper: eq:request."""
 
 from typing import assert_never
 
@@ -70,12 +70,14 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     """The request for one action. `target` is the robot asked; `round` counts negotiations from 0.
 
     `is_adhoc`: it was issued by itself and is no step of a task, whatever its context; it is kept when it is over, so
-    that its name is not used again. `offered` is the override level of the counter-offer that waits for an answer,
-    `offers` counts them; `result` is known once the execution is over; `is_over`: it was refused, closed or let go, and
-    nothing is decided about it any more. `is_relayed`: the relay has passed it on; `is_heard`: who was asked has
-    put it off, or before a supervisor, `is_received`: a robot has it, in its queue
-    or before H_F who orders two; `is_unanswered`: the time for an answer was over;
-    `silent`: the robots whose time it was. `bidders`: who has sent its bid, `bids`: those that have come in.
+    that its name is not used again.
+    `offered` is the override level of the counter-offer that waits for an answer, `offers` counts them.
+    `result` is known once the execution is over. `is_over`: it was refused, closed or let go, and nothing is decided
+    about it any more.
+    `is_relayed`: the relay has passed it on. `is_heard`: the robot asked has put it off, or before a supervisor.
+    `is_received`: a robot has it, in its queue or before H_F who orders two. `is_unanswered`: the time for an answer
+    is over; `silent`: the robots whose time it was.
+    `bidders`: robots that have sent a bid; `bids`: those that have come in.
     """
 
     task_id: str
@@ -112,12 +114,12 @@ class Request(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def subject(self) -> Subject[TaskId, ActionId]:
-        """What an event of this action is about."""
+        """Return what an event of this action is about."""
         return Subject(self.task_id, self.action_id)
 
     @property
     def request_subject(self) -> RequestSubject[TaskId, ActionId, RequestId]:
-        """What an event of this request is about, which has the name of its action."""
+        """Return what an event of this request is about, which has the name of its action."""
         return RequestSubject(self.task_id, self.action_id, self.action_id)
 
 
@@ -127,48 +129,18 @@ INITIAL: Requests = {}
 
 
 def evolve(state: Requests, event: HANDLES) -> Requests:
-    """The requests after the event."""
+    """Return the requests after the event."""
     match event:
         case StepBegan():
-            others = {
-                name: request
-                for name, request in state.items()
-                if request.is_adhoc or request.task_id != event.subject.task_id
-            }
-            begun = Request(
-                event.subject.task_id,
-                event.subject.action_id,
-                event.robot,
-                event.capability,
-                event.step,
-                event.attempt,
-                event.target_role is not None,
-            )
-            return {**others, event.subject.action_id: begun}
+            return _begun(state, event)
         case ExecutionFinished() | RequestClosed() | RequestDenied():
             return _ended(state, event)
         case StepCompleted():
             return {name: request for name, request in state.items() if name != event.subject.action_id}
-        case TaskAbandoned():  # what a robot has goes on or is withdrawn there; nobody answers the rest
-            kept = {
-                name: request
-                for name, request in state.items()
-                if request.is_adhoc or request.is_received or request.task_id != event.task_id
-            }
-            return state if len(kept) == len(state) else kept
+        case TaskAbandoned():
+            return _abandoned(state, event)
         case OutsiderRequestInjected():
-            injected = Request(
-                event.task_id,
-                event.task_id,
-                event.robot,
-                event.capability,
-                0,
-                1,
-                True,
-                (event.peer,),
-                target=event.peer,
-            )
-            return {**state, event.task_id: injected}
+            return _injected(state, event)
         case RegistryQueried():
             asking = state.get(event.subject.action_id or "")
             if asking is None or asking.capability != event.capability:  # a query in service of the action's recovery
@@ -185,11 +157,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case BidSubmitted():
             return _bid(state, event)
         case BidReceived():
-            earlier = tuple(
-                bid for bid in state[event.subject.action_id].bids if bid[0] != event.robot
-            )  # one that answers late was asked again
-            bids = (*earlier, (event.robot, event.outcome))
-            return _changed(state, event.subject.action_id, bids=bids)
+            return _bid_received(state, event)
         case AwardMade():
             action_id = next(name for name, request in state.items() if request.task_id == event.task_id)
             return _changed(state, action_id, target=event.robot, is_questioned=False)
@@ -204,18 +172,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case ContractQuestioned():
             return _changed(state, event.subject.action_id, is_questioned=True)
         case ContractVoided():
-            known = state[event.subject.action_id]
-            return _changed(
-                state,
-                event.subject.action_id,
-                bidders=(),
-                bids=(),
-                target=None,
-                is_accepted=False,
-                is_questioned=False,
-                is_received=False,
-                round=known.round + 1,
-            )
+            return _voided(state, event)
         case RequestUnanswered():
             return _unanswered(state, event)
         case RequestCountered():
@@ -226,8 +183,74 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             assert_never(event)
 
 
+def _begun(state: Requests, event: StepBegan) -> Requests:
+    """Begin the request for the step, in place of the task's earlier one."""
+    others = {
+        name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.subject.task_id
+    }
+    begun = Request(
+        event.subject.task_id,
+        event.subject.action_id,
+        event.robot,
+        event.capability,
+        event.step,
+        event.attempt,
+        event.target_role is not None,
+    )
+    return {**others, event.subject.action_id: begun}
+
+
+def _abandoned(state: Requests, event: TaskAbandoned) -> Requests:
+    """Keep what a robot has, which goes on or is withdrawn there; nobody answers the rest."""
+    kept = {
+        name: request
+        for name, request in state.items()
+        if request.is_adhoc or request.is_received or request.task_id != event.task_id
+    }
+    return state if len(kept) == len(state) else kept
+
+
+def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
+    """Begin an outsider's request, which has the name of its task."""
+    injected = Request(
+        event.task_id,
+        event.task_id,
+        event.robot,
+        event.capability,
+        0,
+        1,
+        True,
+        (event.peer,),
+        target=event.peer,
+    )
+    return {**state, event.task_id: injected}
+
+
+def _bid_received(state: Requests, event: BidReceived) -> Requests:
+    """Note the bid as read, in place of an earlier one: a robot that answers late was asked again."""
+    earlier = tuple(bid for bid in state[event.subject.action_id].bids if bid[0] != event.robot)
+    bids = (*earlier, (event.robot, event.outcome))
+    return _changed(state, event.subject.action_id, bids=bids)
+
+
+def _voided(state: Requests, event: ContractVoided) -> Requests:
+    """Start another round without bids, target or contract."""
+    known = state[event.subject.action_id]
+    return _changed(
+        state,
+        event.subject.action_id,
+        bidders=(),
+        bids=(),
+        target=None,
+        is_accepted=False,
+        is_questioned=False,
+        is_received=False,
+        round=known.round + 1,
+    )
+
+
 def _issued(state: Requests, event: RequestIssued) -> Requests:
-    """The step's request is on its way; one that is nobody's step begins here. Paper: eq:request."""
+    """Put the step's request on its way; a request that is nobody's step begins here. Paper: eq:request."""
     task_id, action_id, robot, executor = (
         event.subject.task_id,
         event.subject.action_id,
@@ -250,7 +273,7 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
 
 
 def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
-    """The request is over, or has its result; of a step only a result other than success is news before the step ends."""
+    """End the request or set its result; a step's success is news only when the step ends."""
     known = state.get(event.subject.action_id or "")
     if known is None:
         return state
@@ -264,7 +287,7 @@ def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDe
 
 
 def _called(state: Requests, event: SupervisorCalled) -> Requests:
-    """A supervisor has it before them; whoever calls one to order two requests has received them."""
+    """Put the request before a supervisor; the caller has received both of two requests to be ordered."""
     known = state.get(event.subject.action_id)
     if known is None:
         return state
@@ -275,7 +298,7 @@ def _called(state: Requests, event: SupervisorCalled) -> Requests:
 
 
 def _bid(state: Requests, event: BidSubmitted) -> Requests:
-    """A bid names the task, which has one step at a time."""
+    """Note a bid, which names the task: a task has one step at a time."""
     for name, request in state.items():
         if request.task_id == event.task_id and not request.is_adhoc:
             return _changed(state, name, bidders=(*request.bidders, event.robot))
@@ -283,7 +306,10 @@ def _bid(state: Requests, event: BidSubmitted) -> Requests:
 
 
 def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
-    """The request is over for who did not answer; without a name nobody did, or there was nobody to ask."""
+    """End the request for the robot that did not answer.
+
+    Without a name nobody did, or there was nobody to ask.
+    """
     if event.subject.action_id not in state:
         return state
     silent = (
@@ -295,7 +321,7 @@ def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
 
 
 def _answered(state: Requests, event: OfferAnswered) -> Requests:
-    """The requester takes the terms or asks for others, and the executor is to judge again; or it lets go and the request is over."""
+    """Take the requester's answer: the executor judges again, or the request is over."""
     if event.subject.action_id is None or event.subject.action_id not in state:
         return state
     asked = state[event.subject.action_id].offered if event.is_accepted else event.override

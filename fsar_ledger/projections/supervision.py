@@ -1,4 +1,4 @@
-"""What supervisors were asked, what they have approved, and how often they want to be asked. Paper: eq:supervision."""
+"""Supervision: what supervisors were asked, what they approved, how often they are asked. Paper: eq:supervision."""
 
 from typing import assert_never
 
@@ -14,7 +14,7 @@ HANDLES = SupervisorCalled | SupervisorResponded | SupervisionDensitySet | Reque
 
 
 class Supervision(msgspec.Struct, frozen=True, gc=False):
-    """What stands between robots and their supervisors.
+    """What is open between robots and their supervisors.
 
     `approved`: actions whose review was approved; `calls`: number of the call (from 1, within the run) -> the call,
     while it is open; `review_every`: robot (None: every one) -> density; `admissions`: executor -> requests it has
@@ -32,17 +32,20 @@ INITIAL = Supervision()
 
 
 def density(state: Supervision, robot: Robot) -> int:
-    """One in so many admissions of the robot is put before a supervisor; its own density before every robot's; 0 is none."""
+    """Return the robot's review density, its own before every robot's.
+
+    One in so many admissions is put before a supervisor; 0 is none.
+    """
     return state.review_every.get(robot, state.review_every.get(None, 0))
 
 
 def is_asked(state: Supervision, action_id: str, purpose: Purpose) -> bool:
-    """True while a supervisor is asked this about the action."""
+    """Tell whether a supervisor is asked this about the action."""
     return any((call.subject.action_id, call.purpose) == (action_id, purpose) for call in state.calls.values())
 
 
 def evolve(state: Supervision, event: HANDLES) -> Supervision:
-    """Supervision after the event."""
+    """Return supervision after the event."""
     match event:
         case RequestAdmitted():
             if event.principals.executed_by is None:
@@ -69,7 +72,10 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
 
 
 def _without(calls: dict[int, SupervisorCalled], action_id: str, purpose: str) -> dict[int, SupervisorCalled]:
-    """The calls that are open once this is settled: whoever answers first, answers for all who were asked the same."""
+    """Return the calls that stay open once this is settled.
+
+    The first supervisor to answer answers for all who were asked the same.
+    """
     return {
         number: call for number, call in calls.items() if (call.subject.action_id, call.purpose) != (action_id, purpose)
     }

@@ -13,8 +13,9 @@ HANDLES = TaskArrived | StepBegan | StepCompleted | TaskCompleted | TaskAbandone
 
 
 class Task(msgspec.Struct, frozen=True, gc=False):
-    """An open task. `step` counts the steps done; `attempt` the attempts of the present one, from 1; `checkpoints` as in `TaskArrived`.
+    """An open task.
 
+    `step` counts the steps done; `attempt` the attempts of the present one, from 1; `checkpoints` as in `TaskArrived`.
     `action_id` is the last attempt, empty while none was made.
     """
 
@@ -37,7 +38,7 @@ INITIAL: Tasks = {}
 
 
 def evolve(state: Tasks, event: HANDLES) -> Tasks:
-    """The open tasks after the event."""
+    """Return the open tasks after the event."""
     match event:
         case StepBegan():
             return {
@@ -59,12 +60,18 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
 
 
 def given_up_us(task: TaskArrived | Task, budgets: int) -> int:
-    """Run time at which the task is given up, whatever it waits for: after so many budgets, at the latest when the run ends."""
+    """Return the run time at which the task is given up, even while it waits.
+
+    That is after so many budgets, at the latest when the run ends.
+    """
     return min(task.due_us + (budgets - 1) * task.budget_us, END_US)
 
 
 def checkpoint(state: Tasks, task_id: str, step: int) -> str | None:
-    """The declared state before the step, from which another robot can resume, or None. Paper: sec:model:recovery, level 3."""
+    """Return the declared state before the step, from which another robot can resume, or None.
+
+    Paper: sec:model:recovery, level 3.
+    """
     task = state.get(task_id)
     if task is None or not 1 <= step <= len(task.steps):
         return None

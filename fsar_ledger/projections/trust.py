@@ -1,4 +1,4 @@
-"""Trust scopes between robots, explicit, scope-aware and queryable, and the record on which trust can move. Paper: eq:trust."""
+"""Trust scopes between robots, and the record of results on which trust can move. Paper: eq:trust."""
 
 from collections.abc import Iterator
 from typing import assert_never
@@ -36,11 +36,11 @@ class Record(msgspec.Struct, frozen=True, gc=False):
 class Trust(msgspec.Struct, frozen=True, gc=False):
     """Who trusts whom, and how each has fared with the other.
 
-    `entries`: (robot, peer) -> what about -> scope, for single pairs; `of_roles`: (role, role of the peer, domain) -> the same,
-    for all of them; `members`: robot -> its role and domain; `promote_after`, `downgrade_after`: results in a row, 0 is never;
-    `contexts`: those that some entry is limited to. While a threshold is
-    set, `asked`: action -> each direct request that is open; `records`: what each robot has seen of its peer, by what
-    its trust is set for; `judged`: the records that the last result changed.
+    `entries`: (robot, peer) -> what about -> scope, for single pairs; `of_roles`: (role, role of the peer, domain) ->
+    the same, for all of them; `members`: robot -> its role and domain; `promote_after`, `downgrade_after`: results in a
+    row, 0 is never; `contexts`: those that some entry is limited to. While a threshold is set, `asked`: action -> each
+    direct request that is open; `records`: what each robot has seen of its peer, by what its trust is set for;
+    `judged`: the records that the last result changed.
     """
 
     entries: dict[tuple[Robot, Robot], Entries] = {}
@@ -60,14 +60,17 @@ INITIAL = Trust()
 def scope_of(
     state: Trust, robot: Robot, peer: Robot, capability: str | None = None, context: str | None = None
 ) -> TrustScope:
-    """How far the robot trusts the peer; the most specific entry holds, and without any there is none."""
+    """Return how far the robot trusts the peer, by the most specific entry; none without any."""
     return _holding(state, robot, peer, capability, context)[1]
 
 
 def _holding(
     state: Trust, robot: Robot, peer: Robot, capability: str | None, context: str | None
 ) -> tuple[About, TrustScope]:
-    """What the entry is about that holds between the two, and its scope: of those about the pair, else about their roles in the smallest domain."""
+    """Return what the entry is about that holds between the two, and its scope.
+
+    Of those about the pair, else of those about their roles in the smallest domain.
+    """
     entries = state.entries.get((robot, peer))
     if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
         return found
@@ -88,7 +91,7 @@ def _most_specific(entries: Entries, capability: str | None, context: str | None
 
 
 def around(domain: str) -> Iterator[str]:
-    """The domain itself and those that it lies in, the smallest first; at last the whole fleet."""
+    """Yield the domain and those that it lies in, the smallest first, the whole fleet last."""
     while domain:
         yield domain
         domain = domain.rpartition("/")[0]
@@ -96,22 +99,22 @@ def around(domain: str) -> Iterator[str]:
 
 
 def is_within(domain: str, other: str) -> bool:
-    """True when the one domain is the other or lies below it; everything lies in the fleet's own, the empty one."""
+    """Tell whether the domain is the other or lies below it; everything lies in the fleet's own, the empty one."""
     return other in ("", domain) or domain.startswith(other + "/")
 
 
 def covers(scope: TrustScope, required: TrustScope) -> bool:
-    """True when the scope is at least as broad as the required one; `none` covers nothing."""
+    """Tell whether the scope is at least as broad as the required one; `none` covers nothing."""
     return scope != "none" and SCOPES.index(scope) >= SCOPES.index(required)
 
 
 def follows_record(state: Trust) -> bool:
-    """True while trust moves by itself."""
+    """Tell whether trust moves by itself."""
     return state.promote_after > 0 or state.downgrade_after > 0
 
 
 def evolve(state: Trust, event: HANDLES) -> Trust:
-    """Trust after the event."""
+    """Return trust after the event."""
     match event:
         case RobotJoined():
             return replace(state, members={**state.members, event.robot: (event.role, event.domain)})
@@ -138,7 +141,7 @@ def evolve(state: Trust, event: HANDLES) -> Trust:
 
 
 def _set(state: Trust, event: TrustSet | RoleTrustSet) -> Trust:
-    """The rows of results that the entry is about begin again."""
+    """Set the entry and begin again the rows of results that it is about."""
     contexts = state.contexts if event.context is None else state.contexts | {event.context}
     if not state.records:
         return replace(state, contexts=contexts)
@@ -153,7 +156,7 @@ def _set(state: Trust, event: TrustSet | RoleTrustSet) -> Trust:
 
 
 def is_about(state: Trust, event: TrustSet | RoleTrustSet, robot: Robot, peer: Robot) -> bool:
-    """True when the entry is about how far this robot trusts that one."""
+    """Tell whether the entry is about how far this robot trusts that one."""
     if isinstance(event, TrustSet):
         return (event.robot, event.peer) == (robot, peer)
     if robot not in state.members or peer not in state.members:
@@ -167,7 +170,7 @@ def is_about(state: Trust, event: TrustSet | RoleTrustSet, robot: Robot, peer: R
 
 
 def _noted(state: Trust, event: Result) -> Trust:
-    """The record after the result. Paper: sec:model:trust (performance history, failures)."""
+    """Return the record after the result. Paper: sec:model:trust (performance history, failures)."""
     match event:
         case RequestIssued():
             if (
@@ -229,7 +232,7 @@ def _closed(state: Trust, action_id: str | None) -> Trust:
 
 
 def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
-    """Each record with one more success or failure; None is neither, and ends the row of successes."""
+    """Return each record with one more success or failure; None is neither, and ends the row of successes."""
     records = dict(state.records)
     judged: list[Key] = []
     for about, is_success in filter(None, results):
@@ -243,6 +246,9 @@ def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
 
 
 def _row(state: Trust, robot: Robot, peer: Robot, capability: str, context: str | None) -> Key:
-    """Where a result between the two counts: for the trust that holds there, be it that of the context or that of all of them."""
+    """Return the key under which a result between the two counts.
+
+    It is that of the trust that holds there, in the context or in all of them.
+    """
     (_, of_context), _ = _holding(state, robot, peer, capability, context)
     return robot, peer, capability, of_context

@@ -1,4 +1,4 @@
-"""How the world stands: open policy windows, obstructions, degraded actuators, robots that are off, links that are down, absent supervisors."""
+"""The state of the world: policy windows, obstructions, actuators, absent robots, links and supervisors."""
 
 from typing import assert_never, get_args
 
@@ -47,7 +47,8 @@ Windows = dict[Robot, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open wi
 class World(msgspec.Struct, frozen=True, gc=False):
     """The true state of the world; deciders may read only what is local to them or what they were told.
 
-    `degraded`: robot -> how far its actuator has gone; `off`: robots that are off; `unlinked`: robots whose link is down.
+    `degraded`: robot -> how far its actuator has gone; `off`: robots that are off; `unlinked`: robots whose link is
+    down.
     """
 
     local: Windows = {}
@@ -63,14 +64,14 @@ INITIAL = World()
 
 
 def stricter(one: PolicyOutcome, other: PolicyOutcome) -> PolicyOutcome:
-    """The composition of two outcomes: deny before review before allow. Paper: eq:policy."""
+    """Compose two outcomes: deny before review before allow. Paper: eq:policy."""
     if one == "deny" or other == "deny":
         return "deny"
     return "review" if one == "review" or other == "review" else "allow"
 
 
 def in_force(windows: Windows, robot: Robot) -> PolicyOutcome:
-    """The policy in force for the robot: the strictest of its open windows."""
+    """Return the policy in force for the robot: the strictest of its open windows."""
     outcome: PolicyOutcome = "allow"
     for _, found in windows.get(robot, ()):
         outcome = stricter(outcome, found)
@@ -78,12 +79,15 @@ def in_force(windows: Windows, robot: Robot) -> PolicyOutcome:
 
 
 def is_linked(state: World, principal: str) -> bool:
-    """True when messages reach and leave the principal: whoever is no robot always, a robot while it is on and its link is up."""
+    """Tell whether messages reach and leave the principal.
+
+    A robot has to be on with its link up; any other principal is always linked.
+    """
     return principal not in state.off and principal not in state.unlinked
 
 
 def evolve(state: World, event: HANDLES) -> World:
-    """The world after the event."""
+    """Return the world after the event."""
     match event:
         case PolicyWindowOpened():
             windows = state.local if event.scope == "local" else state.fleet
@@ -99,16 +103,18 @@ def evolve(state: World, event: HANDLES) -> World:
         case ObstructionCleared():
             inside = tuple(name for name in state.obstructions.get(event.robot, ()) if name != event.obstruction)
             return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: inside})
-        case AssistanceEnded():  # whoever helped has cleared the way
+        case AssistanceEnded():  # the helper has cleared the way
             return _cleared(state, event.robot)
-        case FailureResolved():  # so has a supervisor; a robot that helped itself found it clear, one whose step another took over stays where it is
+        case FailureResolved():
+            # A supervisor clears the way too. A robot that recovered by itself found it clear, and one whose step
+            # another took over stays where it is.
             return _cleared(state, event.robot) if event.level == "human" else state
         case ActuatorDegraded():
             return _graded(state, event.robot, event.grade)
         case ActuatorServiced():
             serviced = {robot: grade for robot, grade in state.degraded.items() if robot != event.robot}
             return msgspec.structs.replace(state, degraded=serviced)
-        case RecoveryAttemptFailed():  # wear: a retry grips with all its force, and a load that slips through it takes the pads along
+        case RecoveryAttemptFailed():  # wear: a retry grips with full force, and a load that slips wears the pads off
             if event.result != "partial" or state.degraded.get(event.robot) != "slipping":
                 return state
             return _graded(state, event.robot, "lost")
@@ -129,7 +135,7 @@ def evolve(state: World, event: HANDLES) -> World:
 
 
 def _graded(state: World, robot: Robot, grade: Grade) -> World:
-    """The actuator is that far gone, or as far as it was before: only a service makes it better."""
+    """Degrade the actuator, or leave it as it was where that is worse: only a service makes it better."""
     worst = max(state.degraded.get(robot, grade), grade, key=GRADES.index)
     return msgspec.structs.replace(state, degraded={**state.degraded, robot: worst})
 

@@ -1,7 +1,9 @@
-"""How many events a run may make, found out before it is made: a commit holds a batch of whole runs, and no more than `ledger.bounds` allow.
+"""How many events a run may make, found out before it is made.
 
-The numbers are upper bounds of what runs were seen to make, 4 to 1,024 robots, every scenario, architecture and configuration; a test compares
-them with runs. They only decide what is refused before work begins: what is too much all the same is refused when the batch is staged.
+A commit holds a batch of whole runs, and no more than `ledger.bounds` allow. The numbers are upper bounds of what runs
+were seen to make with 4 to 1,024 robots, in every scenario, architecture and configuration; a test compares them with
+runs. They only decide what is refused before work begins: what is too much all the same is refused when the batch is
+staged.
 """
 
 from collections.abc import Iterable
@@ -16,7 +18,7 @@ from fsar_ledger.designs.registered import fleet as registered_fleet
 from fsar_ledger.events.configuration import Configuration, lacks
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 
-from .architectures.wiring import Growth
+from .architectures.handler_table import Growth
 from .world.founding import team_size
 from .world.schedule import arrivals_expected, happening, teams_working
 
@@ -28,14 +30,14 @@ POLLING_PER_ROBOT = 45  # without a registry each meeting is remembered
 
 
 class Expected(NamedTuple):
-    """At most so many, as far as one can tell."""
+    """Upper bounds of what a run makes, as far as one can tell."""
 
     events: float
     list_values: float
 
 
 def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
-    """Return what one run of the cell makes with such a fleet. A workflow is of four robots, and small."""
+    """Return the bounds of one run of the cell with such a fleet; a workflow is small, and of four robots."""
     name, architecture, configuration = cell
     scenario = happening(constants, name)
     if isinstance(scenario, Workflow):
@@ -70,7 +72,7 @@ def growth_of(architecture: str) -> Growth:
 
 
 def fits(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, fleet_size: int, constants: Constants) -> bool:
-    """True when a commit holds so many runs in a row of each of these scenarios, whose cells take turns."""
+    """Tell whether one commit holds this many consecutive runs of each scenario, whose cells take turns."""
     for cells in scenarios:
         rounds, rest = divmod(runs_at_once, len(cells))
         found = [expected(cell, fleet_size, constants) for cell in cells]
@@ -84,7 +86,7 @@ def fits(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, fleet_size: i
 
 
 def largest_fleet(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, constants: Constants) -> int:
-    """The largest fleet of which a commit holds so many runs in a row; 0 if there is none."""
+    """Return the largest fleet of which a commit holds this many consecutive runs; 0 if there is none."""
     cells = tuple(scenarios)
     of_team = team_size(constants.fleet)
     low, high = 0, MAX_ROWS // of_team + 1  # teams

@@ -1,4 +1,7 @@
-"""An experiment is a row of runs in canonical order, committed in batches: architectures x scenarios x runs."""
+"""An experiment: a sequence of runs in canonical order, committed in batches.
+
+Its dimensions are architectures, configurations, scenarios and runs.
+"""
 
 import gc
 from collections import deque
@@ -34,12 +37,13 @@ from .world.founding import team_size
 from .world.schedule import happening
 
 ORIGIN = "fsar-ledger/simulated"
-WORKFLOWS_ORIGIN = (
-    "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
-)
+WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # another ledger of `reproduce`: no key signs two trees under one origin
 BATCH_RUNS = 25  # runs in a commit, if it holds so many, whatever the number of workers
 MAX_OWN = 60_000
-"""Characters of parameters with a fleet or a scenario in them: every reader takes them constant by constant. Those of the model have 2,000."""
+"""The most characters of parameters with a fleet or a scenario in them.
+
+Every reader takes them constant by constant. Those of the model have 2,000.
+"""
 IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
 
 _P = ParamSpec("_P")
@@ -48,13 +52,13 @@ Batch: TypeAlias = tuple[RunSpec, ...]
 
 
 class Experiment(msgspec.Struct, frozen=True):
-    """Which runs to make: `runs` per scenario (or workflow), architecture and configuration, whose names are put in canonical order.
+    """Which runs to make: `runs` for each scenario (or workflow), architecture and configuration.
 
-    Names are of what is registered, or of the scenario that the constants hold.
+    Names are put in canonical order. They are of what is registered, or of the scenario that the constants hold.
 
     Raises:
-        InvalidExperiment: a name is unknown, a number impossible, a scenario none that can happen to the fleet, or a workflow meant for
-            anything but FSAR and its fleet of four.
+        InvalidExperiment: a name is unknown, a number impossible, a scenario impossible for the fleet, or a workflow
+            meant for anything but FSAR and its fleet of four.
     """
 
     architectures: tuple[str, ...]
@@ -89,7 +93,10 @@ class Experiment(msgspec.Struct, frozen=True):
         self.require_fits(1)
 
     def require_fits(self, runs_at_once: int = BATCH_RUNS) -> None:
-        """A commit holds so many runs of such a fleet, or all there are. Raises: InvalidExperiment, with the largest fleet of which it does."""
+        """Check that a commit holds so many runs of such a fleet, or all there are.
+
+        Raises: InvalidExperiment, with the largest fleet of which it does.
+        """
         at_once = min(runs_at_once, self.size)
         cells = [
             tuple(
@@ -105,17 +112,19 @@ class Experiment(msgspec.Struct, frozen=True):
         largest = largest_fleet(cells, at_once, self.constants)
         many = "one run" if at_once == 1 else f"{at_once} runs at once"
         raise InvalidExperiment(
-            f"fleet size: found {self.fleet_size}, expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and those of so large a "
-            f"fleet are more; take a smaller fleet, {'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
+            f"fleet size: found {self.fleet_size}, "
+            f"expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and those of so large a "
+            "fleet are more; take a smaller fleet, "
+            f"{'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
         )
 
     def _known_scenarios(self) -> tuple[str, ...]:
-        """The designer's own alone, where there is one, else all that are registered."""
+        """Return the designer's own scenario alone, where there is one, else all that are registered."""
         own = self.constants.scenario
         return (*registered.scenarios(), *registered.workflows()) if own is None else (own.name,)
 
     def _require_designs(self) -> None:
-        """What is a designer's own is well made, and every scenario can happen to the fleet."""
+        """Check that the designer's own designs are well made and every scenario can happen to the fleet."""
         own, fleet = self.constants.scenario, self.constants.fleet
         if own is None and fleet is None:
             return
@@ -135,18 +144,19 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"fleet and scenario: found {found:,} characters, expected at most {MAX_OWN:,}")
 
     def _require_mechanisms(self) -> None:
-        """Every architecture has what is taken out of it."""
+        """Check that every architecture has what is taken out of it."""
         for architecture in self.architectures:
             for name in sorted(
                 frozenset().union(*map(lacks, self.configurations)) - set(MECHANISMS_OF.get(architecture, ()))
             ):
                 [whose] = [one for one, names in MECHANISMS_OF.items() if name in names]
                 raise InvalidExperiment(
-                    f"without {name}: found architecture {architecture}, expected {whose} alone, whose mechanism it is; one experiment is of one architecture's"
+                    f"without {name}: found architecture {architecture}, "
+                    f"expected {whose} alone, whose mechanism it is; one experiment is of one architecture's"
                 )
 
     def _require_possible_load(self) -> None:
-        """Each floor holds a team, and what there is to do falls to teams that exist, while the world still happens."""
+        """Check that each floor holds a team and tasks fall to teams that exist, within the horizon."""
         world, load = self.constants.world, self.constants.load
         if world.floor_teams < 1:
             raise InvalidExperiment(f"teams of a floor: found {world.floor_teams}, expected at least 1")
@@ -162,7 +172,8 @@ class Experiment(msgspec.Struct, frozen=True):
         most = int(world.horizon_s / 2 / load.interval_s) + 1
         if not 1 <= load.task_sets <= most:
             raise InvalidExperiment(
-                f"task sets: found {load.task_sets}, expected 1 to {most}, one each {load.interval_s:g} s in half the world's {world.horizon_s:g} s"
+                f"task sets: found {load.task_sets}, "
+                f"expected 1 to {most}, one each {load.interval_s:g} s in half the world's {world.horizon_s:g} s"
             )
         if any(name in registered.workflows() for name in self.scenarios):
             raise InvalidExperiment(
@@ -170,7 +181,7 @@ class Experiment(msgspec.Struct, frozen=True):
             )
 
     def _require_workflows_as_written(self) -> None:
-        """The workflows are those of the paper: FSAR's, in full, with one robot of each role."""
+        """Check that the workflows are those of the paper: FSAR's, in full, with one robot of each role."""
         workflows = [name for name in self.scenarios if name in registered.workflows()]
         if not workflows:
             return
@@ -179,7 +190,8 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"{about}: found beside scenarios, expected workflows alone")
         if self.architectures != ("fsar",) or self.configurations != (FULL,):
             raise InvalidExperiment(
-                f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)"
+                f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), "
+                "expected fsar (full)"
             )
         if self.fleet_size != team_size(None):
             raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {team_size(None)}")
@@ -187,14 +199,14 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"{about}: found outages, expected none: the world of a workflow is its script")
 
     def _put_in_order(self) -> None:
-        """The names stand in one order, whatever the order in which they were asked for: the same question is the same plan."""
+        """Put the names in one order, so that the same question asked in another order is the same plan."""
         in_order = msgspec.structs.force_setattr
         in_order(self, "architectures", tuple(sorted(self.architectures, key=REGISTERED.index)))
         in_order(self, "scenarios", tuple(sorted(self.scenarios, key=self._known_scenarios().index)))
         in_order(self, "configurations", tuple(sorted(self.configurations, key=rank)))
 
     def specs(self) -> Iterator[RunSpec]:
-        """The runs in canonical order: scenario, run, architecture, configuration."""
+        """Yield the runs in canonical order: scenario, run, architecture, configuration."""
         for scenario in self.scenarios:
             for run in range(self.runs):
                 for architecture in self.architectures:
@@ -203,14 +215,14 @@ class Experiment(msgspec.Struct, frozen=True):
 
     @property
     def size(self) -> int:
-        """How many runs there are."""
+        """Return the number of runs."""
         return len(self.scenarios) * self.runs * len(self.architectures) * len(self.configurations)
 
     def batches(self, is_there: Callable[[RunSpec], bool] | None = None) -> list[Batch]:
-        """The runs of each commit, without those that are there: so many, or as many in a row as it is expected to hold.
+        """Yield the missing runs of each commit: so many, or as many in a row as it is expected to hold.
 
-        Where all runs are missing their architectures take turns, and `require_fits` sees to it that so many fit; of a ledger that is enlarged it
-        may be the runs of one architecture alone.
+        Where all runs are missing their architectures take turns, and `require_fits` sees to it that so many fit; of a
+        ledger that is enlarged it may be the runs of one architecture alone.
         """
         sizes: dict[Cell, Expected] = {}
         found: list[list[RunSpec]] = []
@@ -228,7 +240,7 @@ class Experiment(msgspec.Struct, frozen=True):
         return [tuple(batch) for batch in found]
 
     def plan(self) -> ExperimentPlanned:
-        """What goes on record before the first run."""
+        """Return what goes on record before the first run."""
         return ExperimentPlanned(
             architectures=self.architectures,
             configurations=self.configurations,
@@ -253,12 +265,15 @@ def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...])
 
 def _require_configurations(found: tuple[Configuration, ...]) -> None:
     if not found or len(set(found)) != len(found) or not all(map(is_known, found)):
-        expected = f"{FULL}, or without- and some of {', '.join(EVERY_MECHANISM)}, of one architecture, in this order, with + between; each once"
+        expected = (
+            f"{FULL}, or without- and some of {', '.join(EVERY_MECHANISM)}, of one architecture, in this order, "
+            "with + between; each once"
+        )
         raise InvalidExperiment(f"configuration: found {', '.join(found) or 'none'}, expected {expected}")
 
 
 def require_designs(own: Scenario | None, fleet: Fleet | None) -> None:
-    """Raise InvalidExperiment if an own fleet is none, or an own scenario or fleet has the name of one that is registered."""
+    """Check an own fleet and scenario, and that their names are not registered. Raises: InvalidExperiment."""
     if fleet is not None:
         for problem in problems_of_fleet(fleet):
             raise InvalidExperiment(f"fleet {printable.value(fleet.name)}: {problem}")
@@ -282,9 +297,10 @@ def workflow_experiment(
 
 
 class Made(msgspec.Struct, frozen=True):
-    """What `carry_out` did: the head that the ledger has now, and counts of runs.
+    """The head of the ledger after `carry_out`, and counts of runs.
 
-    `asked` were asked for, `made` of them now, the others were there before. `held` are in the ledger now, also of other experiments.
+    `asked` were asked for, `made` of them now, the others were there before. `held` are in the ledger now, also of
+    other experiments.
     """
 
     head: Head
@@ -303,18 +319,19 @@ def carry_out(
     *,
     adopts: bool = False,
 ) -> Made:
-    """Every run of the experiment is in the ledger, after its plan; runs that were there already are not made again.
+    """Make the runs of the experiment that the ledger lacks, after its plan.
 
-    Where all runs are there, nothing is done. Else the plan is committed first, unless it is on record: a larger one than before makes the
-    ledger larger, run by run as if it had been asked for at once. The missing runs come in canonical order, in `batches`: each commit
-    follows from those before it, so neither `workers` nor an interruption changes a byte. `progress` is told batches done and batches in all.
-    What is committed now carries a signature of `signer`, whose key stays in this process; with `adopts` also where another or none signed
-    what is there.
-    A new ledger has this origin, else the name of the signer, else `ORIGIN`.
+    Where all runs are there, nothing is done. Else the plan is committed first, unless it is on record: a larger one
+    than before makes the ledger larger, run by run as if it had been asked for at once. The missing runs come in
+    canonical order, in `batches`: each commit follows from those before it, so neither `workers` nor an interruption
+    changes a byte. `progress` is told batches done and batches in all. What is committed now carries a signature of
+    `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there. A new
+    ledger has this origin, else the name of the signer, else `ORIGIN`.
 
     Raises:
         InvalidExperiment: a commit does not hold so many runs of so large a fleet.
-        SequenceConflict: another process commits to the ledger meanwhile; the same call again makes what is missing then.
+        SequenceConflict: another process commits to the ledger meanwhile; the same call again makes what is missing
+            then.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
     experiment.require_fits()
@@ -353,7 +370,7 @@ simulate = _head_of(carry_out)
 
 
 def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:
-    """The batch is simulated and staged; meanwhile nothing looks for cyclic garbage, for a run makes none."""
+    """Simulate and stage the batch, without garbage collection: a run makes no cyclic garbage."""
     gc.disable()
     try:
         return stage(out, [simulate_run(spec, constants) for spec in batch])
@@ -366,7 +383,7 @@ def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:
 
 
 def _staged(out: Path, batches: list[Batch], constants: Constants, workers: int) -> Iterator[Staged]:
-    """The staged batches in order, made by this process or by `workers` others."""
+    """Yield the staged batches in order, made by this process or by `workers` others."""
     if workers <= 1:
         for batch in batches:
             yield _stage(out, batch, constants)

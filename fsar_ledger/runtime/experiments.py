@@ -1,9 +1,10 @@
-"""The experiments of the paper by name: what `reproduce` makes, one ledger each.
+"""The experiments of the paper by name: what `reproduce` makes, one ledger each. Paper: sec:evaluation.
 
-`results` is the table of results. `ablation` is FSAR in full and without one mechanism each, and without the registry over the rates at which robots
-meet; then every architecture without each of its further mechanisms, to show which number each of them carries. `scaling` is the table of fleet sizes
-at both ends of the load that the text leaves open, with loads in between and fleets beyond. `workflows` are the three workflows. Each ledger has an
-origin of its own, so a key signs each under another name. Paper: sec:evaluation.
+`results` is the table of results. `ablation` is FSAR in full and without one mechanism each, and without the registry
+over the rates at which robots meet; then every architecture without each of its further mechanisms, to show which
+number each of them carries. `scaling` is the table of fleet sizes at both ends of the load that the text leaves open,
+with loads in between and fleets beyond. `workflows` are the three workflows. Each ledger has an origin of its own, so a
+key signs each under another name.
 """
 
 from collections.abc import Iterator
@@ -24,7 +25,7 @@ NAMES: tuple[Name, ...] = get_args(Name)
 SEED = 42
 
 RUNS: dict[Name, int] = {"results": 200, "ablation": 40, "scaling": 20, "workflows": 1}
-"""Runs of each scenario, architecture and configuration: what the registration asks for, twice the paper's, and the paper's."""
+"""Runs of each scenario, architecture and configuration: the registered number, twice the paper's, and the paper's."""
 
 ENCOUNTERS_S = (30.0, 60.0, 180.0, 300.0)
 """Mean times between encounters of two robots, beside that of the model."""
@@ -33,7 +34,7 @@ TABLED_SIZES, LOADED_SIZE = (4, 8, 16), 16
 """Fleet sizes of the paper's table, and the one that is played at every load."""
 
 FURTHER = 2
-"""How many times fewer runs there are of what lacks a mechanism that is none of the paper's ablations."""
+"""The factor by which runs are fewer without a mechanism that is not among the paper's ablations."""
 
 BEYOND: dict[int, int] = {32: 5, 64: 10}
 """Larger fleets, and how many times fewer runs they have: one run of 64 robots costs as much as twenty of four."""
@@ -47,7 +48,7 @@ _ORIGINS: dict[Name, str] = {
 
 
 class Named(msgspec.Struct, frozen=True):
-    """One ledger to be made: under which name and origin, of which experiments, one after the other."""
+    """One ledger to be made: its name, its origin, and its experiments in order."""
 
     name: Name
     origin: str
@@ -55,18 +56,24 @@ class Named(msgspec.Struct, frozen=True):
 
     @property
     def size(self) -> int:
-        """How many runs there are."""
+        """Return the number of runs."""
         return sum(part.size for part in self.parts)
 
     def signer(self, signer: Signer | None) -> Signer | None:
-        """Return the same secret under this ledger's name: under the key's own for `results`, else under that and the experiment's. None: unsigned."""
+        """Return the same secret under this ledger's name; None is unsigned.
+
+        The name is the key's own for `results`, else that and the experiment's.
+        """
         return (
             signer if signer is None or self.name == "results" else signer.under(f"{signer.verifier.name}/{self.name}")
         )
 
 
 def named(name: Name, seed: int, runs: int | None = None) -> Named:
-    """Return the experiment of this name, with so many runs of each scenario (None: `RUNS`; the workflows are scripts, and always one)."""
+    """Return the experiment of this name, with so many runs of each scenario.
+
+    None is `RUNS`; the workflows are scripts, and always one run.
+    """
     many = RUNS[name] if runs is None or name == "workflows" else runs
     parts = {"results": _results, "ablation": _ablation, "scaling": _scaling, "workflows": _workflows}[name]
     return Named(name, _ORIGINS[name], tuple(parts(seed, many)))
@@ -88,7 +95,7 @@ def _ablation(seed: int, runs: int) -> Iterator[Experiment]:
 
 
 def _scaling(seed: int, runs: int) -> Iterator[Experiment]:
-    """All teams work, which is the default, or fewer."""
+    """Return the experiment at full load, where all teams work, or with fewer teams at work."""
     for size in TABLED_SIZES:
         yield Experiment(ARCHITECTURES, SCENARIOS, runs, seed, size)
     for size in (*TABLED_SIZES[1:], *BEYOND):

@@ -1,14 +1,14 @@
-"""The clock: pops the next command or fact in the total order (time, priority, serial) and records what it makes.
+"""The kernel: pops the next command or fact in the total order (time, priority, serial) and records what it makes.
 
-Facts of the world come before commands of the same instant. A command never runs at the instant at which
-it was scheduled, and two commands of one cause never share an instant; so (caused_by, time_us) of the first
-event of a batch names the command that made it, and a run can be resumed from its events alone. The further
-events of a batch are caused by its first.
+Facts of the world come before commands of the same instant. A command never runs at the instant at which it was
+scheduled, and two commands of one cause never share an instant; so (caused_by, time_us) of the first event of a batch
+names the command that made it, and a run can be resumed from its events alone. The further events of a batch are caused
+by its first.
 
-What a robot should do while it is off, and what a message should bring over a link that is down, is kept until the
-fact that brings the robot or the link back, and is due then: what the robot was at after the time that was left. A
-message sets out when its sender can send, travels whatever happens to the sender then and whoever receives it, and
-waits there until it can be received. So the world binds whoever governs; which robot does a command is data of the wiring.
+What a robot should do while it is off, and what a message should bring over a link that is down, is kept until the fact
+that brings the robot or the link back. A robot then goes on for as long as it had left. A message sets out when its
+sender can send, travels whatever happens meanwhile to the sender or the receiver, and waits at the receiver until it
+can be received. So the world binds every architecture; which robot carries out a command is data of the handler table.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
 from fsar_ledger.projections.fold import ROUTES, State, apply
 from fsar_ledger.projections.world import is_linked
 
-from .architectures.wiring import Wiring
+from .architectures.handler_table import HandlerTable
 from .handlers.commands import React, Scheduled
 from .world.draws import Draws
 from .world.schedule import Fact
@@ -37,9 +37,9 @@ MOMENT_US = 60_000_000
 
 
 @lru_cache(maxsize=32)
-def _plan(wiring: Wiring) -> _Plan:
-    """What happens to an event of each type: the projections that handle it, and the reactions that follow it."""
-    return {kind: (ROUTES.get(kind, ()), wiring.reacts.get(kind, ())) for kind in EVENT_TYPES}
+def _plan(table: HandlerTable) -> _Plan:
+    """Return, for each event type, the projections that handle it and the reactions that follow it."""
+    return {kind: (ROUTES.get(kind, ()), table.reacts.get(kind, ())) for kind in EVENT_TYPES}
 
 
 class Kernel:
@@ -47,20 +47,23 @@ class Kernel:
 
     def __init__(
         self,
-        wiring: Wiring,
+        table: HandlerTable,
         facts: Sequence[Fact],
         draws: Draws,
         founding: Sequence[Event],
         founded: State | None = None,
     ) -> None:
-        """The run begins with `founding`; `founded` is the state that all of it but its first event makes, where that is known already."""
+        """Begin the run with `founding`.
+
+        `founded` is the state that all of it but its first event makes, where that is known already.
+        """
         self.times_us: list[int] = []
         self.caused_by: list[int | None] = []
         self.events: list[Event] = []
         self.state = State()
-        self._decides = wiring.decides
-        self._actors = wiring.actors
-        self._plan = _plan(wiring)
+        self._decides = table.decides
+        self._actors = table.actors
+        self._plan = _plan(table)
         self._facts = facts
         self._next_fact = 0
         self._draws = draws
@@ -73,7 +76,7 @@ class Kernel:
             self._begin(founding, founded)
 
     def _begin(self, founding: Sequence[Event], founded: State) -> None:
-        """The founding is recorded. Nothing is pending after it: reactions are to what a fleet does."""
+        """Record the founding. Nothing is pending after it: reactions are to what a fleet does."""
         self.times_us += [0] * len(founding)
         self.caused_by += [None, *[0] * (len(founding) - 1)]
         self.events += founding
@@ -82,7 +85,7 @@ class Kernel:
         apply(self.state, founding[0])
 
     def run(self) -> None:
-        """Nothing is left to happen."""
+        """Run until nothing is left to happen."""
         facts, count, pending, decides = self._facts, len(self._facts), self._pending, self._decides
         position = self._next_fact
         while True:
@@ -110,14 +113,14 @@ class Kernel:
                 return
 
     def _require_end(self, time_us: int, cause: int, scheduled: Scheduled) -> None:
-        """What is due so late was waited for long. Raises: RuntimeError if it was not."""
+        """Check that what is due so late was waited for long. Raises: RuntimeError if it was not."""
         if time_us - self.times_us[cause] < MOMENT_US:
             raise RuntimeError(
                 f"the run does not end: {scheduled.command} is due at {time_us} microseconds, caused by event {cause}"
             )
 
     def restore(self, times_us: Sequence[int], caused_by: Sequence[int | None], events: Sequence[Event]) -> None:
-        """The run stands before the last batch of these recorded events; `run` makes that batch again and goes on.
+        """Put the run before the last batch of these recorded events; `run` makes that batch again and goes on.
 
         The first event must be the founding batch's that this kernel was made with.
         """
@@ -136,7 +139,7 @@ class Kernel:
             self._discard_before(times_us[end], caused_by[end])
 
     def _discard_until(self, time_us: int, cause: int | None) -> None:
-        """Pops the command that made the recorded batch, and those before it that made nothing."""
+        """Pop the command that made the recorded batch, and those before it that made nothing."""
         if cause == 0:
             self._next_fact += 1
             while self._pending and self._pending[0][0] < time_us:
@@ -185,9 +188,10 @@ class Kernel:
                     heappush(self._pending, (due_us, self._serial, seq, scheduled))
 
     def _keep(self, one: _Pending, after_us: int = 0) -> bool:
-        """True when this cannot be done now, because a robot is off or a link down; it is due so long after they are back.
+        """Keep what cannot be done now, because a robot is off or a link down, and tell whether it was kept.
 
-        Of a message that sets out (it has time to go) only its sender counts; of one that is there only who receives it, and who passed it on.
+        It is due after the time it had left once they are back. Of a message that sets out (it has time to go) only its
+        sender counts; of one that is there only its receiver, and who passed it on.
         """
         world = self.state.world
         if not world.off and not world.unlinked:
@@ -210,7 +214,7 @@ class Kernel:
         return None if actor is None else actor(self.state, scheduled.command)
 
     def _happened(self, fact: Event, time_us: int) -> None:
-        """The world does this; what it stops is kept, and what it brings back is due again."""
+        """Apply a fact of the world: keep what it stops, and make due again what it brings back."""
         self._record(fact, time_us, 0)
         if isinstance(fact, RobotWentOff):
             stopped = [one for one in self._pending if self._actor(one[3]) == fact.robot and not _is_message(one[3])]
@@ -224,7 +228,10 @@ class Kernel:
             self._release(time_us)
 
     def _release(self, now_us: int) -> None:
-        """All that is kept is due again, or kept on; no two of it at the same instant, nor at that of another command of its cause."""
+        """Make all that is kept due again, or keep it on.
+
+        No two items are due at one instant, nor at that of another command of their cause.
+        """
         kept, self._kept = self._kept, []
         taken = {(due_us, cause) for due_us, _, cause, _ in self._pending}
         instants: set[int] = set()
@@ -239,13 +246,16 @@ class Kernel:
 
 
 def _is_message(scheduled: Scheduled) -> bool:
-    """True for what only travels: it goes on its way while who receives it is off, and waits there."""
+    """Tell whether this only travels.
+
+    A message goes on its way while its receiver is off, and waits there.
+    """
     return (
         scheduled.after_us <= 1 and bool(scheduled.draws) and all(draw.sender is not None for draw in scheduled.draws)
     )
 
 
 def _is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:
-    """True when the event belongs to the batch of the event before it."""
+    """Tell whether the event belongs to the batch of the event before it."""
     cause = caused_by[seq]
     return cause is not None and times_us[cause] == times_us[seq]

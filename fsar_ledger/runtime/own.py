@@ -1,6 +1,7 @@
-"""A designer's own: a scenario, a fleet and constants from outside the package, checked.
+"""A designer's own scenario, fleet and constants from outside the package, checked.
 
-They are put among the constants of a run, so they are in event 0 of every run that they make, and such a run replays anywhere, without the files.
+They are put among the constants of a run, so event 0 of every run holds them and the run replays anywhere without the
+files.
 """
 
 import re
@@ -34,7 +35,8 @@ def with_own(
     `NAME=VALUE`.
 
     Raises:
-        UsageError: a file cannot be read, or what is in it cannot be (with line and field); a name is unknown; a value is
+        UsageError: a file cannot be read, or what is in it cannot be (with line and field); a name is unknown; a value
+            is
             impossible.
     """
     own_fleet = _fleet(fleet)

@@ -1,4 +1,4 @@
-"""A plan in a ledger, and the name it goes by."""
+"""The plan of an experiment in a ledger, and the name it goes by."""
 
 from hashlib import sha256
 
@@ -9,18 +9,21 @@ from fsar_ledger.ledger.rows.codec import RunRecord
 
 
 def plan_id(planned: ExperimentPlanned) -> str:
-    """A readable name and a digest of all that was planned, as runs have: another plan has another name."""
+    """Return a readable name and a digest of all that was planned, as runs have.
+
+    Another plan has another name.
+    """
     digest = sha256(msgspec.json.encode(planned, order="sorted")).hexdigest()[:12]
     return f"plan.n{planned.fleet_size}.s{planned.seed}.x{planned.run_count:04d}-{digest}"
 
 
 def plan_record(planned: ExperimentPlanned) -> RunRecord:
-    """What is committed of a plan: one event under its own name, at the beginning of time."""
+    """Return what is committed of a plan: one event under its own name, at the beginning of time."""
     return RunRecord(plan_id(planned), (0,), (None,), (planned,))
 
 
 def misnamed(record: RunRecord) -> tuple[str, str, str] | None:
-    """The field in which a plan is not as it is committed, with what was found and expected; None if there is none."""
+    """Return the field in which a plan is not as it is committed, with what was found and expected, or None."""
     planned = record.events[0]
     assert isinstance(planned, ExperimentPlanned)
     expected = plan_record(planned)

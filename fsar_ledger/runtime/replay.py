@@ -1,22 +1,23 @@
-"""A recorded run is played again: from its parameters the world and the handlers must make what the record says, event by event.
+"""Replay: from its parameters, the world and the handlers must make a run as recorded, event by event.
 
-| what | where replay has it from |
-|---|---|
-| what was played: seed, architecture, scenario, constants | `RunStarted`, as recorded; other constants than this version's are a remark (`worlds.py`) |
-| what the world did by itself (`events/world.py`), and when | made again (`world/schedule.py`), and compared: none is left out, added or another |
-| who founds the fleet, with which capabilities and trust | made again for the recorded fleet size, and compared |
-| every decision: what, by whom, when, caused by which event | made again by the handlers, and compared |
-| what was planned (`ExperimentPlanned`, which is no run) | as recorded; its name is a digest of it |
-| how long messages, ways, attempts, answers and executions take; whether a degraded actuator holds | drawn again under the recorded seed |
+- What was played (seed, architecture, scenario, constants): from `RunStarted`, as recorded. Constants other than this
+  version's are a remark (`worlds.py`).
+- What the world did by itself (`events/world.py`), and when: made again (`world/schedule.py`) and compared, so that
+  none is left out, added or changed.
+- Who founds the fleet, with which capabilities and trust: made again for the recorded fleet size, and compared.
+- Every decision (what, by whom, when, caused by which event): made again by the handlers, and compared.
+- What was planned (`ExperimentPlanned`, which is no run): as recorded; its name is a digest of it.
+- How long messages, ways, attempts, answers and executions take, and whether a degraded actuator holds: drawn again
+  under the recorded seed.
 
-So a simulated run has one record only, and nothing in it is taken on trust but its first event, which its name is a digest of. The
-schedule is made to its horizon and a run ends when nothing is left to happen, so all of the schedule is in the record. The facts of the
-paper's workflows are named by their scenario, and made again, too. What another kind of run (scripted, forked, live) differs in from the
-world of its seed has to be declared in its first event: `_Replay` takes the schedule with what is declared there, and `_parameters`
-refuses the kinds that declare nothing.
+So a simulated run has one record only, and nothing in it is taken on trust but its first event, which its name is a
+digest of. The schedule is made to its horizon and a run ends when nothing is left to happen, so all of the schedule is
+in the record. The facts of the paper's workflows are named by their scenario, and made again, too. What another kind of
+run (scripted, forked, live) differs in from the world of its seed has to be declared in its first event: `_Replay`
+takes the schedule with what is declared there, and `_parameters` refuses the kinds that declare nothing.
 
-The length of an execution stands in the record, too, as `ends_us`; it is drawn again all the same, for to take it from there would be
-to believe the decision that is in question.
+The record has the length of an execution, too, as `ends_us`. It is drawn again all the same: to take it from there
+would be to believe the decision that is in question.
 """
 
 import gc
@@ -44,10 +45,11 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.workers import WorkerPool
 
 from .experiment import Experiment
+from .handler_tables import handler_table_of
 from .handlers.commands import Command, Decide
 from .kernel import Kernel
 from .plan import misnamed
-from .simulation import MODEL_VERSION, RunSpec, draws_of, founding_of, run_id, run_started, wiring
+from .simulation import MODEL_VERSION, RunSpec, draws_of, founding_of, run_id, run_started
 from .world.founding import founding
 from .world.schedule import arrivals_expected, schedule
 from .worlds import Played, played, remarks_on
@@ -56,9 +58,10 @@ _FACTS = frozenset(get_args(WorldEvent))
 _END = "the end of the run"
 
 FACTS_PER_ROBOT = 1_000
-"""Facts of the world that its rates may lead one to expect, for each robot and beside as many as there are events; the model's make 37 to 373.
+"""The most facts of the world that recorded rates may lead one to expect.
 
-Recorded rates may be an enemy's: a world of a billion facts is no record of a few events, and is not made to see that.
+Counted for each robot, and beside as many as there are events; the model's make 37 to 373. Recorded rates may be an
+enemy's: a world of a billion facts is no record of a few events, and is not made to find that out.
 """
 
 MAX_SILENT = 100_000
@@ -66,10 +69,11 @@ MAX_SILENT = 100_000
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """The first place where a record is not what was decided, or the reason why that could not be checked (`expected` and `actual` say it).
+    """The first place where a record is not what was decided, or why that could not be checked.
 
-    `handler` is the function that makes what is expected, or that had its turn there and made nothing; None where there is none.
-    `commit` and `segment` are where the run is stored, None while that is not known.
+    `expected` and `actual` say which. `handler` is the function that makes what is expected, or that had its turn there
+    and made nothing; None where there is none. `commit` and `segment` are where the run is stored, None while that is
+    not known.
     """
 
     run: str | None
@@ -91,7 +95,9 @@ class Difference(msgspec.Struct, frozen=True):
 
 
 class ReplayReport(msgspec.Struct, frozen=True):
-    """What `replay` found. Units: `commits`, `runs` and `events` (of runs) are counts of what is as made again, to the last event.
+    """The result of `replay`.
+
+    Units: `commits`, `runs` and `events` (of runs) count what is as made again, to the last event.
 
     `remarks` are no doubts: constants that are not this version's.
     """
@@ -105,7 +111,10 @@ class ReplayReport(msgspec.Struct, frozen=True):
 
 
 class CommitReport(msgspec.Struct, frozen=True):
-    """What `replay_commit` found: as `ReplayReport`, of one commit; `worlds` are those of the runs that are as made again."""
+    """The result of `replay_commit`: as `ReplayReport`, of one commit.
+
+    `worlds` are those of the runs that are as made again.
+    """
 
     differences: tuple[Difference, ...]
     worlds: tuple[Played, ...]
@@ -114,18 +123,18 @@ class CommitReport(msgspec.Struct, frozen=True):
 
     @property
     def ok(self) -> bool:
-        """Whether nothing differs."""
+        """Tell whether nothing differs."""
         return not self.differences
 
 
 NOT_REPLAYED = ReplayReport(False)
-"""The report on a ledger that does not verify: what its rows say is not known to be what was recorded."""
+"""The report on a ledger that does not verify: its rows may not be what was recorded."""
 
 
 def replay(
     path: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, commits: int | None = None
 ) -> ReplayReport:
-    """Every run was played again, and of each that differs the first difference is in the report; so is each run that could not be checked.
+    """Play every run again, and report the first difference of each run that differs or could not be checked.
 
     Args:
         path: The directory of the ledger, which is taken to verify.
@@ -152,7 +161,7 @@ def replay(
 
 
 def _replayed(path: str, files: list[str], workers: int) -> Iterator[CommitReport]:
-    """The report of each commit, in order."""
+    """Yield the report of each commit, in order."""
     with ExitStack() as stack:
         if workers > 1 and len(files) > 1:
             pool = stack.enter_context(WorkerPool(min(workers, len(files))))
@@ -162,7 +171,7 @@ def _replayed(path: str, files: list[str], workers: int) -> Iterator[CommitRepor
 
 
 def replay_commit(path: str, number: int, file: str) -> CommitReport:
-    """The report on the runs of one commit, in `file` of the ledger. Never raises."""
+    """Return the report on the runs of one commit, in `file` of the ledger. Never raises."""
     found: list[Difference] = []
     starts: list[RunStarted] = []
     runs = events = 0
@@ -185,13 +194,16 @@ def replay_commit(path: str, number: int, file: str) -> CommitReport:
 
 
 def _replay_plan(record: RunRecord) -> Difference | None:
-    """The first field in which a plan is not as it is committed, None if there is none: what was meant is taken as recorded, its name is a digest of it."""
+    """Return the first field in which a plan is not as it is committed, or None.
+
+    What was meant is taken as recorded; the plan's name is a digest of it.
+    """
     found = misnamed(record)
     return None if found is None else Difference(record.run_id, 0, found[0], "plan.plan_record", found[2], found[1])
 
 
 def replay_run(record: RunRecord) -> Difference | None:
-    """The first difference of the record from what the world and the handlers make, None if there is none. Never raises."""
+    """Return the first difference of the record from what the world and the handlers make, or None. Never raises."""
     one: _Replay | None = None
     try:
         if type(record.events[0]) in ALONE:
@@ -214,7 +226,7 @@ def _told(error: Exception) -> str:
 
 
 class _Differs(Exception):
-    """The replay stops here."""
+    """The end of a replay at a difference."""
 
     def __init__(self, run: str, seq: int, field: str | None, handler: str | None, expected: str, actual: str) -> None:
         self.difference = Difference(run, seq, field, handler, expected, actual)
@@ -224,7 +236,7 @@ class _Replay(Kernel):
     """A run in progress that stops at the first event that is not as recorded."""
 
     def __init__(self, record: RunRecord, spec: RunSpec, constants: Constants) -> None:
-        """The run stands after its founding. Raises: _Differs if the record has another one."""
+        """Put the run after its founding. Raises: _Differs if the record has another one."""
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
@@ -233,21 +245,21 @@ class _Replay(Kernel):
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
         draws = draws_of(spec, constants)
-        super().__init__(wiring(spec.architecture, spec.configuration), self._facts, draws, events, founded)
+        super().__init__(handler_table_of(spec.architecture, spec.configuration), self._facts, draws, events, founded)
         self._decides = {command: self._noted(decide) for command, decide in self._decides.items()}
 
     def handler(self) -> str:
-        """The function that makes the next event, by module and name."""
+        """Return the function that makes the next event, by module and name."""
         return _name(self._deciding)
 
     def require_end(self) -> None:
-        """Nothing is recorded that was not decided. Raises: _Differs."""
+        """Check that nothing is recorded that was not decided. Raises: _Differs."""
         seq = len(self.events)
         if seq < self._count:
             raise self._unasked(seq) or _Differs(self._stored.run_id, seq, "type", None, _END, self._actual(seq))
 
     def _noted(self, decide: Decide) -> Decide:
-        """The same decision; that it is being taken is noted."""
+        """Return the same decision, which notes that it is being taken."""
 
         def noted(state: State, command: Command) -> tuple[Event, ...]:
             self._deciding = decide
@@ -256,7 +268,8 @@ class _Replay(Kernel):
                 self._silent.append((command.now_us, decide))
                 if len(self._silent) > MAX_SILENT:
                     raise RuntimeError(
-                        f"more than {MAX_SILENT:,} decisions in a row made nothing, the last at {command.now_us} microseconds"
+                        f"more than {MAX_SILENT:,} decisions in a row made nothing, "
+                        f"the last at {command.now_us} microseconds"
                     )
             return events
 
@@ -270,7 +283,7 @@ class _Replay(Kernel):
         super()._record(event, time_us, cause)
 
     def _require(self, seq: int, event: Event, time_us: int, cause: int | None) -> None:
-        """The event of that seq is recorded as this one. Raises: _Differs."""
+        """Check that the event of that seq is recorded as this one. Raises: _Differs."""
         stored = self._stored
         if seq >= self._count:
             raise _Differs(stored.run_id, seq, "type", self.handler(), _at(event, time_us), _END)
@@ -278,7 +291,7 @@ class _Replay(Kernel):
             raise self._unasked(seq) or _Differs(stored.run_id, seq, *self._first_field(seq, event, time_us, cause))
 
     def _first_field(self, seq: int, event: Event, time_us: int, cause: int | None) -> tuple[str, str | None, str, str]:
-        """The first field in which the recorded event is another one: its name, the handler, expected, actual."""
+        """Return the first field in which the recorded event is another one: name, handler, expected, actual."""
         stored, actual_us = self._stored.events[seq], self._stored.times_us[seq]
         if type(stored) is not type(event):
             return "type", self.handler(), _at(event, time_us), self._actual(seq)
@@ -294,13 +307,13 @@ class _Replay(Kernel):
         return name, self.handler(), f"{expected!r:.300}", f"{actual!r:.300}"
 
     def _actual(self, seq: int) -> str:
-        """What is recorded there; of a fact of the world also whether the world has it."""
+        """Return what is recorded there; of a fact of the world, also whether the world has it."""
         event, time_us = self._stored.events[seq], self._stored.times_us[seq]
         invented = type(event) in _FACTS and (time_us, event) not in self._facts
         return _at(event, time_us) + (", which the world of this run does not have" if invented else "")
 
     def _unasked(self, seq: int) -> _Differs | None:
-        """The difference, if the recorded event stands where a handler had its turn and made nothing."""
+        """Return the difference, if the recorded event stands where a handler had its turn and made nothing."""
         decide = dict(self._silent).get(self._stored.times_us[seq])
         return (
             None
@@ -314,13 +327,13 @@ def _name(function: Callable[..., object]) -> str:
 
 
 def _at(event: Event, time_us: int) -> str:
-    """The event, of a fact of the world also what it is about."""
+    """Return the event, for a fact of the world with what it is about."""
     about = ", ".join(f"{name} {value!r:.80}" for name, value in flat(event).items()) if type(event) in _FACTS else ""
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 
 def _begun(record: RunRecord) -> _Replay:
-    """The run at its founding. Raises: _Differs if it cannot be replayed, or its founding or name is another one."""
+    """Return the run at its founding. Raises: _Differs if it cannot be replayed, or founding or name differ."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
         raise _Differs(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
@@ -331,7 +344,7 @@ def _begun(record: RunRecord) -> _Replay:
 
 
 def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpec, Constants]:
-    """What the run was made from. Raises: _Differs if this program cannot make such a run."""
+    """Return what the run was made from. Raises: _Differs if this program cannot make such a run."""
 
     def refused(field: str | None, expected: str, actual: str) -> _Differs:
         return _Differs(run, 0, field, None, expected, f"{actual}, so the run cannot be replayed")

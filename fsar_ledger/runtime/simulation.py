@@ -2,7 +2,6 @@
 
 from functools import lru_cache
 from hashlib import sha256
-from importlib import import_module
 
 import msgspec
 
@@ -11,12 +10,13 @@ from fsar_ledger.designs import Fleet
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, lacks
+from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.projections.fold import State, fold
 
-from .architectures.wiring import Wiring
+from .architectures.handler_table import HandlerTable
+from .handler_tables import handler_table_of
 from .kernel import Kernel
 from .world.draws import Draws, run_key
 from .world.founding import founding
@@ -30,7 +30,7 @@ SCENARIOS = PAPER_SCENARIOS
 
 
 class RunSpec(msgspec.Struct, frozen=True):
-    """What makes a run the run it is; another value anywhere is another run."""
+    """What identifies a run; another value anywhere is another run."""
 
     seed: int
     architecture: str
@@ -43,23 +43,8 @@ class RunSpec(msgspec.Struct, frozen=True):
 _parameters = lru_cache(maxsize=8)(write_constants)
 
 
-def wiring(architecture: str, configuration: Configuration = FULL) -> Wiring:
-    """The architecture's handlers and reactions, without what the configuration lacks; the paper's ablations are known to the handlers themselves."""
-    module = import_module(f".architectures.{architecture}", __package__)
-    whole: Wiring = getattr(module, architecture.upper())
-    return whole if lacks(configuration) <= set(MECHANISMS) else _switched(architecture, configuration)
-
-
-@lru_cache(maxsize=32)
-def _switched(architecture: str, configuration: Configuration) -> Wiring:
-    """One object for all runs, so that the clock plans it once."""
-    from .switches import switched
-
-    return switched(wiring(architecture), architecture, configuration)
-
-
 def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
-    """Event 0 of the run."""
+    """Return event 0 of the run."""
     return RunStarted(
         kind="simulated",
         observes=CONCERNS,
@@ -75,19 +60,21 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
 
 
 def run_id(started: RunStarted) -> str:
-    """A readable name and a digest of all parameters, so that other parameters are another run."""
+    """Return a readable name and a digest of all parameters, so that other parameters are another run."""
     digest = sha256(msgspec.json.encode(started, order="sorted")).hexdigest()[:12]
-    name = f"{started.architecture}.{started.configuration}.{started.scenario}.n{started.fleet_size}.s{started.seed}.r{started.run:04d}"
-    return f"{name}-{digest}"
+    cell = f"{started.architecture}.{started.configuration}.{started.scenario}"
+    return f"{cell}.n{started.fleet_size}.s{started.seed}.r{started.run:04d}-{digest}"
 
 
-def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> Kernel:
-    """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
+def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> Kernel:
+    """Return the run at its founding, before the world has done anything.
+
+    `table` replaces the architecture's own handler table.
+    """
     facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     draws = draws_of(spec, constants)
-    return Kernel(
-        structure or wiring(spec.architecture, spec.configuration), facts, draws, *founding_of(spec, constants)
-    )
+    table = table or handler_table_of(spec.architecture, spec.configuration)
+    return Kernel(table, facts, draws, *founding_of(spec, constants))
 
 
 def draws_of(spec: RunSpec, constants: Constants) -> Draws:
@@ -102,7 +89,7 @@ def _world(world: WorldConstants, fleet: Fleet | None) -> WorldConstants:
 
 
 def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:
-    """The events that the run begins with, and the state that all of them but the first make."""
+    """Return the events that the run begins with, and the state that all of them but the first make."""
     fleet = (spec.fleet_size, constants.world.floor_teams, constants.fleet)
     return (run_started(spec, constants), *_founding(*fleet)), _founded(*fleet)
 
@@ -112,12 +99,12 @@ _founding = lru_cache(maxsize=4)(founding)
 
 @lru_cache(maxsize=4)
 def _founded(fleet_size: int, floor_teams: int, fleet: Fleet | None) -> State:
-    """The state of a fleet of which only the run is not known yet."""
+    """Return the state of a fleet of which only the run is not known yet."""
     return fold(_founding(fleet_size, floor_teams, fleet))
 
 
-def simulate_run(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> RunRecord:
-    """The whole run."""
-    one = kernel(spec, constants, structure)
+def simulate_run(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> RunRecord:
+    """Simulate the whole run."""
+    one = kernel(spec, constants, table)
     one.run()
     return RunRecord(run_id(run_started(spec, constants)), one.times_us, one.caused_by, one.events)

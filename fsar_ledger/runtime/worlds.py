@@ -1,8 +1,8 @@
-"""Which worlds the runs of a ledger met: replay makes every run again under the constants that the run itself records.
+"""Which worlds the runs of a ledger met: replay makes every run under the constants that the run itself records.
 
-Whoever makes a ledger may record other constants than this version's, for all of its runs or for some. Such a run is as its world
-and its handlers make it, so replay does not doubt it; but a world without obstructions says little of one with them, and two runs of
-one seed that met different worlds are no pair. So a reader is told.
+A ledger's maker may record other constants than this version's, for all of its runs or for some. Such a run is as its
+world and its handlers make it, so replay does not doubt it. But a world without obstructions says little of one with
+them, and two runs of one seed that met different worlds are no pair. So a reader is told.
 """
 
 from collections import Counter
@@ -33,7 +33,7 @@ class Played(msgspec.Struct, frozen=True):
 
 
 def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
-    """What these runs met, in the order in which it was first met."""
+    """Return what these runs met, in the order in which it was first met."""
     groups: dict[tuple[str, str, str], list[World]] = {}
     for one in starts:
         kind = (
@@ -46,7 +46,10 @@ def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
 
 
 def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
-    """A line for each set of constants that is not this version's, and one if a world has no pair of two architectures under the same set."""
+    """Return a line for each set of constants that is not this version's.
+
+    Another line says that a world has no pair of two architectures under the same set.
+    """
     runs: dict[str, Counter[str]] = {}
     met: dict[World, dict[str, set[int]]] = {}
     numbers: dict[str, int] = {}
@@ -58,7 +61,8 @@ def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
             met.setdefault(world, {}).setdefault(who, set()).add(number)
     total = sum(count.total() for count in runs.values())
     lines = [
-        f"{_kind(differences)}: {counts.total():,} of {total:,} runs ({some(f'{count:,} of {who}' for who, count in counts.items())}) "
+        f"{_kind(differences)}: {counts.total():,} of {total:,} runs "
+        f"({some(f'{count:,} of {who}' for who, count in counts.items())}) "
         f"{KINDS[_kind(differences)]}: {some(differences)}"
         for parameters, counts in runs.items()
         if (differences := unlike_ours(parameters))
@@ -74,8 +78,8 @@ def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
         seed, scenario, fleet_size, run = unlike[0]
         lines.append(
             f"no pairs: under {len(unlike):,} of {len(met):,} combinations of seed, scenario, fleet size and run "
-            f"two architectures or configurations met no constants in common, first under {seed}, {scenario}, {fleet_size}, {run}; "
-            "`statistics` does not compare those two there"
+            f"two architectures or configurations met no constants in common, first under {seed}, {scenario}, "
+            f"{fleet_size}, {run}; `statistics` does not compare those two there"
         )
     return tuple(lines)
 

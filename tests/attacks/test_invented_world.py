@@ -26,6 +26,7 @@ from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.keys import new_key, read_signer
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import (
     ARCHITECTURES,
@@ -34,7 +35,6 @@ from fsar_ledger.runtime.simulation import (
     run_id,
     run_started,
     simulate_run,
-    wiring,
 )
 from fsar_ledger.runtime.world.draws import Draws, run_key
 from fsar_ledger.runtime.world.schedule import Fact, schedule
@@ -65,7 +65,7 @@ class Invented:
 def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> RunRecord:
     """Return the handlers' decisions where only these facts happen."""
     one = Kernel(
-        wiring(spec.architecture),
+        handler_table_of(spec.architecture),
         facts,
         Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world),
         *founding_of(spec, CONSTANTS),

@@ -11,8 +11,9 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.simulation import RunSpec, founding_of, run_id, run_started, simulate_run, wiring
+from fsar_ledger.runtime.simulation import RunSpec, founding_of, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.draws import Draws, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.cli.conftest import Call, one_message
@@ -29,7 +30,7 @@ def unlike(tmp_path_factory: pytest.TempPathFactory) -> Path:
     spec: RunSpec = next(EXPERIMENT.specs())
     facts = schedule(CONSTANTS, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     one = Kernel(
-        wiring(spec.architecture),
+        handler_table_of(spec.architecture),
         facts[:-1],
         Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world),
         *founding_of(spec, CONSTANTS),

@@ -12,7 +12,7 @@ from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
-from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.recycled import from_rows
 
@@ -34,7 +34,7 @@ def record(
     run: int,
     architecture: Architecture = "fsar",
     configuration: Configuration = "full",
-    structure: Wiring | None = None,
+    structure: HandlerTable | None = None,
 ) -> Any:
     return simulate_run(RunSpec(42, architecture, configuration, scenario, 4, run), Constants(), structure)
 

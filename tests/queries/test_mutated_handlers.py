@@ -14,14 +14,14 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
-from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import DecideRoutine, StartAction
 from fsar_ledger.runtime.handlers.execution import started
 from tests.queries.test_invariants import RUNS, record
 from tests.recycled import from_table
 
 
-def changed(event: type[AnyEvent], **fields: Any) -> Wiring:
+def changed(event: type[AnyEvent], **fields: Any) -> HandlerTable:
     """FSAR, with every handler that emits this event saying something else in it."""
 
     def mutated(decide: Any) -> Any:
@@ -29,7 +29,7 @@ def changed(event: type[AnyEvent], **fields: Any) -> Wiring:
             with_columns(one, **fields) if isinstance(one, event) else one for one in decide(state, command)
         )
 
-    return Wiring({command: mutated(decide) for command, decide in FSAR.decides.items()}, FSAR.reacts)
+    return HandlerTable({command: mutated(decide) for command, decide in FSAR.decides.items()}, FSAR.reacts)
 
 
 def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
@@ -47,20 +47,20 @@ def unchecked_routine(state: Any, command: DecideRoutine) -> tuple[Any, ...]:
     )
 
 
-MUTATED: tuple[tuple[str, Wiring], ...] = (
+MUTATED: tuple[tuple[str, HandlerTable], ...] = (
     ("i2", changed(RequestAccepted, decided_by="service/coordination")),
     ("a4", changed(RequestAccepted, decided_by="service/coordination")),
     ("i4", changed(RecoveryEscalated, level="fleet")),
     ("a5", changed(ExecutionStarted, supervised_by=None)),
     ("a2", changed(ExecutionStarted, executed_by="service/recovery")),
-    ("i3", Wiring({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)),
-    ("a3", Wiring({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)),
-    ("i3", Wiring({**FSAR.decides, DecideRoutine: unchecked_routine}, FSAR.reacts)),
+    ("i3", HandlerTable({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)),
+    ("a3", HandlerTable({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)),
+    ("i3", HandlerTable({**FSAR.decides, DecideRoutine: unchecked_routine}, FSAR.reacts)),
 )
 
 
 @pytest.mark.parametrize(("name", "structure"), MUTATED, ids=[f"{name}-{at}" for at, (name, _) in enumerate(MUTATED)])
-def test_a_mutated_handler_is_caught(name: str, structure: Wiring) -> None:
+def test_a_mutated_handler_is_caught(name: str, structure: HandlerTable) -> None:
     (query,) = chosen([name])
     with from_table(encode([record(*run, structure=structure) for run in RUNS]), threads=1) as database:
         assert audit_rows(database, [query])[0].holds is False

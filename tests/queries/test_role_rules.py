@@ -16,7 +16,7 @@ from fsar_ledger.metrics.database import Database, from_rows, from_table
 from fsar_ledger.metrics.invariants import chosen
 from fsar_ledger.projections import policy
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.advertising import AdvertiseCapability
 from fsar_ledger.runtime.handlers.commands import StartAction
 from fsar_ledger.runtime.handlers.fleet import InstallCapability, JoinFleet
@@ -397,7 +397,7 @@ def test_in_simulated_runs_rules_of_roles_are_heeded_and_a_start_that_does_not_l
         times = [time_us for time_us, event in starts if event.capability == capability]  # type: ignore[attr-defined]
         assert times
         assert min(times) > from_us
-    blind = Wiring({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)
+    blind = HandlerTable({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)
     other = governed("door-relay", *INTERVENTIONS, run=4, structure=blind)
     runs = [
         RunRecord(name, made.times_us, made.caused_by, made.events) for name, made in (("blind", other), ("fsar", one))

@@ -14,7 +14,7 @@ from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
-from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import StartAction
 from fsar_ledger.runtime.handlers.execution import started as has_started
 from tests.queries.histories import Row, answer, event, measured, run
@@ -456,13 +456,13 @@ def test_in_runs_with_interventions_the_invariants_of_policy_and_recovery_hold()
 
 
 def test_starts_under_a_rule_that_denies_are_caught_by_i3_and_the_violation_metric() -> None:
-    counts, mutated = audited(), audited(Wiring({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts))
+    counts, mutated = audited(), audited(HandlerTable({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts))
     assert mutated["i3"] > counts["i3"] == 0
     assert mutated["violations"] > counts["violations"]
 
 
 def test_a_conflict_that_nobody_was_told_of_is_caught_by_a3() -> None:
-    assert audited(Wiring({**FSAR.decides, EvaluateRequest: silent_denial}, FSAR.reacts))["a3"] > 0
+    assert audited(HandlerTable({**FSAR.decides, EvaluateRequest: silent_denial}, FSAR.reacts))["a3"] > 0
 
 
 def test_the_entry_of_the_capability_goes_before_that_of_the_context_for_an_execution_too() -> None:

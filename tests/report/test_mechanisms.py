@@ -26,8 +26,9 @@ from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
 from fsar_ledger.report.mechanisms import carried, mechanisms_of
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.experiments import named
+from fsar_ledger.runtime.knockouts import KNOCKOUTS
+from fsar_ledger.runtime.knockouts.knockout import Knockout
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from fsar_ledger.runtime.switches import SWITCHES, Switch
 from tests.recycled import from_table
 
 COPIES, CLAIMS, UNNAMED = "synced-copies", "safe-stop-claims", "unnamed-requests"
@@ -59,18 +60,18 @@ def found(database: Database) -> Mechanisms:
 
 
 def test_every_mechanism_that_has_a_name_can_be_taken_out_and_names_are_of_one_architecture() -> None:
-    assert [(one.architecture, one.name) for one in SWITCHES] == [
+    assert [(one.architecture, one.name) for one in KNOCKOUTS] == [
         (architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names
     ]
-    assert len({one.name for one in SWITCHES}) == len(SWITCHES)
-    assert {one.name for one in SWITCHES if not one.decides and one.rewire is None} == set(MECHANISMS), (
+    assert len({one.name for one in KNOCKOUTS}) == len(KNOCKOUTS)
+    assert {one.name for one in KNOCKOUTS if not one.decides and one.change is None} == set(MECHANISMS), (
         "only these are known to the handlers"
     )
 
 
 def test_of_two_mechanisms_that_are_taken_out_neither_puts_the_other_back() -> None:
     for architecture in MECHANISMS_OF:
-        replaced = [command for one in SWITCHES if one.architecture == architecture for command in one.decides]
+        replaced = [command for one in KNOCKOUTS if one.architecture == architecture for command in one.decides]
         assert len(replaced) == len(set(replaced)), "the second would decide as if the first were there"
     names = [
         without(some)
@@ -102,11 +103,13 @@ def test_the_ledger_of_ablations_holds_every_architecture_without_each_mechanism
     }
 
 
-@pytest.mark.parametrize("switch", [one for one in SWITCHES if one.name in ON_RECORD_ALONE], ids=lambda one: one.name)
-def test_without_what_is_on_record_alone_the_same_is_done_at_the_same_times(switch: Switch) -> None:
+@pytest.mark.parametrize(
+    "knockout", [one for one in KNOCKOUTS if one.name in ON_RECORD_ALONE], ids=lambda one: one.name
+)
+def test_without_what_is_on_record_alone_the_same_is_done_at_the_same_times(knockout: Knockout) -> None:
     whole, less = (
-        simulate_run(RunSpec(5, switch.architecture, name, "door-relay", 4, 0), Constants())
-        for name in ("full", switch.configuration)
+        simulate_run(RunSpec(5, knockout.architecture, name, "door-relay", 4, 0), Constants())
+        for name in ("full", knockout.configuration)
     )
     done, done_less = (
         [(time, what(event)) for time, event in zip(run.times_us, run.events, strict=True) if is_deed(event)]
@@ -255,7 +258,7 @@ def test_the_section_has_both_tables_with_what_is_marked_in_bold(findings: Findi
     assert rows["safe stop claims"][at]["printed"] == "0"
     said = data["carried"]
     assert said["other_constants"] is not None, "the page has that sentence, too"
-    assert (said["mechanisms"], said["missing"], said["differences"]) == (3, len(SWITCHES) - 3, 24)
+    assert (said["mechanisms"], said["missing"], said["differences"]) == (3, len(KNOCKOUTS) - 3, 24)
     assert said["unmoved"] == sum(not row["differing_pairs"] for row in found.rows) > 0
     assert typeset.pdf(document.encoded(document.data(given, None)), document.drawings(given)).startswith(b"%PDF")
 

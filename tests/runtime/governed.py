@@ -5,7 +5,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Scenario, Supervisor
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started
 from fsar_ledger.runtime.world.draws import Draws, run_key
@@ -15,7 +15,9 @@ from fsar_ledger.runtime.world.schedule import schedule
 H_F = Supervisor("supervisor/fleet")
 
 
-def governed(scenario: Scenario, *interventions: tuple[int, Event], run: int = 0, structure: Wiring = FSAR) -> Kernel:
+def governed(
+    scenario: Scenario, *interventions: tuple[int, Event], run: int = 0, structure: HandlerTable = FSAR
+) -> Kernel:
     """The finished run of four robots, with these events at these times (microseconds)."""
     constants, spec = Constants(), RunSpec(42, "fsar", "full", scenario, 4, run)
     facts = sorted([*schedule(constants, 42, scenario, run, 4), *interventions], key=lambda fact: fact[0])

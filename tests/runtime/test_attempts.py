@@ -21,7 +21,7 @@ from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.dhma import DHMA
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import AdmitReviewed, EvaluateRequest
-from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import BeginStep, Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
@@ -64,10 +64,10 @@ def given_to(state: State, command: Command) -> list[str]:
     return types(events)
 
 
-def begins(wiring: Wiring, state: State, event: Event) -> list[BeginStep]:
+def begins(table: HandlerTable, state: State, event: Event) -> list[BeginStep]:
     """The orders to turn to a step that follow the event, which the state takes in."""
     apply(state, event)
-    scheduled = [one.command for react in wiring.reacts.get(type(event), ()) for one in react(state, event, 0)]
+    scheduled = [one.command for react in table.reacts.get(type(event), ()) for one in react(state, event, 0)]
     return [command for command in scheduled if isinstance(command, BeginStep)]
 
 

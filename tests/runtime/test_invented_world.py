@@ -42,6 +42,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.metrics.naming import default_of, unlike_ours
 from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import (
@@ -52,7 +53,6 @@ from fsar_ledger.runtime.simulation import (
     run_id,
     run_started,
     simulate_run,
-    wiring,
 )
 from fsar_ledger.runtime.world.draws import Draws, run_key
 from fsar_ledger.runtime.world.schedule import Fact, arrivals_expected, schedule
@@ -85,7 +85,7 @@ def world_of(spec: RunSpec) -> tuple[Fact, ...]:
 def simulated_in(facts: Sequence[Fact], spec: RunSpec) -> RunRecord:
     """The run that the real handlers make in a world of these facts, under the name of the honest one."""
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)
-    one = Kernel(wiring(spec.architecture), facts, draws, *founding_of(spec, constants_of(spec)))
+    one = Kernel(handler_table_of(spec.architecture), facts, draws, *founding_of(spec, constants_of(spec)))
     one.run()
     return RunRecord(run_id(run_started(spec, constants_of(spec))), one.times_us, one.caused_by, one.events)
 

@@ -34,12 +34,13 @@ from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode
 from fsar_ledger.parameters import BadParameters
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
-from fsar_ledger.runtime.architectures.wiring import Wiring, wire
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers import task
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, Scheduled, StartAction
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.replay import replay_run
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run, wiring
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
 from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
 from fsar_ledger.runtime.world.schedule import Fact, schedule
 from tests.runtime.histories import started
@@ -51,41 +52,44 @@ OWN = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",),
 DELEGATED = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=60 * S, due_us=61 * S)
 
 
-def nameless(one: Wiring) -> set[type[Command]]:
+def nameless(one: HandlerTable) -> set[type[Command]]:
     """The commands that the clock may hold and of which nobody knows who does them; those from outside are done by whoever gives them."""
     return {command for command in one.decides if not issubclass(command, PublicCommand) and command not in one.actors}
 
 
 @EVERY
 def test_every_command_names_its_actor(architecture: Architecture) -> None:
-    whole = wiring(architecture)
+    whole = handler_table_of(architecture)
     assert nameless(whole) == set()
     forgetful = {command: actor for command, actor in whole.actors.items() if command is not StartAction}
-    assert nameless(Wiring(whole.decides, whole.reacts, forgetful)) == {StartAction}
+    assert nameless(HandlerTable(whole.decides, whole.reacts, forgetful)) == {StartAction}
 
 
-def test_a_wiring_that_lacks_what_it_names_is_refused() -> None:
+def test_a_handler_table_that_lacks_what_it_names_is_refused() -> None:
     def reacts(_state: State, _event: Event, _now_us: int) -> tuple[Scheduled, ...]:
         return ()
 
     class Unknown(Command):
         """A command of no module."""
 
-    assert wire(task).decides == task.DECIDES
+    assert HandlerTable.of(task).decides == task.DECIDES
     forgetful = ModuleType("forgetful")
     vars(forgetful).update(DECIDES=task.DECIDES, REACTS=task.REACTS, ACTORS={})
     with pytest.raises(ValueError, match="BeginStep by nobody"):
-        wire(forgetful)
+        HandlerTable.of(forgetful)
     with pytest.raises(ValueError, match="lacks what it names: reacts"):
-        wire(task, instead={reacts: reacts})
+        HandlerTable.of(task, instead={reacts: reacts})
     with pytest.raises(ValueError, match="lacks what it names: Unknown by no module"):
-        wire(task, own={Unknown: lambda _state, _command: ()})
+        HandlerTable.of(task, own={Unknown: lambda _state, _command: ()})
 
 
 def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
     """The run of these facts and no others."""
     one = Kernel(
-        wiring(architecture), facts, Draws(run_key(1, "door-relay", 0), WorldConstants()), started(architecture)
+        handler_table_of(architecture),
+        facts,
+        Draws(run_key(1, "door-relay", 0), WorldConstants()),
+        started(architecture),
     )
     one.run()
     return one

@@ -260,8 +260,8 @@ def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path
     (tmp_path / "fsar_ledger/runtime/world/scenarios/sixth.toml").write_text(scenario)
     architectures = tmp_path / "fsar_ledger/runtime/architectures"
     shutil.copytree(architectures / "cfc", architectures / "mine")
-    wiring, register = architectures / "mine/__init__.py", architectures / "__init__.py"
-    wiring.write_text(wiring.read_text().replace("CFC: Wiring", "MINE: Wiring"))
+    handlers, register = architectures / "mine/__init__.py", architectures / "__init__.py"
+    handlers.write_text(handlers.read_text().replace("CFC: HandlerTable", "MINE: HandlerTable"))
     register.write_text(register.read_text().replace('    "dhma",\n', '    "dhma",\n    "mine",\n'))
     program = (
         "from pathlib import Path\n"

@@ -40,10 +40,10 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
     end_attempt,
     start_recovery,
 )
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import Command, EndAttempt
 from fsar_ledger.runtime.handlers.recovery import budget
 from fsar_ledger.runtime.handlers.trust import trusts
-from fsar_ledger.runtime.simulation import wiring
 from tests.runtime.failures import ACTION, A, B, C, D, executing, failed, taken
 from tests.runtime.histories import types, window
 
@@ -231,7 +231,7 @@ def test_the_query_of_a_recovery_starts_no_request() -> None:
     query = asked(state)[0]
     apply(state, query)
     assert state.request == before
-    assert [react(state, query, 3_000_000) for react in wiring("fsar").reacts[RegistryQueried]] == [()]
+    assert [react(state, query, 3_000_000) for react in handler_table_of("fsar").reacts[RegistryQueried]] == [()]
 
 
 def test_a_spent_peer_budget_ends_the_peer_level() -> None:
@@ -504,7 +504,7 @@ def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once
     )
     late = [
         one
-        for react in wiring("fsar").reacts[SupervisorCalled]
+        for react in handler_table_of("fsar").reacts[SupervisorCalled]
         for one in react(
             state, SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=Supervisor(""), purpose="recovery"), 0
         )
@@ -538,7 +538,7 @@ def test_a_failure_creates_no_authority() -> None:
     )
     apply(state, ObstructionAppeared(D, "o"))
     for command in commands:
-        taken(state, wiring("fsar").decides[type(command)](state, command))
+        taken(state, handler_table_of("fsar").decides[type(command)](state, command))
     assert state.recovery[ACTION].level == "human"
     assert not trusts(state, C, D, "carry.heavy", "A1-1")
     assert (state.trust, state.authority) == (trust, rights)
@@ -557,4 +557,4 @@ def test_stale_commands_do_nothing() -> None:
         ConsiderReassignment(ACTION),
         CallNext(ACTION, 2, 0),
     ):
-        assert wiring("fsar").decides[type(command)](state, command) == ()
+        assert handler_table_of("fsar").decides[type(command)](state, command) == ()

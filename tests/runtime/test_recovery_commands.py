@@ -7,8 +7,8 @@ from fsar_ledger.events.envelope import Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryBudgetSet
 from fsar_ledger.runtime.architectures.fsar.recovery import StartRecovery
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.recovery import ReportFailure, SetRecoveryBudget, report_failure, set_recovery_budget
-from fsar_ledger.runtime.simulation import wiring
 from tests.runtime.failures import ACTION, A, B, executing, failed, taken
 from tests.runtime.histories import given
 
@@ -53,7 +53,9 @@ def test_a_reported_failure_is_recovered_like_any_other() -> None:
         detected_us=2_000_000,
     )
     [scheduled] = [
-        one.command for react in wiring("fsar").reacts[ExecutionFailed] for one in react(state, event, 2_000_000)
+        one.command
+        for react in handler_table_of("fsar").reacts[ExecutionFailed]
+        for one in react(state, event, 2_000_000)
     ]
     assert scheduled == StartRecovery(ACTION)
 

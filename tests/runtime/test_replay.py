@@ -26,12 +26,14 @@ from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
-from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, simulate, workflow_experiment
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import Command, Decide
+from fsar_ledger.runtime.knockouts import KNOCKOUTS
+from fsar_ledger.runtime.knockouts.knockout import Knockout
 from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay, replay_commit, replay_run
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run, wiring
-from fsar_ledger.runtime.switches import SWITCHES, Switch
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
 from tests.ledger.hostile import stage_anything
 from tests.runtime import governed
@@ -179,7 +181,7 @@ def nothing_of(kind: type[Command]) -> Decide:
     return decide
 
 
-def name_of(structure: Wiring, command: type[Command]) -> str:
+def name_of(structure: HandlerTable, command: type[Command]) -> str:
     decide = structure.decides[command]
     return f"{decide.__module__}.{decide.__qualname__}".removeprefix("fsar_ledger.runtime.")
 
@@ -188,7 +190,7 @@ def name_of(structure: Wiring, command: type[Command]) -> str:
 def test_whichever_handler_is_silenced_replay_names_that_handler(
     monkeypatch: pytest.MonkeyPatch, architecture: Architecture
 ) -> None:
-    decides: dict[Any, Any] = wiring(architecture).decides
+    decides: dict[Any, Any] = handler_table_of(architecture).decides
     silenced = set()
     for scenario in ("failure-recovery-chain", "mixed-trust-inspection"):
         honest = simulate_run(RunSpec(5, architecture, "full", scenario, 4, 0), CONSTANTS)
@@ -197,38 +199,47 @@ def test_whichever_handler_is_silenced_replay_names_that_handler(
                 patch.setitem(decides, command, wraps(decide)(nothing_of(command)))
                 difference = replay_run(honest)
             if difference is not None:
-                assert (difference.expected, difference.handler) == ("nothing", name_of(wiring(architecture), command))
+                assert (difference.expected, difference.handler) == (
+                    "nothing",
+                    name_of(handler_table_of(architecture), command),
+                )
                 silenced.add(command)
     assert len(silenced) >= 18
 
 
-def without_saying_so(switch: Switch) -> Iterator[str | None]:
+def without_saying_so(knockout: Knockout) -> Iterator[str | None]:
     """The handler of the first difference of each run that lacks the mechanism and claims to be in full."""
     for spec in (
-        RunSpec(5, switch.architecture, "full", scenario, 4, run) for scenario in SCENARIOS for run in range(3)
+        RunSpec(5, knockout.architecture, "full", scenario, 4, run) for scenario in SCENARIOS for run in range(3)
     ):
-        difference = replay_run(simulate_run(spec, CONSTANTS, wiring(switch.architecture, switch.configuration)))
+        difference = replay_run(
+            simulate_run(spec, CONSTANTS, handler_table_of(knockout.architecture, knockout.configuration))
+        )
         if difference is not None:
             yield difference.handler
 
 
 @pytest.mark.parametrize(
-    "switch", [switch for switch in SWITCHES if switch.decides and not switch.rewire], ids=lambda switch: switch.name
+    "knockout",
+    [knockout for knockout in KNOCKOUTS if knockout.decides and not knockout.change],
+    ids=lambda knockout: knockout.name,
 )
-def test_a_fleet_without_one_mechanism_is_not_taken_for_a_whole_one(switch: Switch) -> None:
-    handlers = set(without_saying_so(switch))
+def test_a_fleet_without_one_mechanism_is_not_taken_for_a_whole_one(knockout: Knockout) -> None:
+    handlers = set(without_saying_so(knockout))
     assert handlers
-    assert handlers <= {name_of(wiring(switch.architecture), command) for command in switch.decides}
+    assert handlers <= {name_of(handler_table_of(knockout.architecture), command) for command in knockout.decides}
 
 
-@pytest.mark.parametrize("switch", [switch for switch in SWITCHES if switch.rewire], ids=lambda switch: switch.name)
-def test_a_fleet_that_is_wired_otherwise_is_not_taken_for_a_whole_one(switch: Switch) -> None:
-    assert any(True for _ in without_saying_so(switch))
+@pytest.mark.parametrize(
+    "knockout", [knockout for knockout in KNOCKOUTS if knockout.change], ids=lambda knockout: knockout.name
+)
+def test_a_fleet_with_another_handler_table_is_not_taken_for_a_whole_one(knockout: Knockout) -> None:
+    assert any(True for _ in without_saying_so(knockout))
 
 
-@pytest.mark.parametrize("switch", SWITCHES, ids=lambda switch: switch.name)
-def test_a_fleet_that_names_the_mechanism_it_is_without_is_played_again_without_it(switch: Switch) -> None:
-    spec = RunSpec(5, switch.architecture, switch.configuration, "mixed-trust-inspection", 4, 0)
+@pytest.mark.parametrize("knockout", KNOCKOUTS, ids=lambda knockout: knockout.name)
+def test_a_fleet_that_names_the_mechanism_it_is_without_is_played_again_without_it(knockout: Knockout) -> None:
+    spec = RunSpec(5, knockout.architecture, knockout.configuration, "mixed-trust-inspection", 4, 0)
     assert replay_run(simulate_run(spec, CONSTANTS)) is None
 
 

@@ -18,9 +18,10 @@ from fsar_ledger.events.world import LinkCameUp, LinkWentDown, RobotCameBack, Ro
 from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode
 from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.architectures.fsar.execution import decide_routine
-from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import DecideRoutine
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, kernel, simulate_run, wiring
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, kernel, simulate_run
 
 CONSTANTS = Constants()
 OUTAGES = Constants(outages=Outages(0.02, 8.0, 0.03, 6.0, 0.002))
@@ -102,14 +103,14 @@ def test_the_live_state_is_the_fold_of_the_stored_events() -> None:
         assert fold(back.events) == one.state
 
 
-def with_memory() -> Wiring:
+def with_memory() -> HandlerTable:
     """Broken on purpose: a handler that counts its calls and every other time does nothing."""
-    whole, calls = wiring("fsar"), count()
+    whole, calls = handler_table_of("fsar"), count()
 
     def decide(state: State, command: DecideRoutine) -> tuple[Event, ...]:
         return decide_routine(state, command) if next(calls) % 2 else ()
 
-    return Wiring({**whole.decides, DecideRoutine: decide}, whole.reacts)
+    return HandlerTable({**whole.decides, DecideRoutine: decide}, whole.reacts)
 
 
 def test_an_architecture_with_a_memory_of_its_own_does_not_resume() -> None:
@@ -121,7 +122,7 @@ def test_an_architecture_with_a_memory_of_its_own_does_not_resume() -> None:
         if type(record.events[seq]).__name__ == "RoutineDue"
     )
 
-    def rest(structure: Wiring) -> list[Event]:
+    def rest(structure: HandlerTable) -> list[Event]:
         one = kernel(spec, CONSTANTS, structure)
         one.restore(record.times_us[:half], record.caused_by[:half], record.events[:half])
         one.run()
@@ -130,7 +131,7 @@ def test_an_architecture_with_a_memory_of_its_own_does_not_resume() -> None:
     assert any(rest(structure) != list(record.events) for structure in (with_memory(), _shifted()))
 
 
-def _shifted() -> Wiring:
+def _shifted() -> HandlerTable:
     """The same memory, one call further on: at one of two phases the rest must differ."""
     structure = with_memory()
     structure.decides[DecideRoutine](fold(()), DecideRoutine(Robot("robot/A1"), "sensing"))

@@ -19,10 +19,11 @@ from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.codec import RunRecord, encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.architectures import REGISTERED
-from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run, wiring
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run
 from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
 from fsar_ledger.runtime.world.schedule import Fact, schedule
 from tests.recycled import from_table
@@ -168,14 +169,14 @@ def test_a_robot_of_a_larger_fleet_meets_the_same_world() -> None:
     assert alone == [event for event in of_robot(4) if type(event).__name__ != "PeersMet"]
 
 
-def completed(structure: Wiring | None) -> int:
+def completed(structure: HandlerTable | None) -> int:
     runs = [simulate_run(RunSpec(3, "fsar", "full", scenario, 4, 0), Constants(), structure) for scenario in SCENARIOS]
     return sum(isinstance(event, TaskCompleted) for run in runs for event in run.events)
 
 
 def test_when_all_robots_are_offline_no_task_succeeds() -> None:
-    whole = wiring("fsar")
-    offline = Wiring(
+    whole = handler_table_of("fsar")
+    offline = HandlerTable(
         {**whole.decides, TakeTurn: lambda _state, _command: (), StartAction: lambda _state, _command: ()}, whole.reacts
     )
     assert completed(offline) == 0
@@ -227,6 +228,6 @@ def test_shorter_sync_gives_fewer_violations_under_cfc() -> None:
 
 def test_every_command_is_decided_once_and_every_reaction_is_to_an_event() -> None:
     for architecture in REGISTERED:
-        found = wiring(architecture)
+        found = handler_table_of(architecture)
         assert all(issubclass(event, Event) for event in found.reacts)
         assert TakeTurn in found.decides

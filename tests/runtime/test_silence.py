@@ -25,8 +25,9 @@ from fsar_ledger.events.world import (
     RobotWentOff,
     TaskArrived,
 )
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, wiring
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of
 from fsar_ledger.runtime.world.draws import Draws, run_key
 from fsar_ledger.runtime.world.schedule import Fact, schedule
 from tests.runtime.physics import EVERY, LAWLESS, OURS, QUIET
@@ -43,7 +44,9 @@ TASK = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budg
 def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
     """The run of two teams in a calm world, in which this happens and nothing else."""
     spec, constants = RunSpec(5, architecture, "full", "door-relay", size, 0), Constants(world=CALM)
-    one = Kernel(wiring(architecture), facts, Draws(run_key(5, "door-relay", 0), CALM), *founding_of(spec, constants))
+    one = Kernel(
+        handler_table_of(architecture), facts, Draws(run_key(5, "door-relay", 0), CALM), *founding_of(spec, constants)
+    )
     one.run()
     return one
 
@@ -53,7 +56,9 @@ def without(architecture: Architecture, scenario: str, robot: str, ends: type[Ev
     """The run of a scenario for two teams in a calm world, one robot off or without a link from the beginning."""
     spec, constants = RunSpec(5, architecture, "full", scenario, 8, 0), Constants(world=CALM)
     facts = ((1, ends(robot)), *schedule(constants, 5, spec.scenario, 0, 8))
-    one = Kernel(wiring(architecture), facts, Draws(run_key(5, spec.scenario, 0), CALM), *founding_of(spec, constants))
+    one = Kernel(
+        handler_table_of(architecture), facts, Draws(run_key(5, spec.scenario, 0), CALM), *founding_of(spec, constants)
+    )
     one.run()
     return one
 
@@ -219,7 +224,10 @@ def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_d
         spec, constants = RunSpec(5, architecture, "full", "door-relay", 4, run), Constants(world=slow)
         facts = schedule(constants, 5, spec.scenario, run, 4)
         one = Kernel(
-            wiring(architecture), facts, Draws(run_key(5, spec.scenario, run), slow), *founding_of(spec, constants)
+            handler_table_of(architecture),
+            facts,
+            Draws(run_key(5, spec.scenario, run), slow),
+            *founding_of(spec, constants),
         )
         one.run()
         assert of(one, RequestIssued, CommandIssued, AwardMade)
@@ -230,7 +238,9 @@ def test_a_bid_on_its_way_is_waited_for_when_another_candidate_is_silent() -> No
     slow = msgspec.structs.replace(CALM, message=Range(2.0, 2.5))
     spec, constants = RunSpec(5, "dhma", "full", "door-relay", 8, 0), Constants(world=slow)
     facts: list[Fact] = [(1, RobotWentOff(B)), (S, TASK)]
-    run = Kernel(wiring("dhma"), facts, Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants))
+    run = Kernel(
+        handler_table_of("dhma"), facts, Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants)
+    )
     run.run()
     (asked_us, _), *_ = of(run, RequestIssued)
     assert [time_us - asked_us > ANSWER_US for time_us, _ in of(run, BidReceived)] == [True]
@@ -319,7 +329,10 @@ def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
         task_id="D1-1", robot=Robot("robot/D1"), team=1, steps=(f"D {DOOR} B",), budget_us=90 * S, due_us=91 * S
     )
     run = Kernel(
-        wiring("fsar"), [*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants)
+        handler_table_of("fsar"),
+        [*facts, (S, task)],
+        Draws(run_key(5, "door-relay", 0), slow),
+        *founding_of(spec, constants),
     )
     run.run()
     return run

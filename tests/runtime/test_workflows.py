@@ -34,9 +34,10 @@ from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.experiment import Experiment, workflow_experiment
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import Respond
 from fsar_ledger.runtime.handlers.supervision import respond
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run, wiring
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.runtime.histories import given, types, window
 from tests.runtime.test_resume import assert_resumes
@@ -257,7 +258,7 @@ def answered(state: State, action_id: str) -> list[str]:
     ]
     [answer] = respond(state, Respond(number))
     apply(state, answer)
-    again = [one for react in wiring("fsar").reacts[SupervisorResponded] for one in react(state, answer, 0)]
+    again = [one for react in handler_table_of("fsar").reacts[SupervisorResponded] for one in react(state, answer, 0)]
     return [
         one.command.action_id
         for one in sorted(again, key=lambda one: one.after_us)

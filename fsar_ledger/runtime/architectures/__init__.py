@@ -1,7 +1,7 @@
-"""Architectures are structure only: deterministic wirings of pure handlers, without access to randomness.
+"""Architectures are structure only: deterministic tables of pure handlers, without access to randomness.
 
-Each is a folder here, which holds a `Wiring` under its name in capitals and its `GROWTH`, and one line in `REGISTERED`. What can be
-taken out of it stands under its name in `events.configuration.MECHANISMS_OF`, if anything can.
+Each is a folder here, with a `HandlerTable` under its name in capitals and its `GROWTH`, and one line in `REGISTERED`.
+What can be taken out of it is listed under its name in `events.configuration.MECHANISMS_OF`, if anything can.
 """
 
 REGISTERED = (

@@ -1,1 +1,4 @@
-"""Pure handlers that every architecture shares: `decide(state, command) -> events`, `react(state, event, time) -> commands`."""
+"""Pure handlers that every architecture shares.
+
+`decide(state, command)` returns events, `react(state, event, time)` commands.
+"""

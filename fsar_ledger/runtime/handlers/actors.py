@@ -1,4 +1,7 @@
-"""Who does a command. A robot that is off does nothing, so the clock keeps its commands until it is back; see `runtime/kernel.py`."""
+"""Who carries out a command.
+
+A robot that is off does nothing, so the kernel keeps its commands until it is back; see `runtime/kernel.py`.
+"""
 
 from typing import Protocol
 
@@ -25,55 +28,55 @@ class _OfHelper(Protocol):
 
 
 def nobody(_state: State, _command: Command) -> None:
-    """Nobody who could be off: the world, a service of the federation, the coordinator, a human."""
+    """Return None: a world, service, coordinator or human command has no actor that could be off."""
 
 
 def named(_state: State, command: _OfRobot) -> Robot:
-    """The robot that the command names."""
+    """Return the robot that the command names."""
     return command.robot
 
 
 def helping(_state: State, command: _OfHelper) -> Robot:
-    """The robot that helps."""
+    """Return the robot that helps."""
     return command.helper
 
 
 def body(state: State, command: _OfAction) -> Robot | None:
-    """The robot at which the action is."""
+    """Return the robot at which the action is."""
     action = state.execution.actions.get(command.action_id)
     return None if action is None else action.robot
 
 
 def requester(state: State, command: _OfAction) -> Robot | None:
-    """The robot whose step it is."""
+    """Return the robot whose step it is."""
     request = state.request.get(command.action_id)
     return None if request is None else request.requester
 
 
 def target(state: State, command: _OfAction) -> Robot | None:
-    """The robot that was picked to execute; for a step of its own the one whose step it is."""
+    """Return the robot picked to execute; for a step of its own, the robot whose step it is."""
     request = state.request.get(command.action_id)
     return None if request is None else request.target or request.requester
 
 
 def asked(state: State, command: _OfAction) -> Robot | None:
-    """The robot that the request goes to."""
+    """Return the robot that the request goes to."""
     request = state.request.get(command.action_id)
     return request.candidates[0] if request is not None and request.candidates else None
 
 
 def relay(state: State, command: _OfAction) -> Robot | None:
-    """The peer that passes the request on."""
+    """Return the peer that passes the request on."""
     request = state.request.get(command.action_id)
     return None if request is None else request.relay
 
 
 def next_in_task(state: State, command: BeginStep) -> Robot | None:
-    """The robot that acts in the next step of the task, if there is one left."""
+    """Return the robot that acts in the next step of the task, if there is one left."""
     task = state.task.get(command.task_id)
     return None if task is None or task.step == len(task.steps) else acting(task, task.step)
 
 
 def acting(task: Task, step: int) -> Robot:
-    """The robot that acts in the step, counted from 0."""
+    """Return the robot that acts in the step, counted from 0."""
     return robot_named(task.steps[step].partition(" ")[0], task.team)

@@ -1,6 +1,9 @@
-"""Whether a request is admissible, conjunct by conjunct, and the authority that it gives. Paper: eq:admissible, eq:auth.
+"""Whether a request is admissible, conjunct by conjunct, and the authority that it gives.
 
-`evaluate` decides at arrival; `holding` decides again when the robot is about to start. Both are functions of the state.
+Paper: eq:admissible, eq:auth.
+
+`evaluate` decides at arrival; `holding` decides again when the robot is about to start. Both are functions of the
+state.
 """
 
 from typing import Literal
@@ -35,7 +38,7 @@ PREEMPTIBLE = (
 
 
 class Evaluation(msgspec.Struct, frozen=True, gc=False):
-    """What the executor finds: the verdict, the conjunct that failed if one did, and the authority tuple of `eq:auth`.
+    """The executor's verdict, the conjunct that failed if one did, and the authority tuple of `eq:auth`.
 
     `override` is the level that is in effect if the request is admitted, in a negotiation the highest that is offered;
     `trust` the scope that the request rests on (None: nobody evaluates trust).
@@ -51,7 +54,7 @@ class Evaluation(msgspec.Struct, frozen=True, gc=False):
 
 
 def evaluate(state: State, request: Request, executor: Robot, is_reviewed: bool = False) -> Evaluation:
-    """The five conjuncts in the paper's order, then authority. Paper: eq:admissible.
+    """Judge the five conjuncts in the paper's order, then authority. Paper: eq:admissible.
 
     The approval of a request that was reviewed lifts reviews and no denial: a rule that denies by then stands, and an
     open window of the executor's own that denies holds the start. A request through a relay rests on the executor's
@@ -79,14 +82,17 @@ def evaluate(state: State, request: Request, executor: Robot, is_reviewed: bool 
 
 
 def asker(request: Request) -> Robot:
-    """Who stands before the executor: the relay, or the requester itself. Paper: eq:nontransitive."""
+    """Return the robot that stands before the executor: the relay, or the requester itself. Paper: eq:nontransitive."""
     return request.relay or request.requester
 
 
 def failing(
     state: State, request: Request, executor: Robot, trust: TrustScope | None, outcome: PolicyOutcome
 ) -> Conjunct | None:
-    """The first conjunct that fails, or None; `trust` is the executor's in who asks, `outcome` the composed policy. Paper: eq:admissible."""
+    """Return the first conjunct that fails, or None.
+
+    `trust` is the executor's in who asks, `outcome` the composed policy. Paper: eq:admissible.
+    """
     if not possesses(state.registry, executor, request.capability):
         return "possession"
     record = advertisement(state.registry, executor, request.capability)
@@ -108,7 +114,10 @@ def failing(
 
 
 def is_revoked(state: State, request: Request, executor: Robot) -> bool:
-    """True when the requester, or the relay that asks for it, may no longer ask this of the executor. Paper: sec:model:authority."""
+    """Tell whether the requester, or the relay that asks for it, may no longer ask this of the executor.
+
+    Paper: sec:model:authority.
+    """
     if not state.authority.rights:
         return False
     about = (executor, request.capability, request.task_id)
@@ -119,7 +128,10 @@ def is_revoked(state: State, request: Request, executor: Robot) -> bool:
 
 
 def override_asked(state: State, request: Request, executor: Robot) -> OverrideLevel:
-    """The level that the request asks for; emergency-only without a supervisor's grant of it is none. Paper: eq:override."""
+    """Return the level that the request asks for; emergency-only without a supervisor's grant is none.
+
+    Paper: eq:override.
+    """
     if request.override != "emergency-only":
         return request.override
     right = right_of(state.authority, request.requester, executor, request.capability, request.task_id)
@@ -127,7 +139,10 @@ def override_asked(state: State, request: Request, executor: Robot) -> OverrideL
 
 
 def override_allowed(state: State, request: Request, executor: Robot) -> OverrideLevel:
-    """The highest level that the executor's advertisement allows, and a grant if there is one. Paper: eq:override, eq:adv."""
+    """Return the highest level that the executor's advertisement, and a grant if there is one, allows.
+
+    Paper: eq:override, eq:adv.
+    """
     record = advertisement(state.registry, executor, request.capability)
     allowed: OverrideLevel = "none" if record is None else record.override_allowed
     right = right_of(state.authority, request.requester, executor, request.capability, request.task_id)
@@ -135,7 +150,7 @@ def override_allowed(state: State, request: Request, executor: Robot) -> Overrid
 
 
 def preemptible(state: State, robot: Robot, override: OverrideLevel) -> Action | None:
-    """The action that a request of this level takes the robot from, or None. Paper: eq:override."""
+    """Return the action that a request of this level takes the robot from, or None. Paper: eq:override."""
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
     if (
         action is None
@@ -148,9 +163,10 @@ def preemptible(state: State, robot: Robot, override: OverrideLevel) -> Action |
 
 
 def holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome]:
-    """What the executor's own policy and the fleet's rule, as last heard, say to a start now; an approval lifts the reviews known when it was given.
+    """Return what the executor's own policy and the fleet's rule, as last heard, say to a start now.
 
-    Paper: eq:policy, sec:architecture:fleet (never a silent override).
+    An approval lifts the reviews known when it was given. Paper: eq:policy, sec:architecture:fleet (never a silent
+    override).
     """
     about = (action.robot, action.capability, action.task_id)
     own, fleet = own_policy(state, *about), fleet_policy(state, *about)
@@ -162,7 +178,7 @@ def holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome]
 
 
 def _came_later(state: State, action: Action, later: Later) -> tuple[PolicyOutcome, PolicyOutcome]:
-    """The executor's own policy and the fleet's rule as they would be had only that been said which came after the approval."""
+    """Compose only what the executor's own policy and the fleet's rule have said since the approval."""
     about = (action.robot, action.capability, action.task_id)
     own = ruled(state.policy, "local", *about, among=later.rules) or "allow"
     for window, outcome in state.world.local.get(action.robot, ()):

@@ -1,6 +1,7 @@
-"""A robot governs what it shows of itself: it advertises, withdraws, reports, deprecates, rolls out. Paper: sec:model:advertisement.
+"""How a robot governs what it shows of itself: advertise, withdraw, report, deprecate, roll out.
 
-Every command here but `FinishRollOut` is public; `issued_by` is who gave it (a robot, a supervisor), None when that is not stated.
+Every command here but `FinishRollOut` is public; `issued_by` is who gave it (a robot, a supervisor), None when that is
+not stated. Paper: sec:model:advertisement.
 """
 
 from collections.abc import Iterable
@@ -33,7 +34,10 @@ from .rejection import rejected, unknown_robot
 
 
 class AdvertiseCapability(PublicCommand):
-    """The seven fields of an advertisement and who may see it; a part of the contract that is None is that of the installed module. Paper: eq:adv."""
+    """Advertise the capability, with the seven fields of an advertisement and who may see it.
+
+    A part of the contract that is None is that of the installed module. Paper: eq:adv.
+    """
 
     robot: Robot
     capability: str
@@ -61,7 +65,7 @@ class WithdrawCapability(PublicCommand):
 
 
 class ReportAvailability(PublicCommand):
-    """Another availability, of one capability or (None) of everything that the robot advertises."""
+    """Report the availability of one capability, or (None) of everything that the robot advertises."""
 
     robot: Robot
     capability: str | None
@@ -71,7 +75,7 @@ class ReportAvailability(PublicCommand):
 
 
 class DeprecateCapability(PublicCommand):
-    """The advertised version is on its way out, for the successor if there is one."""
+    """Deprecate the advertised version, for the successor if there is one."""
 
     robot: Robot
     capability: str
@@ -93,7 +97,7 @@ class UpgradeCapability(PublicCommand):
 
 
 class FinishRollOut(Command):
-    """The installed version may be shown, as available as the old one was said to be."""
+    """Show the installed version, as available as the old one was said to be."""
 
     robot: Robot
     capability: str
@@ -101,7 +105,7 @@ class FinishRollOut(Command):
 
 
 def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Event, ...]:
-    """The robot offers what it possesses, in words that its module keeps. Paper: eq:advertise."""
+    """Advertise what the robot possesses, in terms that its module keeps. Paper: eq:advertise."""
     robot, capability = command.robot, command.capability
     wrong = unknown_robot(state, robot) or not_possessed(state, robot, capability) or _unheard_of(command)
     if wrong is None:
@@ -132,7 +136,7 @@ def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Ev
 
 
 def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Event, ...]:
-    """The capability is off the robot's surface."""
+    """Take the capability off the robot's surface."""
     wrong = unknown_robot(state, command.robot) or _not_advertised(state, command.robot, command.capability)
     if wrong is not None:
         return rejected(command, command.capability, wrong, command.issued_by)
@@ -140,7 +144,7 @@ def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Even
 
 
 def report_availability(state: State, command: ReportAvailability) -> tuple[Event, ...]:
-    """The registry knows how available the robot says it is. Paper: sec:architecture:registry."""
+    """Tell the registry how available the robot says it is. Paper: sec:architecture:registry."""
     robot, capability = command.robot, command.capability
     wrong = unknown_robot(state, robot) or _unknown("availability", command.availability, get_args(Availability))
     if wrong is None and capability is not None:
@@ -159,7 +163,10 @@ def report_availability(state: State, command: ReportAvailability) -> tuple[Even
 
 
 def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Event, ...]:
-    """The version is shown last, and to no query that another version satisfies. Paper: sec:discussion:continuity."""
+    """Deprecate the version: it is shown last, and to no query that another version satisfies.
+
+    Paper: sec:discussion:continuity.
+    """
     robot, capability = command.robot, command.capability
     wrong = unknown_robot(state, robot) or _not_advertised(state, robot, capability)
     if wrong is None:
@@ -179,7 +186,10 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
 
 
 def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event, ...]:
-    """The newer version is installed; while it is rolled out, what is advertised is restricted. Paper: sec:architecture:registry."""
+    """Install the newer version; while it is rolled out, restrict what is advertised.
+
+    Paper: sec:architecture:registry.
+    """
     robot, capability = command.robot, command.capability
     wrong = unknown_robot(state, robot) or not_possessed(state, robot, capability)
     if wrong is None:
@@ -212,9 +222,9 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
 
 
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
-    """The new version is advertised on the terms of the old one, unless the old one was withdrawn or replaced meanwhile.
+    """Advertise the new version on the terms of the old one, unless that was withdrawn or replaced.
 
-    What the robot has reported of its availability meanwhile holds.
+    The availability that the robot has reported meanwhile is kept.
     """
     record = _rolling_out(state, command.robot, command.capability)
     if record is None:
@@ -240,7 +250,7 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
 
 
 def _rolling_out(state: State, robot: Robot, capability: str) -> Advertisement | None:
-    """The record of another version than the installed one, if there is one."""
+    """Return the record of another version than the installed one, if there is one."""
     module, record = (
         state.registry.modules.get(robot, {}).get(capability),
         advertisement(state.registry, robot, capability),
@@ -258,7 +268,7 @@ def _contract(command: AdvertiseCapability | UpgradeCapability, module: Module) 
 
 
 def _unheard_of(command: AdvertiseCapability) -> str | None:
-    """Why a value of the advertisement is none that the model knows, or None; constructors do not check types."""
+    """Return why the model does not know a value of the advertisement, or None; constructors do not check."""
     for name, value, known in (
         ("trust scope", command.trust_required, get_args(TrustScope)),
         ("override level", command.override_allowed, get_args(OverrideLevel)),
@@ -291,7 +301,10 @@ def _not_newer(version: str, known: str) -> str | None:
 
 
 def _on_installation(state: State, event: CapabilityInstalled, _now_us: int) -> tuple[Scheduled, ...]:
-    """What is advertised in another version is rolled out; the record still says what it said before it was restricted."""
+    """Roll out what is advertised in another version.
+
+    The availability is the one from before the record was restricted.
+    """
     record = _rolling_out(state, event.robot, event.capability)
     return () if record is None else (Scheduled(FinishRollOut(event.robot, event.capability, record.availability)),)
 

@@ -1,4 +1,4 @@
-"""A helper's work is work: something can be in its way, and an actuator that stands in can fail as well. Paper: sec:model:recovery."""
+"""Help as work: something can be in the helper's way, and its actuator can fail as well. Paper: sec:model:recovery."""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Robot
@@ -15,7 +15,7 @@ from .recovery import actuator_holds, open_failure
 
 
 def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -> tuple[Event, ...]:
-    """The helper has resolved the failure by means of this level, or could not; either way it is free again."""
+    """Resolve the failure by means of this level, or record that the helper could not; free the helper."""
     match _helped(state, command.action_id, command.helper):
         case action, recovery if recovery.failure == command.failure:
             cause = _hindrance(state, recovery, command)
@@ -30,7 +30,7 @@ def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -
 
 
 def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
-    """The helper has given up, because something is in its own way."""
+    """End the help because something is in the helper's own way."""
     match _helped(state, command.action_id, command.helper):
         case action, recovery if state.world.obstructions.get(command.helper):
             return (_failed(action, recovery, command.helper, "obstruction"),)
@@ -39,18 +39,24 @@ def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
 
 
 def end_of(event: AssistanceAdmitted, after_us: int, draws: tuple[Draw, ...] = ()) -> Scheduled:
-    """The end of the help that was admitted; a helper whose actuator is degraded meets the same draw under every architecture."""
+    """Schedule the end of the admitted help.
+
+    A helper whose actuator is degraded meets the same draw under every architecture.
+    """
     ask = Draw("reliability", f"assist/{event.subject.action_id}/{event.failure}/{event.helper}")
     return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, draws, ask)
 
 
 def _helped(state: State, action_id: str, who: Robot) -> tuple[Action, Recovery] | None:
-    """The action that the robot helps with, and its failure; None when it does not."""
+    """Return the action that the robot helps with and its failure, or None when it helps with none."""
     return open_failure(state, action_id) if state.execution.current.get(who) == HELPING + action_id else None
 
 
 def _hindrance(state: State, recovery: Recovery, command: EndAssistance) -> FailureCause | None:
-    """What keeps the helper from helping. Clearing a way takes a body that moves; standing in for an actuator takes one that holds, too."""
+    """Return what keeps the helper from helping, or None.
+
+    Clearing a way takes a body that moves; standing in for an actuator also takes one that holds.
+    """
     if state.world.obstructions.get(command.helper):
         return "obstruction"
     if recovery.cause == "degradation" and not actuator_holds(state, command.helper, command.drawn):

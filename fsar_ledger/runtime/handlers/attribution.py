@@ -7,7 +7,10 @@ from fsar_ledger.projections.registry import offers, surface
 
 
 def on_shift(state: State, robot: Robot) -> Supervisor | None:
-    """The robot's own supervisor H_i, or None while off shift; H_F for a robot that has none of its own. Paper: eq:supervision."""
+    """Return the robot's own supervisor H_i, None while off shift; H_F for a robot without one.
+
+    Paper: eq:supervision.
+    """
     supervisor = state.fleet.robots[robot].supervisor
     if supervisor is None:
         return FLEET_SUPERVISOR
@@ -15,7 +18,10 @@ def on_shift(state: State, robot: Robot) -> Supervisor | None:
 
 
 def supervisor_of(state: State, action: Action) -> Supervisor | None:
-    """The supervisor whom a record of the execution names: H_F if it was queued under H_F, else the robot's own while on shift."""
+    """Return the supervisor whom a record of the execution names.
+
+    H_F if it was queued under H_F, else the robot's own while on shift.
+    """
     if not action.is_supervised:
         return None
     return FLEET_SUPERVISOR if action.supervised_by == FLEET_SUPERVISOR else on_shift(state, action.robot)
@@ -31,17 +37,20 @@ def parties(state: State, action: Action) -> Parties:
 
 
 def is_injected(action: Action) -> bool:
-    """True for the execution of an injected out-of-trust request, which is no step of any task."""
+    """Tell whether an injected out-of-trust request is executed, which is no step of any task."""
     return action.step == 0
 
 
 def is_idle(state: State, robot: Robot) -> bool:
-    """True when nothing holds the robot."""
+    """Tell whether nothing holds the robot."""
     return robot not in state.execution.current
 
 
 def nearest_first(state: State, robots: list[Robot], near: Robot) -> tuple[Robot, ...]:
-    """The robots in order of distance: the same team first, then those of the same place, then the others; among equals by team, cyclic."""
+    """Return the robots in order of distance: same team, then same place, then the others.
+
+    Among equals by team, cyclic.
+    """
     teams, members = state.fleet.teams, state.fleet.robots
     home, place = members[near].team, members[near].place
 
@@ -53,7 +62,7 @@ def nearest_first(state: State, robots: list[Robot], near: Robot) -> tuple[Robot
 
 
 def capable(state: State, capability: str, requester: Robot) -> tuple[Robot, ...]:
-    """Every other robot that has the capability, nearest team first. Paper: eq:possess."""
+    """Return every other robot that has the capability, nearest team first. Paper: eq:possess."""
     return nearest_first(
         state,
         [offer.robot for offer in offers(state.registry.offers, capability) if offer.robot != requester],
@@ -62,7 +71,10 @@ def capable(state: State, capability: str, requester: Robot) -> tuple[Robot, ...
 
 
 def helpers(state: State, action: Action, cause: str) -> tuple[Robot, ...]:
-    """Every robot whose body could help with the failure, nearest team first. Paper: sec:model:recovery, level 2."""
+    """Return every robot whose body could help with the failure, nearest team first.
+
+    Paper: sec:model:recovery, level 2.
+    """
     if cause == "obstruction":
         able = [
             name
@@ -74,7 +86,7 @@ def helpers(state: State, action: Action, cause: str) -> tuple[Robot, ...]:
 
 
 def stand_ins(state: State, action: Action) -> tuple[Robot, ...]:
-    """Every other robot that offers the capability or a substitute for it, nearest team first."""
+    """Return every other robot that offers the capability or a substitute for it, nearest team first."""
     able = {
         offer.robot
         for capability in means(state, action.capability)
@@ -90,12 +102,12 @@ def means(state: State, capability: str) -> tuple[str, ...]:
 
 
 def family(capability: str) -> str:
-    """The pattern of a capability's kind, by which peers are sought: `grasp.robust` is of `grasp.*`."""
+    """Return the pattern of a capability's kind, by which peers are sought: `grasp.robust` is of `grasp.*`."""
     return capability.partition(".")[0] + ".*"
 
 
 def kin(state: State, robot: Robot, capability: str) -> tuple[Robot, ...]:
-    """Every other robot that advertises something of the capability's family, nearest team first."""
+    """Return every other robot that advertises something of the capability's family, nearest team first."""
     stem = family(capability)[:-1]
     others = [name for name in state.fleet.robots if name != robot]
     return nearest_first(
@@ -110,19 +122,25 @@ def kin(state: State, robot: Robot, capability: str) -> tuple[Robot, ...]:
 
 
 def is_reachable(state: State, robot: Robot) -> bool:
-    """True unless the robot has reported itself offline, or restricted, in all that it advertises. Paper: eq:adv (availability)."""
+    """Tell whether some capability that the robot advertises is not offline or restricted.
+
+    Paper: eq:adv (availability).
+    """
     reported = [record.availability for record in surface(state.registry, robot)]
     return not reported or any(availability not in ("offline", "restricted") for availability in reported)
 
 
 def is_cross_robot(state: State, action: Action) -> bool:
-    """True when a failure of the action concerns more than its robot: it was delegated, or the task is another robot's. Paper: sec:model:supervision."""
+    """Tell whether a failure of the action concerns more than its robot.
+
+    The action was delegated, or the task is another robot's. Paper: sec:model:supervision.
+    """
     task = state.task.get(action.task_id)
     return action.is_delegated or task is None or task.robot != action.robot
 
 
 def pending_of_other_task(state: State, robot: Robot, task_id: str) -> str | None:
-    """The first delegated action of another task that is unfinished at the robot, if any."""
+    """Return the first unfinished delegated action of another task at the robot, if any."""
     held = state.execution.current.get(robot)
     for name in ((held,) if held else ()) + state.execution.queues.get(robot, ()):
         action = state.execution.actions.get(name)

@@ -39,7 +39,7 @@ from .trust import trusts
 
 
 class GrantAuthority(PublicCommand):
-    """The supervisor lets the requester ask this (None: anyone, anything, in any context), up to the override level."""
+    """Let the requester ask this (None: anyone, anything, in any context), up to the override level."""
 
     supervisor: Supervisor
     requester: Robot
@@ -50,7 +50,7 @@ class GrantAuthority(PublicCommand):
 
 
 class RevokeAuthority(PublicCommand):
-    """The supervisor no longer lets the requester ask this (None: anyone, anything, in any context)."""
+    """Stop letting the requester ask this (None: anyone, anything, in any context)."""
 
     supervisor: Supervisor
     requester: Robot
@@ -61,7 +61,7 @@ class RevokeAuthority(PublicCommand):
 
 
 class ReleaseAuthority(PublicCommand):
-    """The claimant lets go of what it holds of this dimension over the action."""
+    """Release what the claimant holds of this dimension over the action."""
 
     claimant: Principal
     action_id: str
@@ -69,20 +69,20 @@ class ReleaseAuthority(PublicCommand):
 
 
 class ExpireContext(Command):
-    """A context in which rights were granted is over."""
+    """End a context in which rights were granted."""
 
     context: str
 
 
 class RevokeDistrusted(Command):
-    """The robot trusts the peer less than before, while it has admitted requests of it."""
+    """Revoke the rights of a peer that the robot trusts less than when it admitted its requests."""
 
     robot: Robot
     peer: Robot
 
 
 def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...]:
-    """Each of these claims ends."""
+    """Release each of these claims."""
     return tuple(
         AuthorityReleased(
             Subject(claim.subject.task_id, claim.subject.action_id), claim.dimension, claim.claimant, claim.reason
@@ -92,7 +92,10 @@ def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...
 
 
 def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
-    """The requester may ask up to this level: by word of the executor's own supervisor, or of H_F. Paper: eq:auth, eq:override."""
+    """Let the requester ask up to this level, by word of the executor's own supervisor or of H_F.
+
+    Paper: eq:auth, eq:override.
+    """
     reason = _unknown(state, command)
     robot = state.fleet.robots.get(command.executor) if command.executor is not None else None
     if (
@@ -100,7 +103,10 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
         and command.supervisor != FLEET_SUPERVISOR
         and (robot is None or robot.supervisor != command.supervisor)
     ):
-        reason = f"{command.supervisor} does not supervise {command.executor or 'every robot'}, expected {FLEET_SUPERVISOR} or the executor's own"
+        reason = (
+            f"{command.supervisor} does not supervise {command.executor or 'every robot'}, "
+            f"expected {FLEET_SUPERVISOR} or the executor's own"
+        )
     reason = (
         reason or unknown_word("override level", command.override, LEVELS) or expired_context(state, command.context)
     )
@@ -121,7 +127,10 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
 
 
 def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...]:
-    """From the next evaluation on the requester may not ask this: by word of either robot's own supervisor, or of H_F. Paper: sec:model:authority."""
+    """Stop the requester from asking this, by word of either robot's own supervisor or of H_F.
+
+    It takes effect at the next evaluation. Paper: sec:model:authority.
+    """
     reason = _unknown(state, command)
     if reason is None and command.supervisor != FLEET_SUPERVISOR:
         parties = [state.fleet.robots[name] for name in (command.requester, command.executor) if name is not None]
@@ -145,7 +154,7 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
 
 
 def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, ...]:
-    """The claimant holds this dimension no longer; the authority to execute ends with the execution only."""
+    """Release the dimension; the authority to execute ends with the execution only."""
     claims = state.authority.claims.get(command.action_id, ())
     held = tuple(
         claim for claim in claims if (claim.claimant, claim.dimension) == (command.claimant, command.dimension)
@@ -161,7 +170,7 @@ def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, .
 
 
 def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevoked, ...]:
-    """Rights that were granted for the context are over with it. Paper: sec:model:authority (context expiration)."""
+    """End the rights that were granted for the context. Paper: sec:model:authority (context expiration)."""
     return tuple(
         AuthorityRevoked(
             requested_by=right.requested_by,
@@ -176,7 +185,10 @@ def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevok
 
 
 def revoke_distrusted(state: State, command: RevokeDistrusted) -> tuple[AuthorityRevoked, ...]:
-    """The peer may not ask again what it is no longer trusted with; what was admitted goes on. Paper: sec:model:authority (trust downgrade)."""
+    """Revoke what the peer is no longer trusted with; what was admitted goes on.
+
+    Paper: sec:model:authority (trust downgrade).
+    """
     about = {(action.capability, action.task_id): None for action in _distrusted(state, command.robot, command.peer)}
     revoked = (
         AuthorityRevoked(
@@ -200,7 +212,7 @@ def _unknown(state: State, command: GrantAuthority | RevokeAuthority) -> str | N
 
 
 def _latest(state: State, about: AuthorityRevoked) -> Right | None:
-    """The last word on exactly this."""
+    """Return the last right about exactly this."""
     return next((right for right in reversed(state.authority.rights) if _subject(right) == _subject(about)), None)
 
 
@@ -209,7 +221,7 @@ def _subject(right: Right) -> tuple[str, str | None, str | None, str | None]:
 
 
 def _covers(right: Right, command: GrantAuthority | RevokeAuthority) -> bool:
-    """True when the right is about all that the command is about."""
+    """Tell whether the right is about all that the command is about."""
     pairs = (
         (right.executed_by, command.executor),
         (right.capability, command.capability),
@@ -219,7 +231,7 @@ def _covers(right: Right, command: GrantAuthority | RevokeAuthority) -> bool:
 
 
 def _overlaps(right: Right, command: GrantAuthority) -> bool:
-    """True when some request is subject to both."""
+    """Tell whether some request is subject to both."""
     pairs = (
         (right.executed_by, command.executor),
         (right.capability, command.capability),
@@ -229,7 +241,7 @@ def _overlaps(right: Right, command: GrantAuthority) -> bool:
 
 
 def _standing(state: State, command: RevokeAuthority) -> Right | None:
-    """The last word that is about all that the command is about, if no later one is about a part of it."""
+    """Return the last right about all that the command is about, if no later one is about a part of it."""
     for right in reversed(state.authority.rights):
         if _covers(right, command):
             return right
@@ -239,7 +251,7 @@ def _standing(state: State, command: RevokeAuthority) -> Right | None:
 
 
 def _is_revoked_by_fleet(state: State, command: GrantAuthority) -> bool:
-    """True when the grant would lift something that H_F has revoked and not granted again."""
+    """Tell whether the grant would lift something that H_F has revoked and not granted again."""
     for right in reversed(state.authority.rights):
         if right.decided_by == FLEET_SUPERVISOR and _overlaps(right, command):
             return isinstance(right, AuthorityRevoked)
@@ -247,13 +259,16 @@ def _is_revoked_by_fleet(state: State, command: GrantAuthority) -> bool:
 
 
 def _in_context(state: State, context: str) -> tuple[AuthorityGranted, ...]:
-    """The grants for this context, each once, that nothing has revoked since."""
+    """Return the grants for this context, each once, that nothing has revoked since."""
     last = {_subject(right): right for right in state.authority.rights if right.context == context}
     return tuple(right for right in last.values() if isinstance(right, AuthorityGranted))
 
 
 def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
-    """What the robot has admitted of the peer, as requester or relay, and would not admit again for lack of trust."""
+    """Return what the robot has admitted of the peer and would not admit again for lack of trust.
+
+    The peer is the requester or the relay.
+    """
     found = []
     for action in state.execution.actions.values():
         request = state.request.get(action.action_id)
@@ -293,7 +308,7 @@ DECIDES: Decides = {
 
 
 def _on_role_trust(state: State, event: RoleTrustSet, _now_us: int) -> tuple[Scheduled, ...]:
-    """As `_on_trust`, for each pair of the roles in which something is in hand."""
+    """Do as `_on_trust`, for each pair of the roles in which something is in hand."""
     asking = [
         (action, state.request.get(action.action_id))
         for action in state.execution.actions.values()

@@ -1,4 +1,4 @@
-"""What bodies do, whoever governs them: turns, starts, obstructions, ends. Paper: sec:evaluation:simulator."""
+"""What bodies do under every architecture: turns, starts, obstructions, ends. Paper: sec:evaluation:simulator."""
 
 from typing import Any
 
@@ -43,12 +43,15 @@ NAVIGATION = "navigate.indoor"
 
 
 def start_action(action_id: str, capability: str, after_us: int = 1, draws: tuple[Draw, ...] = ()) -> Scheduled:
-    """The action starts when the robot is ready; how long it takes is the world's."""
+    """Start the action when the robot is ready; its duration is the world's."""
     return Scheduled(StartAction(action_id), after_us, draws, Draw(capability, action_id))
 
 
 def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
-    """The action starts when the robot has arrived; a second approach for the same action is another way."""
+    """Start the action when the robot has arrived.
+
+    A second approach for the same action is another way.
+    """
     action, request = state.execution.actions[event.subject.action_id], state.request.get(event.subject.action_id)
     again = action.failures + action.preemptions + (request.round if request is not None else 0)
     way = Draw("approach", f"{event.subject.action_id}/{again}" if again else event.subject.action_id)
@@ -56,7 +59,7 @@ def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> 
 
 
 def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
-    """The fact that the action runs from now to its planned end."""
+    """Return the fact that the action runs from now to its planned end."""
     duration_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.drawn
     return ExecutionStarted(
         subject=action.subject,
@@ -69,7 +72,7 @@ def started(state: State, action: Action, command: StartAction) -> ExecutionStar
 
 
 def approach(state: State, command: TakeTurn) -> tuple[Event, ...]:
-    """The robot approaches; nobody has to agree to that any more."""
+    """Let the robot approach, which nobody has to agree to any more."""
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "queued":
         return ()
@@ -77,7 +80,7 @@ def approach(state: State, command: TakeTurn) -> tuple[Event, ...]:
 
 
 def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
-    """The execution has finished, or the degraded actuator has failed it at its end."""
+    """Finish the execution, or fail it at its end where the degraded actuator does not hold."""
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or action.ends_us != command.ends_us:
         return ()
@@ -87,7 +90,7 @@ def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
 
 
 def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event, ...]:
-    """The running attempt has failed because something is in the way."""
+    """Fail the running attempt because something is in the way."""
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or not state.world.obstructions.get(action.robot):
         return ()
@@ -95,7 +98,7 @@ def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event,
 
 
 def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
-    """The robot has stopped to replan, if it still executes."""
+    """Stop the robot to replan, if it still executes."""
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or action.ends_us <= command.now_us:
         return ()
@@ -103,7 +106,10 @@ def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
 
 
 def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
-    """The execution has stopped, because its robot is off; one that was off for a moment and is back goes on."""
+    """Halt the execution of a robot that is off.
+
+    A robot that was off for a moment and is back goes on.
+    """
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or action.robot not in state.world.off:
         return ()
@@ -111,7 +117,7 @@ def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
 
 
 def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
-    """The rest of the execution runs; without a rest it has finished."""
+    """Resume the rest of the execution; without a rest it has finished."""
     action = state.execution.actions.get(command.action_id)
     if (
         action is None
@@ -143,12 +149,15 @@ def _finished(state: State, action: Action) -> ExecutionFinished:
 
 
 def holds_robot(state: State, action: Action) -> bool:
-    """True when the robot serves this action and no other."""
+    """Tell whether the robot serves this action and no other."""
     return state.execution.current.get(action.robot) == action.action_id
 
 
 def next_turn(state: State, robot: Robot) -> tuple[Scheduled, ...]:
-    """The action that now holds the robot takes its turn, if it has not yet; one that was preempted goes on. Paper: eq:override."""
+    """Schedule the turn of the action that now holds the robot, or resume one that was preempted.
+
+    Paper: eq:override.
+    """
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
     if action is None or action.stage not in ("queued", "preempted"):
         return ()
@@ -182,7 +191,7 @@ def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> t
 
 
 def pause_running(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:
-    """A robot whose context changes while it executes stops to replan."""
+    """Schedule a pause for a robot whose context changes while it executes."""
     action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
     return (Scheduled(PauseAction(action.action_id)),) if action is not None and action.stage == "running" else ()
 
@@ -192,7 +201,7 @@ def _on_resolved(_state: State, event: FailureResolved, _now_us: int) -> tuple[S
 
 
 def _on_routine(state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
-    """A robot that is off misses it."""
+    """Schedule the routine operation; a robot that is off misses it."""
     return () if event.robot in state.world.off else (Scheduled(DecideRoutine(event.robot, event.operation)),)
 
 

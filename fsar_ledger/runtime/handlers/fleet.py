@@ -1,4 +1,6 @@
-"""Who belongs to the fleet, what they possess, and in which state a robot is. Paper: eq:fleet, eq:runtime, eq:possess.
+"""Who belongs to the fleet, what robots possess, and in which state a robot is.
+
+Paper: eq:fleet, eq:runtime, eq:possess.
 
 The commands here are public; `issued_by` is who gave it, None when that is not stated.
 """
@@ -20,7 +22,10 @@ ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
 
 
 class JoinFleet(PublicCommand):
-    """A robot registers itself in the domain's registry, under its own supervisor if it has one. Paper: sec:discussion:heterogeneity."""
+    """Register a robot in the domain's registry, under its own supervisor if it has one.
+
+    Paper: sec:discussion:heterogeneity.
+    """
 
     robot: Robot
     role: str
@@ -32,7 +37,7 @@ class JoinFleet(PublicCommand):
 
 
 class InstallCapability(PublicCommand):
-    """The robot is to possess a capability that it did not have. Paper: eq:possess."""
+    """Install a capability that the robot did not have. Paper: eq:possess."""
 
     robot: Robot
     capability: str
@@ -44,7 +49,7 @@ class InstallCapability(PublicCommand):
 
 
 class RemoveCapability(PublicCommand):
-    """The robot is to possess it no longer."""
+    """Remove a capability from the robot."""
 
     robot: Robot
     capability: str
@@ -52,10 +57,12 @@ class RemoveCapability(PublicCommand):
 
 
 def execution_state(state: State, robot: Robot) -> ExecutionState:
-    """What the robot is in: off before failed before degraded before executing before idle. Paper: sec:evaluation:simulator (robot state).
+    """Return the robot's state: off before failed before degraded before executing before idle.
 
     Failed: what it has in hand failed and has not gone on since, or is being recovered by others. Degraded: its
     actuator is, or it says so of something it advertises. Executing: it has anything in hand, from its turn on.
+
+    Paper: sec:evaluation:simulator (robot state).
     """
     if robot in state.world.off:
         return "off"
@@ -69,14 +76,14 @@ def execution_state(state: State, robot: Robot) -> ExecutionState:
 
 
 def is_degraded(state: State, robot: Robot) -> bool:
-    """True when the robot's actuator is degraded, or it says so of something that it advertises."""
+    """Tell whether the robot's actuator is degraded, or it says so of something that it advertises."""
     return robot in state.world.degraded or any(
         record.availability == "degraded" for record in surface(state.registry, robot)
     )
 
 
 def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
-    """The robot is a member; it neither possesses nor trusts anything yet."""
+    """Make the robot a member; it neither possesses nor trusts anything yet."""
     robot, wrong = command.robot, None
     if robot in state.fleet.robots:
         wrong = f"{robot} is a member already"
@@ -105,17 +112,20 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
 
 
 def _is_robots_name(name: str) -> bool:
-    """True for `robot/` and one word."""
+    """Tell whether the name is `robot/` and one word."""
     word = name.removeprefix("robot/")
     return word != name and "/" not in word and word.split() == [word]
 
 
 def install_capability(state: State, command: InstallCapability) -> tuple[Event, ...]:
-    """The robot possesses it, and advertises it to nobody. Paper: sec:model:capability."""
+    """Install the capability, advertised to nobody. Paper: sec:model:capability."""
     robot, capability = command.robot, command.capability
     wrong = unknown_robot(state, robot)
     if wrong is None and possesses(state.registry, robot, capability):
-        wrong = f"{robot} possesses version {state.registry.modules[robot][capability].version} already, expected an upgrade"
+        wrong = (
+            f"{robot} possesses version {state.registry.modules[robot][capability].version} already, "
+            "expected an upgrade"
+        )
     if wrong is None and (not capability.strip() or "*" in capability):
         wrong = f"capability {capability!r} is no name, expected one such as grasp.robust"
     if wrong is None and version_of(command.version) is None:
@@ -137,7 +147,7 @@ def install_capability(state: State, command: InstallCapability) -> tuple[Event,
 
 
 def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, ...]:
-    """The robot neither possesses nor advertises it."""
+    """Remove the capability and its advertisement."""
     robot, capability = command.robot, command.capability
     wrong = unknown_robot(state, robot) or not_possessed(state, robot, capability) or in_use(state, robot, capability)
     if wrong is not None:
@@ -146,12 +156,12 @@ def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, .
 
 
 def not_possessed(state: State, robot: Robot, capability: str) -> str | None:
-    """The reason to reject what needs the capability at the robot, or None while it possesses it."""
+    """Return why to reject what needs the capability at the robot, or None while it possesses it."""
     return None if possesses(state.registry, robot, capability) else f"{robot} does not possess {capability}"
 
 
 def in_use(state: State, robot: Robot, capability: str) -> str | None:
-    """The reason to leave the capability alone: an action at the robot needs it; None when there is none."""
+    """Return why to leave the capability alone, an action at the robot that needs it, or None."""
     for name in (state.execution.current.get(robot, ""), *state.execution.queues.get(robot, ())):
         action = state.execution.actions.get(name)
         if action is not None and action.capability == capability:

@@ -1,4 +1,7 @@
-"""Which version satisfies which range, which contract suits which query, and which contract contradicts itself. Paper: sec:architecture:registry."""
+"""Which version satisfies which range, which contract suits which query, and which contradicts itself.
+
+Paper: sec:architecture:registry.
+"""
 
 from collections.abc import Iterable
 
@@ -9,7 +12,7 @@ NOT = "not "
 
 
 def version_of(text: str) -> Version | None:
-    """The version as three numbers, missing ones 0; None when the text is no version."""
+    """Return the version as three numbers, missing ones 0; None when the text is no version."""
     parts = text.split(".")
     if len(parts) > 3 or not all(part.isascii() and part.isdecimal() and len(part) < 10 for part in parts):
         return None
@@ -18,12 +21,12 @@ def version_of(text: str) -> Version | None:
 
 
 def is_range(text: str) -> bool:
-    """True when the text is a range of versions: empty (any), `1.2.0` (exactly), `^1.2` (compatible) or `>=1.2`."""
+    """Tell whether the text is a range: empty (any), `1.2.0` (exactly), `^1.2` (compatible) or `>=1.2`."""
     return text == "" or version_of(text.removeprefix(_sign(text))) is not None
 
 
 def is_in_range(version: str, wanted: str) -> bool:
-    """True when the version lies in the range; a text that is no version lies only in that of any.
+    """Tell whether the version lies in the range; a text that is no version lies only in the empty one.
 
     Compatible is what keeps the first number that is not 0, as in semantic versioning: `^1.2` is from 1.2.0 to before
     2.0.0, `^0.2` from 0.2.0 to before 0.3.0. Paper: sec:architecture:registry (semantic matching).
@@ -44,7 +47,7 @@ def _sign(wanted: str) -> str:
 
 
 def _breaking(version: Version, given: int) -> Version:
-    """The next version that may break what relied on this one, of which so many numbers were given."""
+    """Return the next version that may break what relied on this one, of which so many numbers were given."""
     major, minor, patch = version
     if major > 0 or given == 1:
         return major + 1, 0, 0
@@ -56,7 +59,10 @@ def _breaking(version: Version, given: int) -> Version:
 def is_suitable(
     contract: Contract, needs: Iterable[str], provides: Iterable[str] | None, resources: Iterable[str] | None
 ) -> bool:
-    """True when the contract gives what is needed and asks for no more than is provided; None states nothing. Paper: sec:architecture:registry."""
+    """Tell whether the contract gives what is needed and asks for no more than is provided.
+
+    None states nothing. Paper: sec:architecture:registry.
+    """
     return (
         set(needs) <= set(contract.postconditions)
         and (provides is None or set(contract.preconditions) <= set(provides))
@@ -65,7 +71,7 @@ def is_suitable(
 
 
 def contradiction(contract: Contract) -> str | None:
-    """What is wrong with the contract in itself, or None.
+    """Return what is wrong with the contract in itself, or None.
 
     What must hold before and what holds after may differ, even be opposites: that is what execution is for. But
     neither may ask for a name and its `not` together, name anything twice, or name nothing. Paper: eq:adv.
@@ -89,7 +95,10 @@ def contradiction(contract: Contract) -> str | None:
 
 
 def weaker(offered: Contract, installed: Contract) -> str | None:
-    """Why the offered contract promises more than the installed one keeps, or None: it may demand more and promise less, never the reverse."""
+    """Return why the offered contract promises more than the installed one keeps, or None.
+
+    An offer may demand more and promise less, never the reverse.
+    """
     if promised := sorted(set(offered.postconditions) - set(installed.postconditions)):
         return f"postcondition {promised[0]} is not one of the installed module"
     if demanded := sorted(set(installed.preconditions) - set(offered.preconditions)):

@@ -1,4 +1,4 @@
-"""Which policy holds for an action, and what several of them make together. Paper: eq:policy, app:foundations."""
+"""Which policy holds for an action, and what several policies compose to. Paper: eq:policy, app:foundations."""
 
 from typing import get_args
 
@@ -24,7 +24,7 @@ from .supervision import supervisor_for
 
 
 class SetPolicyRule(PublicCommand):
-    """A supervisor rules: P_i(e, sigma) of one robot (`local`), or the fleet's for it or (None) for every robot."""
+    """Set a rule of one robot's own (`local`), or the fleet's rule for it or (None) for every robot."""
 
     issued_by: Supervisor
     scope: PolicyScope
@@ -35,7 +35,7 @@ class SetPolicyRule(PublicCommand):
 
 
 class SetRolePolicyRule(PublicCommand):
-    """H_F sets the fleet's rule for every robot of the role, in a domain or (empty) in the whole fleet."""
+    """Set the fleet's rule for every robot of the role, in a domain or (empty) in the whole fleet."""
 
     issued_by: Supervisor
     role: str
@@ -46,7 +46,7 @@ class SetRolePolicyRule(PublicCommand):
 
 
 def own_policy(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
-    """P_i(e, sigma): the strictest of the robot's open windows and of its rules. Paper: app:foundations."""
+    """Return P_i(e, sigma): the strictest of the robot's open windows and of its rules. Paper: app:foundations."""
     window = in_force(state.world.local, robot)
     return (
         window
@@ -56,7 +56,7 @@ def own_policy(state: State, robot: Robot, capability: str | None, context: str 
 
 
 def fleet_policy(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
-    """The fleet's rules for the robot, and that for its zone as it last heard it."""
+    """Return the strictest of the fleet's rules for the robot and the rule for its zone as last heard."""
     heard = state.knowledge.fleet_rule.get(robot, "allow")
     return (
         heard
@@ -68,10 +68,12 @@ def fleet_policy(state: State, robot: Robot, capability: str | None, context: st
 def compose(
     state: State, carried: PolicyOutcome, executor: Robot, capability: str, context: str | None
 ) -> PolicyOutcome:
-    """Pi: requester's policy (as the request carried it), the executor's own and the fleet's together. Paper: eq:policy.
+    """Compose Pi: the requester's policy as carried by the request, the executor's own and the fleet's.
 
-    Without policy composition the executor's own alone: what the ablation removes is composition between robots, so a robot's own
-    steps and routine keep the fleet's rule.
+    Without policy composition, the executor's own alone counts: the ablation removes composition between robots, so a
+    robot's own steps and routine keep the fleet's rule. Paper: eq:policy. Without policy composition the executor's own
+    alone: what the ablation removes is composition between robots, so a robot's own steps and routine keep the fleet's
+    rule.
     """
     own = own_policy(state, executor, capability, context)
     if "policy-composition" in state.fleet.without:
@@ -80,7 +82,10 @@ def compose(
 
 
 def is_ruled_out(state: State, carried: PolicyOutcome, executor: Robot, capability: str, context: str | None) -> bool:
-    """True when a rule of the executor's own or of the fleet, or the requester's policy, denies; an open window of the executor's own is no rule."""
+    """Tell whether a rule, of the executor or the fleet, or the requester's policy denies.
+
+    An open window of the executor's own is no rule.
+    """
     own = ruled(state.policy, "local", executor, capability, context)
     if "policy-composition" in state.fleet.without:
         return own == "deny"
@@ -90,7 +95,10 @@ def is_ruled_out(state: State, carried: PolicyOutcome, executor: Robot, capabili
 def conflict(
     state: State, task_id: str | None, action_id: str | None, requester: Robot | None, executor: Robot, capability: str
 ) -> tuple[PolicyConflictEscalated, ...]:
-    """The escalation when the fleet mandates what the executor's own policy denies; the denial stands. Paper: sec:architecture:fleet."""
+    """Return the escalation when the fleet mandates what the executor's own policy denies; the denial stands.
+
+    Paper: sec:architecture:fleet.
+    """
     is_uncomposed = "policy-composition" in state.fleet.without and requester != executor
     if is_uncomposed or ruled(state.policy, "fleet", executor, capability, task_id) is None:
         return ()
@@ -116,7 +124,7 @@ def conflict(
 
 
 def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
-    """The rule holds from now on: a robot's own by its own supervisor alone, the fleet's by H_F alone. Paper: app:foundations."""
+    """Set the rule: a robot's own by its own supervisor alone, the fleet's by H_F alone. Paper: app:foundations."""
     refused = (
         unknown_robot(state, command.robot)
         or unknown_capability(state, command.capability)
@@ -138,7 +146,10 @@ def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
 
 
 def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Event, ...]:
-    """The fleet's rule for the robots of the role from now on, where nothing is set about the same for the very robot. Paper: app:foundations."""
+    """Set the fleet's rule for the robots of the role.
+
+    A rule about the same for the very robot goes before it. Paper: app:foundations.
+    """
     inside = [robot for robot in state.fleet.robots.values() if is_within(robot.domain, command.domain)]
     refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
     if refused is None and not inside:
@@ -162,7 +173,7 @@ def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Even
 
 
 def _unfit(state: State, command: SetPolicyRule) -> str | None:
-    """Why this supervisor may not set this rule, or why there is no such rule; or None."""
+    """Return why this supervisor may not set this rule, or why there is no such rule; or None."""
     if command.scope not in get_args(PolicyScope) or command.outcome not in get_args(PolicyOutcome):
         return f"found {command.scope} {command.outcome}, expected local or fleet, and allow, deny or review"
     if command.scope == "fleet":
@@ -172,7 +183,10 @@ def _unfit(state: State, command: SetPolicyRule) -> str | None:
     refused = not_in_charge(state, command.issued_by, command.robot)
     own = state.fleet.robots[command.robot].supervisor
     if refused is None and own is not None and own != command.issued_by:
-        return f"{command.issued_by} does not set {command.robot}'s own policy, expected {own}; a fleet rule composes with it"
+        return (
+            f"{command.issued_by} does not set {command.robot}'s own policy, "
+            f"expected {own}; a fleet rule composes with it"
+        )
     return refused
 
 

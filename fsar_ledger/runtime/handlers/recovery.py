@@ -1,4 +1,7 @@
-"""What a recovery attempt meets in the world, what each level may spend, and failures that are reported from outside. Paper: sec:model:recovery."""
+"""What a recovery attempt meets in the world, what each level may spend, and failures reported from outside.
+
+Paper: sec:model:recovery.
+"""
 
 from typing import get_args
 
@@ -18,7 +21,7 @@ LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
 
 
 class SetRecoveryBudget(PublicCommand):
-    """A supervisor gives one level of the robot's recovery another budget. Units: `t_max_us` microseconds."""
+    """Set the budget of one level of the robot's recovery. Units: `t_max_us` microseconds."""
 
     issued_by: Supervisor
     robot: Robot
@@ -28,7 +31,7 @@ class SetRecoveryBudget(PublicCommand):
 
 
 class ReportFailure(PublicCommand):
-    """The executor reports that what it executes has failed."""
+    """Report that what the executor executes has failed."""
 
     robot: Robot
     action_id: str
@@ -36,7 +39,10 @@ class ReportFailure(PublicCommand):
 
 
 def budget(state: State, robot: Robot, level: RecoveryLevel) -> Budget:
-    """(t_max, n_max) of the level: the robot's own Q_i where it was set, else the fleet's structure. Paper: eq:recovery, app:foundations."""
+    """Return (t_max, n_max) of the level: the robot's own Q_i where it was set, else the fleet's structure.
+
+    Paper: eq:recovery, app:foundations.
+    """
     own = state.budget.get((robot, level))
     if own is not None:
         return own
@@ -53,7 +59,7 @@ def budget(state: State, robot: Robot, level: RecoveryLevel) -> Budget:
 
 
 def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event, ...]:
-    """The level has this budget from now on; it is for the robot's own supervisor or H_F to say. Paper: app:foundations."""
+    """Set the level's budget, by word of the robot's own supervisor or of H_F. Paper: app:foundations."""
     refused = (
         unknown_robot(state, command.robot)
         or not_in_charge(state, command.issued_by, command.robot)
@@ -78,12 +84,15 @@ def _impossible(command: SetRecoveryBudget) -> str | None:
         return f"level {command.level}, expected one of {', '.join(LEVELS)}"
     least = 1 if command.level == "human" else 0  # a failure that nobody else resolved must reach somebody
     if command.t_max_us < least or command.n_max < least:
-        return f"budget ({command.t_max_us} microseconds, {command.n_max}), expected at least {least} of both at level {command.level}"
+        return (
+            f"budget ({command.t_max_us} microseconds, {command.n_max}), "
+            f"expected at least {least} of both at level {command.level}"
+        )
     return None
 
 
 def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
-    """The running execution has failed, as its own robot reports; recovery begins from there. Paper: sec:model:recovery."""
+    """Fail the running execution as its own robot reports; recovery begins from there. Paper: sec:model:recovery."""
     refused = unknown_robot(state, command.robot)
     action = state.execution.actions.get(command.action_id)
     if refused is None and action is None:
@@ -111,26 +120,29 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
 
 
 def open_failure(state: State, action_id: str) -> tuple[Action, Recovery] | None:
-    """The action and its failure that is being recovered, or None when there is none any more."""
+    """Return the action and its failure that is being recovered, or None when there is none any more."""
     action, recovery = state.execution.actions.get(action_id), state.recovery.get(action_id)
     return None if action is None or recovery is None else (action, recovery)
 
 
 def actuator_holds(state: State, robot: Robot, drawn: int) -> bool:
-    """True when the robot's actuator holds this time: a sound one always, an unreliable one as the world draws, a slipping or lost one never."""
+    """Tell whether the robot's actuator holds this time.
+
+    A sound one always holds, an unreliable one as the world draws, a slipping or lost one never.
+    """
     grade = state.world.degraded.get(robot)
     return grade is None or (grade == "unreliable" and bool(drawn))
 
 
 def attempt_succeeds(state: State, recovery: Recovery, command: EndAttempt) -> bool:
-    """True when the way is clear, or the degraded actuator held this time."""
+    """Tell whether the way is clear, or the degraded actuator held this time."""
     if recovery.cause == "obstruction":
         return not state.world.obstructions.get(recovery.robot)
     return actuator_holds(state, recovery.robot, command.drawn)
 
 
 def attempt_result(state: State, action: Action, recovery: Recovery) -> tuple[Result, tuple[str, ...]]:
-    """What an attempt that did not succeed has come to, and which postconditions hold after it.
+    """Return the result of an attempt that did not succeed, and the postconditions that hold after it.
 
     A slipping actuator grips and does not hold: all of the contract is achieved but its last postcondition.
     """

@@ -1,6 +1,7 @@
-"""The registry answers who offers what, to whom, and says of everyone else why not. Paper: sec:architecture:registry.
+"""The registry's answers: who offers what, to whom, and why every other robot is left out.
 
-It is authoritative about discoverability, never about execution: the robot that is asked judges the request by itself.
+It is authoritative about discoverability, never about execution: the robot that is asked judges the request itself.
+Paper: sec:architecture:registry.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -26,12 +27,14 @@ FILTERS: tuple[Filter, ...] = get_args(Filter)  # in the order in which they are
 
 
 class Query(msgspec.Struct, frozen=True):
-    """Q = (r_A, e*, sigma, B, P): who asks for what, in which context, and what is stated about it. Paper: sec:architecture:registry.
+    """Q = (r_A, e*, sigma, B, P): who asks for what, in which context, and what is stated about it.
 
     `capability` is a name or a group (`grasp.*`); `version` a range (see `matching.is_in_range`). `provides` are the
     preconditions that the requester establishes and `resources` what is there to be taken, None where it does not say;
     `needs` the postconditions that it wants, `embodiment` what the body must be. `override` is the level that the
     request will ask for; `limit` ends the search at so many admissible ready candidates.
+
+    Paper: sec:architecture:registry.
     """
 
     requester: Robot
@@ -47,10 +50,11 @@ class Query(msgspec.Struct, frozen=True):
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """Cand(Q): the robots that may be asked, best first, each with the capability of theirs that matched (`capabilities`).
+    """Cand(Q): the robots that may be asked, best first, each with its capability that matched (`capabilities`).
 
-    Each robot of `rejected` offers what was asked for and was left out by the filter at the same place of `rejected_by`.
-    `domain` is the registry that answered, `as_of_us` (run time) the age of the copy that it read, None for the present.
+    Each robot of `rejected` offers what was asked for and was left out by the filter at the same place of
+    `rejected_by`. `domain` is the registry that answered, `as_of_us` (run time) the age of the copy that it read, None
+    for the present.
     """
 
     candidates: tuple[Robot, ...]
@@ -62,7 +66,7 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 def candidates(state: State, query: Query, cache_holder: Robot | None = None) -> Answer:
-    """Cand(Q), answered by the nearest registry around the requester that has a candidate, or at last by the fleet's.
+    """Return Cand(Q), from the nearest registry around the requester that has a candidate, else from the fleet's.
 
     Every other robot that matches by name in the registries that were asked is either candidate or rejected; under a
     `limit` only those that the search came to. A robot that matches more than once counts by its best record.
@@ -113,7 +117,7 @@ def _search(
     found: dict[Robot, Advertisement],
     left_out: dict[Robot, Filter],
 ) -> None:
-    """Every match of one registry is found or left out, until there are enough that are ready."""
+    """Sort every match of one registry into found and left out, until enough are ready."""
     ready = 0
     for record in _matches(level, query.capability, but):
         robot = record.robot
@@ -137,7 +141,7 @@ def _search(
 
 
 def _matches(level: Offers, wanted: str, but: str | None) -> Iterator[Advertisement]:
-    """Match(e, e*): the records of the name or, for a group, of each name in it."""
+    """Yield Match(e, e*): the records of the name or, for a group, of each name in it."""
     names = [wanted]
     if wanted.endswith(".*"):
         names = sorted(
@@ -148,14 +152,17 @@ def _matches(level: Offers, wanted: str, but: str | None) -> Iterator[Advertisem
 
 
 def _rank(state: State, record: Advertisement, is_present: bool) -> int:
-    """0 ready, 1 busy, 2 degraded; that a robot is executing just now is in no copy."""
+    """Return 0 for ready, 1 busy, 2 degraded; no copy shows that a robot is executing just now."""
     if record.availability == "degraded":
         return 2
     return int(record.availability == "busy" or (is_present and not is_idle(state, record.robot)))
 
 
 def rejecting_filter(state: State, query: Query, record: Advertisement, but: Filter | None = None) -> Filter | None:
-    """The first filter (`but` one) that leaves the record out of the answer, or None when it is admissible. Paper: sec:architecture:registry."""
+    """Return the first filter (except `but`) that leaves the record out of the answer, or None when it is admissible.
+
+    Paper: sec:architecture:registry.
+    """
     for name, rejects in _REJECTS:
         if name != but and rejects(state, query, record):
             return name
@@ -163,9 +170,10 @@ def rejecting_filter(state: State, query: Query, record: Advertisement, but: Fil
 
 
 def hides(state: State, record: Advertisement, requester: Robot, asker: Robot, context: str | None) -> bool:
-    """Not Visible_Gamma: to the requester, for whom the asker (itself, or a relay) stands before the robot. Paper: eq:advertise.
+    """Tell whether the record is not Visible_Gamma to the requester.
 
-    Without trust evaluation nobody hides.
+    The asker stands before the robot for the requester: itself, or a relay. Without trust evaluation no record is
+    hidden. Paper: eq:advertise.
     """
     if "trust-evaluation" in state.fleet.without:
         return False
@@ -181,7 +189,10 @@ def hides(state: State, record: Advertisement, requester: Robot, asker: Robot, c
 
 
 def _distrusts(state: State, query: Query, record: Advertisement) -> bool:
-    """Not TrustOK by the record that is read (see `trust.trusts` for the present one). Paper: eq:delegable."""
+    """Tell whether TrustOK fails by the record that is read (see `trust.trusts` for the present one).
+
+    Paper: eq:delegable.
+    """
     if "trust-evaluation" in state.fleet.without:
         return False
     return not covers(
@@ -190,9 +201,10 @@ def _distrusts(state: State, query: Query, record: Advertisement) -> bool:
 
 
 def _forbids(state: State, query: Query, record: Advertisement) -> bool:
-    """The advertisement is for other contexts, or a declared rule of the robot denies; what closes for a while is the robot's to judge.
+    """Tell whether the advertisement is for other contexts, or a declared rule of the robot denies.
 
-    So is a denial against the fleet's mandate: the robot is shown, so that the conflict comes up and is escalated.
+    What closes for a while is the robot's to judge. So is a denial against the fleet's mandate: the robot is shown, so
+    that the conflict comes up and is escalated.
     """
     if record.policy_required and query.context not in record.policy_required:
         return True
@@ -221,7 +233,7 @@ _REJECTS: tuple[tuple[Filter, Callable[[State, Query, Advertisement], bool]], ..
 def queried(
     state: State, query: Query, answer: Answer, task_id: str | None, action_id: str | None, relay: Robot | None = None
 ) -> RegistryQueried:
-    """The record that the registry has answered; the executor is the robot that the answer leads to, if it leads to one."""
+    """Return the record of the registry's answer; the executor is the robot that the answer leads to, if any."""
     return RegistryQueried(
         subject=Subject(task_id, action_id),
         principals=Parties(
@@ -240,20 +252,20 @@ def queried(
 
 
 class ConsultRegistry(PublicCommand):
-    """Public: a look into the registry outside of any request. With `cache_holder`, answered from that robot's copy."""
+    """Look into the registry outside of any request; with `cache_holder`, into that robot's copy."""
 
     query: Query
     cache_holder: Robot | None = None
 
 
 class CacheRegistry(PublicCommand):
-    """Public: the robot takes a copy of the registry as it is now."""
+    """Give the robot a copy of the registry as it is now."""
 
     holder: Principal
 
 
 def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
-    """The registry has answered; that nobody offers the capability is an answer too."""
+    """Answer from the registry; that nobody offers the capability is an answer too."""
     query = command.query
     wrong = unknown_robot(state, query.requester, command.cache_holder) or _malformed(query)
     if wrong is None and command.cache_holder is not None and command.cache_holder not in state.registry.caches:
@@ -290,7 +302,7 @@ def _malformed(query: Query) -> str | None:
 
 
 def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
-    """The holder has a copy as of now."""
+    """Give the holder a copy as of now."""
     wrong = unknown_robot(state, command.holder)
     if wrong is not None:
         return rejected(command, command.holder, wrong, command.holder)

@@ -1,4 +1,4 @@
-"""A command that cannot be carried out is a fact, and changes nothing. Paper: sec:architecture:overview."""
+"""Rejections: a command that cannot be carried out is a fact, and changes nothing. Paper: sec:architecture:overview."""
 
 from collections.abc import Iterable
 
@@ -10,12 +10,12 @@ from .commands import Command
 
 
 def rejected(command: Command, subject: str, reason: str, issued_by: Principal | None = None) -> tuple[CommandRejected]:
-    """The one event of a command that named something unknown, over or impossible."""
+    """Return the one event of a command that named something unknown, over or impossible."""
     return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)
 
 
 def unknown_robot(state: State, *robots: str | None) -> str | None:
-    """The reason to reject a command that names a robot outside the fleet, or None when every one is a member (None names nobody)."""
+    """Return why to reject a command that names a robot outside the fleet, or None (None names nobody)."""
     for robot in robots:
         if robot is not None and robot not in state.fleet.robots:
             return f"unknown robot {robot}, expected a member of the fleet"
@@ -23,7 +23,7 @@ def unknown_robot(state: State, *robots: str | None) -> str | None:
 
 
 def unknown_supervisor(state: State, supervisor: Supervisor | None) -> str | None:
-    """The reason to reject a command in the name of somebody who supervises nothing here, or None."""
+    """Return why to reject a command in the name of somebody who supervises nothing here, or None."""
     if supervisor == FLEET_SUPERVISOR or (
         supervisor is not None and any(supervisor == robot.supervisor for robot in state.fleet.robots.values())
     ):
@@ -34,9 +34,10 @@ def unknown_supervisor(state: State, supervisor: Supervisor | None) -> str | Non
 def not_in_charge(
     state: State, supervisor: Supervisor | None, robot: Robot | None, is_fleet_matter: bool = False
 ) -> str | None:
-    """The reason to reject a command that this supervisor may not give about this robot (None: about nobody in particular), or None.
+    """Return why this supervisor may not give a command about this robot, or None.
 
-    H_F may speak for every robot; H_i for its own alone, and not where the matter is the fleet's. Paper: sec:model:supervision.
+    A robot of None: the command is about nobody in particular. H_F may speak for every robot; H_i for its own alone,
+    and not where the matter is the fleet's. Paper: sec:model:supervision.
     """
     if (unknown := unknown_supervisor(state, supervisor)) is not None:
         return unknown
@@ -45,23 +46,26 @@ def not_in_charge(
     if is_fleet_matter:
         return f"{supervisor} supervises one robot, expected {FLEET_SUPERVISOR} for what concerns the fleet"
     if robot is not None and state.fleet.robots[robot].supervisor != supervisor:
-        return f"{supervisor} does not supervise {robot}, expected {state.fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
+        return (
+            f"{supervisor} does not supervise {robot}, "
+            f"expected {state.fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
+        )
     return None
 
 
 def unknown_capability(state: State, capability: str | None) -> str | None:
-    """The reason to reject a command about a capability that no robot of the fleet possesses, or None (None names none)."""
+    """Return why to reject a command about a capability that no robot possesses, or None (None names none)."""
     if capability is None or any(capability in modules for modules in state.registry.modules.values()):
         return None
     return f"unknown capability {capability}, expected one that a member possesses"
 
 
 def unknown_word(what: str, found: str | None, known: Iterable[str]) -> str | None:
-    """The reason to reject a command with a word that is none of those, or None when it is one."""
+    """Return why to reject a command with a word that is none of those, or None when it is one."""
     known = tuple(known)
     return None if found in known else f"unknown {what} {found}, expected one of {', '.join(known)}"
 
 
 def expired_context(state: State, context: str | None) -> str | None:
-    """The reason to reject a command in the context of a task that is over, or None (None is no context)."""
+    """Return why to reject a command in the context of a task that is over, or None (None is no context)."""
     return f"task {context} is over, expected a context that is not" if context in state.context else None

@@ -1,6 +1,7 @@
-"""Requests that a robot, or an operator for it, issues by itself; counter-offers are answered; results are reported. Paper: sec:model:request.
+"""Requests that a robot or its operator issues, answers to counter-offers, and reports of results.
 
-What is asked here goes the way of every request: the executor evaluates it under its own runtime.
+What is asked here goes the way of every request: the executor evaluates it under its own runtime. Paper:
+sec:model:request.
 """
 
 from typing import get_args
@@ -21,10 +22,10 @@ from .rejection import expired_context, rejected, unknown_capability, unknown_ro
 
 
 class RequestCapability(PublicCommand):
-    """The requester asks the executor for the capability, in a context (a task, or a free name), under a new action name.
+    """Ask the executor for the capability under a new action name.
 
-    Fields beyond these: the override level asked for, the request in whose service it asks (`parent`), what it would
-    dictate (`directives`), and the advertised version that it was formulated against.
+    The context is a task or a free name. Other fields: the override level asked for, the request in whose service it
+    asks (`parent`), what it would dictate (`directives`), and the advertised version that it was formulated against.
     """
 
     requester: Robot
@@ -39,7 +40,7 @@ class RequestCapability(PublicCommand):
 
 
 class AnswerOffer(PublicCommand):
-    """The requester answers a counter-offer: it takes it, asks for this other override level, or (neither) lets go."""
+    """Answer a counter-offer: take it, ask for this other override level, or (neither) let go."""
 
     requester: Robot
     action_id: str
@@ -48,7 +49,7 @@ class AnswerOffer(PublicCommand):
 
 
 class ReportResult(PublicCommand):
-    """The executor says how the action ended; a partial result names the postconditions that hold."""
+    """Report how the action ended; a partial result names the postconditions that hold."""
 
     executor: Robot
     action_id: str
@@ -57,7 +58,7 @@ class ReportResult(PublicCommand):
 
 
 def request_capability(state: State, command: RequestCapability) -> tuple[Event, ...]:
-    """The gap and the request are on record, and the request is on its way to the executor. Paper: eq:request, phases 1 and 3."""
+    """Record the gap and the request, which is then on its way to the executor. Paper: eq:request, phases 1 and 3."""
     reason = _impossible(state, command)
     if reason is not None:
         return rejected(command, command.action_id, reason, command.requester)
@@ -89,7 +90,10 @@ def request_capability(state: State, command: RequestCapability) -> tuple[Event,
 
 
 def _impossible(state: State, command: RequestCapability) -> str | None:
-    """What is unknown, over or impossible about the request, or None. Whether it is admissible is for the executor to say."""
+    """Return what is unknown, over or impossible about the request, or None.
+
+    Whether it is admissible is for the executor to say.
+    """
     unknown = unknown_robot(state, command.requester, command.executor)
     if unknown is not None:
         return unknown
@@ -110,7 +114,7 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
 
 
 def _broken_chain(state: State, command: RequestCapability) -> str | None:
-    """Why the requester does not act in the service of the parent, or None. Paper: eq:nontransitive."""
+    """Return why the requester does not act in the service of the parent, or None. Paper: eq:nontransitive."""
     if command.parent is None:
         return None
     parent = state.request.get(command.parent)
@@ -125,7 +129,7 @@ def _broken_chain(state: State, command: RequestCapability) -> str | None:
 
 
 def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
-    """The requester has taken the offer, asked for other terms, or let go. Paper: sec:model:request (negotiate)."""
+    """Take the offer, ask for other terms, or let go. Paper: sec:model:request (negotiate)."""
     request = state.request.get(command.action_id)
     reason: str | None = None
     if request is None:
@@ -159,7 +163,7 @@ def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
 
 
 def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
-    """The execution is over with this result. Paper: sec:model:request, phase 5."""
+    """Finish the execution with this result. Paper: sec:model:request, phase 5."""
     action = state.execution.actions.get(command.action_id)
     if action is None:
         return rejected(
@@ -188,7 +192,10 @@ def _not_executed(request: Request | None) -> str:
 
 
 def _not_reportable(state: State, action: Action, command: ReportResult) -> str | None:
-    """Why this is no result that the executor can report now, or None; a failure is first handled by its own recovery."""
+    """Return why this is no result that the executor can report now, or None.
+
+    A failure is first handled by its own recovery.
+    """
     unreadable = unknown_word("result", command.result, get_args(Result))
     if unreadable is not None:
         return unreadable
@@ -197,7 +204,10 @@ def _not_reportable(state: State, action: Action, command: ReportResult) -> str 
     if action.stage not in ("running", "paused"):
         return f"it is {action.stage}, expected an action that is running or paused"
     if (command.result == "partial") != bool(command.achieved):
-        return f"a {command.result} result with {len(command.achieved)} postconditions achieved, expected some for a partial one and none else"
+        return (
+            f"a {command.result} result with {len(command.achieved)} postconditions achieved, "
+            "expected some for a partial one and none else"
+        )
     module = state.registry.modules.get(action.robot, {}).get(action.capability)
     promised = () if module is None else module.contract.postconditions
     unknown = [name for name in command.achieved if promised and name not in promised]

@@ -1,4 +1,7 @@
-"""Supervisors decide what is put before them, and how often that is; H_i for its robot, H_F for the fleet. Paper: eq:supervision."""
+"""What supervisors decide, and how often they are asked: H_i for its robot, H_F for the fleet.
+
+Paper: eq:supervision.
+"""
 
 from collections.abc import Callable
 
@@ -22,7 +25,10 @@ from .task import first_in_order
 
 
 class RespondToCall(PublicCommand):
-    """A supervisor answers a call: approves the review or not, orders two commands (`preferred` goes first), or has resolved the failure."""
+    """Answer a call: approve the review or not, order two commands, or resolve the failure.
+
+    `preferred` goes first.
+    """
 
     supervisor: Supervisor
     action_id: str
@@ -31,7 +37,7 @@ class RespondToCall(PublicCommand):
 
 
 class SetSupervisionDensity(PublicCommand):
-    """A supervisor wants to see one in so many admissions of the robot (None: of every robot); 0 is none."""
+    """Ask to see one in so many admissions of the robot (None: of every robot); 0 is none."""
 
     issued_by: Supervisor
     robot: Robot | None
@@ -40,7 +46,10 @@ class SetSupervisionDensity(PublicCommand):
 
 
 def supervisor_for(state: State, robot: Robot, is_cross_robot: bool) -> Supervisor:
-    """Whom to call about the robot: its own H_i while on shift, if the matter concerns that robot alone; else H_F. Paper: sec:model:supervision."""
+    """Return whom to call about the robot: its own H_i on shift about that robot alone, else H_F.
+
+    Paper: sec:model:supervision.
+    """
     own = state.fleet.robots[robot].supervisor
     if is_cross_robot or own is None or own in state.world.off_shift:
         return FLEET_SUPERVISOR
@@ -48,22 +57,25 @@ def supervisor_for(state: State, robot: Robot, is_cross_robot: bool) -> Supervis
 
 
 def is_due_for_review(state: State, executor: Robot) -> bool:
-    """True when the executor's next admission is one that supervision density puts before a supervisor. Paper: sec:model:supervision."""
+    """Tell whether supervision density puts the executor's next admission before a supervisor.
+
+    Paper: sec:model:supervision.
+    """
     every = density(state.supervision, executor)
     return every > 0 and (state.supervision.admissions.get(executor, 0) + 1) % every == 0
 
 
 def requester_of(request: Request) -> Robot | None:
-    """The requester, whom a record of the answer names."""
+    """Return the requester, whom a record of the answer names."""
     return request.requester
 
 
 NameRequester = Callable[[Request], Principal | None]
-"""Which requester an architecture has on record before anything is executed."""
+"""The requester that an architecture has on record before anything is executed."""
 
 
 def respond(state: State, command: Respond, name_requester: NameRequester = requester_of) -> tuple[Event, ...]:
-    """The supervisor who was called has approved the review, ordered the commands, or resolved the failure; nothing if that is settled."""
+    """Approve the review, order the commands or resolve the failure as called; nothing if that is settled."""
     call = state.supervision.calls.get(command.call)
     if call is None or (
         call.subject.action_id not in state.request and call.subject.action_id not in state.execution.actions
@@ -75,7 +87,7 @@ def respond(state: State, command: Respond, name_requester: NameRequester = requ
 def respond_to_call(
     state: State, command: RespondToCall, name_requester: NameRequester = requester_of
 ) -> tuple[Event, ...]:
-    """The open call is answered by the supervisor it went to."""
+    """Answer the open call as the supervisor it went to."""
     unknown = not_in_charge(state, command.supervisor, None)
     if unknown is not None:
         return rejected(command, command.action_id, unknown, command.supervisor)
@@ -93,7 +105,7 @@ def respond_to_call(
 
 
 def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
-    """Why the answer does not fit what was asked, or None."""
+    """Return why the answer does not fit what was asked, or None."""
     if not command.approves and call.purpose != "review":
         return f"found a disapproval of {call.purpose}, expected one of a review"
     contenders = (call.subject.action_id, call.competing) if call.purpose == "ordering" else ()
@@ -105,7 +117,10 @@ def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
 def _responded(
     state: State, call: SupervisorCalled, approves: bool, preferred: str | None, name_requester: NameRequester
 ) -> tuple[Event, ...]:
-    """The answer is on record; a failure that was put before the supervisor is over, a degraded robot serviced."""
+    """Record the answer.
+
+    A failure that was put before the supervisor is over, and a degraded robot is serviced.
+    """
     action, request = state.execution.actions.get(call.subject.action_id), state.request.get(call.subject.action_id)
     requested_by = executed_by = None
     if action is not None:
@@ -132,7 +147,7 @@ def _responded(
 
 
 def set_supervision_density(state: State, command: SetSupervisionDensity) -> tuple[Event, ...]:
-    """The density holds from now on: of a robot by its own supervisor or H_F, of every robot by H_F. Paper: sec:model:supervision."""
+    """Set the density: of a robot by its own supervisor or H_F, of every robot by H_F. Paper: sec:model:supervision."""
     subject = command.robot or "every robot"
     refused = unknown_robot(state, command.robot) or not_in_charge(
         state, command.issued_by, command.robot, is_fleet_matter=command.robot is None
@@ -149,7 +164,7 @@ def set_supervision_density(state: State, command: SetSupervisionDensity) -> tup
 
 
 def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
-    """The robot that the matter is about calls: the executor, before there is one the robot whose step it is."""
+    """Return the robot that calls: the executor, or the robot whose step it is before there is one."""
     action, request = state.execution.actions.get(event.subject.action_id), state.request.get(event.subject.action_id)
     if action is not None:
         return awaiting(state, event, action.robot)
@@ -157,7 +172,7 @@ def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Schedu
 
 
 def awaiting(state: State, event: SupervisorCalled, caller: str | None) -> tuple[Scheduled, ...]:
-    """The response to the call; there is none while the caller is not linked."""
+    """Schedule the response to the call; there is none while the caller is not linked."""
     action = state.execution.actions.get(event.subject.action_id)
     ordinal = action.failures if action is not None else 0
     share = state.fleet.structure.ordering_response_ppm if event.purpose == "ordering" else 1_000_000

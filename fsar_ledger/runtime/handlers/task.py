@@ -1,4 +1,4 @@
-"""Tasks go through their steps, whoever governs them. Paper: sec:evaluation:scenarios."""
+"""How tasks go through their steps under every architecture. Paper: sec:evaluation:scenarios."""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Subject, robot_named
@@ -15,7 +15,7 @@ from .rejection import rejected, unknown_capability, unknown_robot
 
 
 class SubmitTask(PublicCommand):
-    """Public: the robot is given a task, with steps as in `TaskArrived`. Units: `budget_us` microseconds from now."""
+    """Give the robot a task, with steps as in `TaskArrived`. Units: `budget_us` microseconds from now."""
 
     robot: Robot
     task_id: str
@@ -26,7 +26,7 @@ class SubmitTask(PublicCommand):
 
 
 def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
-    """The task is there, and its first step will begin."""
+    """Record the task, whose first step will begin."""
     reason = unknown_robot(state, command.robot) or _impossible(state, command)
     if reason is not None:
         return rejected(command, command.task_id, reason, command.robot)
@@ -46,7 +46,7 @@ def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
 
 
 def _impossible(state: State, command: SubmitTask) -> str | None:
-    """Why nobody could do the task, or None."""
+    """Return why nobody could do the task, or None."""
     if not command.task_id or "/" in command.task_id or ":" in command.task_id:
         return f"task name {command.task_id!r}, expected a name without a slash or a colon"
     if command.task_id in state.task or command.task_id in state.context or _is_named(state, command.task_id):
@@ -69,17 +69,23 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
             case _:
                 able = False
         if not able:
-            return f"step {step!r}, expected ACTOR CAPABILITY [TARGET] of the robot's team, with a capability that somebody possesses"
+            return (
+                f"step {step!r}, "
+                "expected ACTOR CAPABILITY [TARGET] of the robot's team, with a capability that somebody possesses"
+            )
     return None
 
 
 def _is_named(state: State, task_id: str) -> bool:
-    """True when a request is in the context of that name, or has the name that a step of such a task would have."""
+    """Tell whether a request has that context, or the name that a step of such a task would have."""
     return any(request.task_id == task_id or name.startswith(task_id + "/") for name, request in state.request.items())
 
 
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
-    """The task has begun its next step, is completed, or has been given up after twice its budget; nothing if it has moved on by another way."""
+    """Begin the task's next step, complete the task, or give it up after twice its budget.
+
+    Nothing if the task has moved on by another way.
+    """
     task = state.task.get(command.task_id)
     if task is None or task.action_id != command.after:
         return ()
@@ -102,24 +108,27 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
 
 
 def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
-    """The task has been given up, whatever it waits for; who waited for an answer gets none."""
+    """Give the task up; nobody who waited for an answer gets one."""
     return () if state.task.get(command.task_id) is None else (TaskAbandoned(command.task_id),)
 
 
 def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
-    """The step is done, unless it was already or its task was given up."""
+    """Complete the step, unless it was already or its task was given up."""
     request = state.request.get(command.action_id)
     return () if request is None or request.task_id not in state.task else (StepCompleted(request.subject),)
 
 
 def is_critical(state: State, task_id: str) -> bool:
-    """True when the task is open and time-critical."""
+    """Tell whether the task is open and time-critical."""
     task = state.task.get(task_id)
     return task is not None and task.is_time_critical
 
 
 def first_in_order(state: State, call: SupervisorCalled) -> str | None:
-    """Which of two competing actions H_F lets go first: the time-critical one, else the one that came first. Paper: sec:prototype:workflows."""
+    """Return which of two competing actions H_F lets go first: the time-critical one, else the earlier one.
+
+    Paper: sec:prototype:workflows.
+    """
     if call.competing is None:
         return None
     other = state.request.get(call.competing)
@@ -130,7 +139,7 @@ def first_in_order(state: State, call: SupervisorCalled) -> str | None:
 
 
 def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
-    """Where another robot acts in the next step, the one that acted in this one tells it."""
+    """Schedule the next step; where another robot acts in it, the one that acted in this one tells it."""
     task = state.task[event.subject.task_id]
     is_last = task.step == len(task.steps)
     before = acting(task, task.step - 1)
@@ -139,7 +148,10 @@ def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled,
 
 
 def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:
-    """The first step begins; after so many budgets, and at the end of the run, the task is given up."""
+    """Schedule the first step, and the time at which the task is given up.
+
+    That is after so many budgets, and at the latest at the end of the run.
+    """
     left_us = max(1, given_up_us(event, state.fleet.structure.expiry_budgets) - now_us)
     return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), left_us + 1))
 

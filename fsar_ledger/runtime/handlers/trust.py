@@ -19,7 +19,10 @@ BROADEST_BY_RECORD: TrustScope = "session"  # persistent trust is for an operato
 
 
 class SetTrust(PublicCommand):
-    """A supervisor has the robot trust the peer with this scope: for one capability, in one context (task), or (None) for all."""
+    """Set the robot's trust in the peer.
+
+    For one capability, in one context (task), or (None) for all.
+    """
 
     issued_by: Supervisor
     robot: Robot
@@ -31,7 +34,10 @@ class SetTrust(PublicCommand):
 
 
 class SetRoleTrust(PublicCommand):
-    """H_F has every robot of the role trust every robot of the other with this scope, in a domain or (empty) in the whole fleet."""
+    """Set the trust of every robot of the role in every robot of the other.
+
+    In a domain or (empty) in the whole fleet.
+    """
 
     issued_by: Supervisor
     role: str
@@ -44,7 +50,10 @@ class SetRoleTrust(PublicCommand):
 
 
 class SetTrustThresholds(PublicCommand):
-    """H_F has trust follow the record: so many successes in a row promote it, so many failures downgrade it; 0 is never."""
+    """Let trust follow the record.
+
+    So many successes in a row promote it, so many failures downgrade it; 0 is never.
+    """
 
     issued_by: Supervisor
     promote_after: int
@@ -52,7 +61,10 @@ class SetTrustThresholds(PublicCommand):
 
 
 class AssessTrust(Command):
-    """The robot's record of the peer has changed, in the context (None: in those that no trust is set for)."""
+    """Assess trust after a change in the robot's record of the peer.
+
+    In the context, or (None) in those that no trust is set for.
+    """
 
     robot: Robot
     peer: Robot
@@ -61,13 +73,16 @@ class AssessTrust(Command):
 
 
 class ExpireTrust(Command):
-    """A task is over that some trust was limited to."""
+    """End a task that some trust was limited to."""
 
     task_id: str
 
 
 def trusts(state: State, executor: Robot, requester: Robot, capability: str, context: str | None = None) -> bool:
-    """TrustOK: the executor's trust in the requester covers what the capability's advertisement requires. Paper: eq:delegable."""
+    """Tell TrustOK: whether trust in the requester covers what the capability's advertisement requires.
+
+    Paper: eq:delegable.
+    """
     if "trust-evaluation" in state.fleet.without:
         return True
     record = advertisement(state.registry, executor, capability)
@@ -76,7 +91,7 @@ def trusts(state: State, executor: Robot, requester: Robot, capability: str, con
 
 
 def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
-    """The robot trusts the peer so far from now on, by word of its own supervisor or of H_F. Paper: eq:trust."""
+    """Set the robot's trust in the peer, by word of its own supervisor or of H_F. Paper: eq:trust."""
     refused = unknown_robot(state, command.robot, command.peer) or not_in_charge(
         state, command.issued_by, command.robot
     )
@@ -100,7 +115,7 @@ def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
 
 
 def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
-    """The robots of the role trust those of the other so far from now on, where nothing is set for the very pair. Paper: eq:trust."""
+    """Set the trust between the roles, where nothing is set for the very pair. Paper: eq:trust."""
     members = state.fleet.robots.values()
     inside = [robot for robot in members if is_within(robot.domain, command.domain)]
     refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
@@ -127,7 +142,7 @@ def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
 
 
 def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Event, ...]:
-    """Trust follows the record from now on, by word of H_F. Paper: sec:model:trust."""
+    """Let trust follow the record, by word of H_F. Paper: sec:model:trust."""
     refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
     if refused is None and min(command.promote_after, command.downgrade_after) < 0:
         refused = f"thresholds {command.promote_after} and {command.downgrade_after}, expected 0 (never) or more"
@@ -137,7 +152,10 @@ def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Eve
 
 
 def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
-    """Trust in the peer is one scope narrower or broader when the record has reached a threshold; what is none stays none. Paper: sec:model:trust."""
+    """Make trust one scope narrower or broader when the record has reached a threshold; none stays none.
+
+    Paper: sec:model:trust.
+    """
     trust, key = state.trust, (command.robot, command.peer, command.capability, command.context)
     record, scope = trust.records.get(key), scope_of(trust, *key)
     if record is None or scope == "none":
@@ -162,7 +180,7 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
 
 
 def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
-    """Task-scoped trust that was given in the context of the finished task has ended. Paper: sec:model:trust."""
+    """End task-scoped trust that was given in the context of the finished task. Paper: sec:model:trust."""
     of_pairs = [
         TrustSet(
             robot=robot,
@@ -198,7 +216,7 @@ def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
 def _on_result(
     state: State, _event: RequestClosed | RequestDenied | ExecutionFailed | AuthorityRevoked, _now_us: int
 ) -> tuple[Scheduled, ...]:
-    """Trust is assessed after each coordination event that changed a record. Paper: sec:evaluation:simulator."""
+    """Assess trust after each coordination event that changed a record. Paper: sec:evaluation:simulator."""
     if not follows_record(state.trust):
         return ()
     return tuple(Scheduled(AssessTrust(*key)) for key in state.trust.judged)

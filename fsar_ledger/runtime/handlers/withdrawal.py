@@ -1,8 +1,9 @@
-"""What was to be done for a task that is given up is not begun any more, whoever governs. Paper: sec:evaluation:metrics (fleet tasks).
+"""What is withdrawn when a task is given up, under every architecture. Paper: sec:evaluation:metrics (fleet tasks).
 
-Reading R3: what waits for its robot, approaches or is held is withdrawn, its claims end, and nobody answers what was asked for it. What executes
-by then, or is being recovered, ends as it would have: a robot does not stop in a doorway. Whoever asked for it tells each robot that has something of
-the task; until the message is there, the robot does not know. What a robot has by its own word it withdraws at once.
+Reading R3: what waits for its robot, approaches or is held is withdrawn, its claims end, and nobody answers what was
+asked for it. What executes by then, or is being recovered, ends as it would have: a robot does not stop in a doorway.
+The robot that asked for it tells each robot that has something of the task; until the message is there, that robot does
+not know. What a robot has by its own word it withdraws at once.
 """
 
 from fsar_ledger.events import Event
@@ -22,20 +23,20 @@ WAITING = ("queued", "approaching", "held", "polling")
 
 
 class WithdrawTask(Command):
-    """The robot knows that the task was given up."""
+    """Tell the robot that the task was given up."""
 
     task_id: str
     robot: Robot
 
 
 class EndClaims(Command):
-    """The task was given up, and with it what no robot has yet."""
+    """End what no robot has yet of a task that was given up."""
 
     task_id: str
 
 
 def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
-    """Nothing of the task holds or waits for this robot but what executes, and nobody claims it."""
+    """Withdraw what the robot has of the task and has not begun, with every claim on it."""
     waiting = [action for action in _waiting(state, command.task_id) if action.robot == command.robot]
     withdrawn = sorted(waiting, key=lambda action: holds_robot(state, action))
     ended = _claims(state, command.task_id, {action.action_id for action in withdrawn})
@@ -46,7 +47,7 @@ def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
 
 
 def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
-    """Nobody claims what nobody does."""
+    """Release the claims on what nobody does."""
     never = {
         name for name in state.authority.claims if name not in state.execution.actions and name not in state.request
     }
@@ -54,7 +55,7 @@ def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
 
 
 def _waiting(state: State, task_id: str) -> list[Action]:
-    """What robots have of the task and have not begun."""
+    """Return what robots have of the task and have not begun."""
     return [
         action
         for action in state.execution.actions.values()
@@ -77,7 +78,7 @@ def _has_not_begun(action: Action) -> bool:
 
 
 def _is_step(state: State, action: Action) -> bool:
-    """False for a request that a robot issued by itself in the context of the task."""
+    """Tell whether this is a step, not a request that a robot issued by itself in the task's context."""
     request = state.request.get(action.action_id)
     return request is None or not request.is_adhoc
 

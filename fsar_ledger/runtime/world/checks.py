@@ -1,4 +1,4 @@
-"""Whether a fleet is one, and whether a scenario can happen to it: what types cannot say about a design."""
+"""Checks of what types cannot say about a design: a fleet in itself, and a scenario for a fleet."""
 
 import re
 from collections.abc import Collection, Iterator, Sequence
@@ -20,7 +20,7 @@ MOST_TIMES = 1_000
 
 
 class Problem(NamedTuple):
-    """What is wrong with a design, and where in it."""
+    """A fault in a design: what is wrong, and where."""
 
     field: Field
     found: str

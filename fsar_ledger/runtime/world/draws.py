@@ -19,7 +19,7 @@ _ONE = struct.Struct("<Q")
 
 
 def run_key(seed: int, scenario: str, run: int) -> bytes:
-    """The key under which all draws of one run are made."""
+    """Return the key under which all draws of one run are made."""
     return blake2b(f"{seed}|{len(scenario)}:{scenario}|{run}".encode(), digest_size=32).digest()
 
 
@@ -34,7 +34,7 @@ class Stream:
         self._buffer: list[float] = []
 
     def uniform(self) -> float:
-        """The next draw in [0, 1)."""
+        """Return the next draw in [0, 1)."""
         if not self._buffer:
             words = _BLOCK.unpack(blake2b(self._block.to_bytes(8, "little"), key=self._key).digest())
             self._buffer = [(word >> 11) * _SHARE for word in reversed(words)]
@@ -42,11 +42,11 @@ class Stream:
         return self._buffer.pop()
 
     def within_us(self, law: Range) -> int:
-        """A uniform length of time. Units: microseconds."""
+        """Return a uniform length of time. Units: microseconds."""
         return round(min((law.low_s + (law.high_s - law.low_s) * self.uniform()) * 1e6, FOREVER_US))
 
     def exponential_us(self, mean_s: float) -> int:
-        """An exponential length of time, at least one microsecond."""
+        """Return an exponential length of time, at least one microsecond."""
         return max(1, round(min(-log(1.0 - self.uniform()) * mean_s * 1e6, FOREVER_US)))
 
 
@@ -70,7 +70,7 @@ class Draws:
         }
 
     def value(self, stream: str, key: str, share_ppm: int = 1_000_000) -> int:
-        """The draw: a length of time in microseconds, or for `reliability` 1 when a degraded actuator holds, else 0."""
+        """Return the draw: a time in microseconds, or for `reliability` 1 when a degraded actuator holds, else 0."""
         digest = self._hash.copy()
         digest.update(f"{stream}|{key}".encode())
         word: int = _ONE.unpack(digest.digest())[0] >> 11

@@ -1,4 +1,4 @@
-"""Who is in the fleet at its beginning. Paper: sec:prototype:design."""
+"""The fleet at its beginning. Paper: sec:prototype:design."""
 
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ class Member(NamedTuple):
 
     @property
     def supervisor(self) -> Supervisor | None:
-        """Its own supervisor, if it has one."""
+        """Return its own supervisor, if it has one."""
         return local_supervisor(self.name) if self.design.has_supervisor else None
 
 
@@ -42,15 +42,15 @@ def members(fleet_size: int, fleet: Fleet | None = None) -> tuple[Member, ...]:
 
 
 def floor_of(team: int, floor_teams: int) -> int:
-    """Return the floor on which the team works, from 1; as many teams as that share one."""
+    """Return the floor on which the team works, from 1; this many teams share one."""
     return (team - 1) // floor_teams + 1
 
 
 def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | None = None) -> tuple[Event, ...]:
     """Return the events that found the fleet: members, capabilities, trust and policy. Paper: sec:prototype:design.
 
-    Trust and policy are given by role, so there are as many entries for any number of teams; a fleet that needs one floor
-    names no place.
+    Trust and policy are given by role, so there are as many entries for any number of teams; a fleet that needs one
+    floor names no place.
     """
     design = fleet or registered_fleet()
     everyone = members(fleet_size, design)

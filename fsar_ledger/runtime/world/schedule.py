@@ -1,4 +1,4 @@
-"""The schedule: everything the world does by itself, generated before the run, whatever happens in it.
+"""The schedule: everything the world does by itself, generated before the run and independent of it.
 
 It is a function of constants, seed, scenario, run and fleet size; a designer's own scenario and fleet are among the
 constants. Each robot's streams are its own, so another draw in one stream moves no other.
@@ -98,12 +98,12 @@ def teams_working(constants: Constants, fleet_size: int) -> int:
 
 
 def _expected(mean_s: float, until_s: float) -> float:
-    """How many instants `_arrivals` makes on average, which are a microsecond apart at least."""
+    """Return how many instants `_arrivals` makes on average; they are a microsecond apart at least."""
     return max(0.0, until_s * 1e6) / max(1.0, mean_s * 1e6)
 
 
 def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size: int) -> tuple[Fact, ...]:
-    """The tasks of the scenario, in a world that disturbs them."""
+    """Return the tasks of the scenario, in a world that disturbs them."""
     world, outages = constants.world, constants.outages
     everyone = members(fleet_size, constants.fleet)
     facts: list[Fact] = [(1, SyncPhaseSet(round(Stream(key, "sync-phase").uniform() * 1e6)))]
@@ -131,7 +131,7 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
 
 
 def _apart(facts: list[Fact]) -> tuple[Fact, ...]:
-    """The facts, each at a microsecond of its own; what would be later than any run is none of its facts."""
+    """Return the facts, each at a microsecond of its own, without those later than any run."""
     apart: list[Fact] = []
     last_us = 0
     for time_us, event in facts:
@@ -143,12 +143,12 @@ def _apart(facts: list[Fact]) -> tuple[Fact, ...]:
 
 
 def _mean_s(rate_per_s: float) -> float:
-    """The mean distance of what happens at this rate; infinite where it never happens."""
+    """Return the mean distance of what happens at this rate; infinite where it never happens."""
     return 1 / rate_per_s if rate_per_s else inf
 
 
 def _arrivals(stream: Stream, mean_s: float, until_s: float) -> list[int]:
-    """The instants of a Poisson process with this mean distance. Units: microseconds."""
+    """Yield the instants of a Poisson process with this mean distance. Units: microseconds."""
     if mean_s == inf:
         return []
     instants, time_us, until_us = [], stream.exponential_us(mean_s), round(until_s * 1e6)
@@ -171,10 +171,10 @@ def _window(
 
 def _contexts(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     instants = _arrivals(Stream(key, f"context/{robot}"), _mean_s(world.context_rate_per_s), world.horizon_s)
-    marks = Stream(key, f"context-window/{robot}")
+    draws = Stream(key, f"context-window/{robot}")
     facts: list[Fact] = []
     for ordinal, time_us in enumerate(instants):
-        if marks.uniform() < world.context_window_share:
+        if draws.uniform() < world.context_window_share:
             name = f"local/{robot[6:]}/{ordinal}"
             facts.append((time_us, ContextChanged(robot, name)))
             facts += _window(world, Stream(key, f"window/{name}"), robot, "local", name, time_us + 1)
@@ -198,7 +198,7 @@ def _obstructions(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]
 
 
 def _crowding(world: WorldConstants, key: bytes, robot: Robot, others: int) -> list[Fact]:
-    """So many robots of other teams are on the floor, and each is in the way now and then; a team keeps out of its own way."""
+    """Yield how each robot of other teams on the floor is in the way; a team keeps out of its own way."""
     return _in_the_way(world, key, robot, "crowding", world.crowding_rate_per_s * others)
 
 
@@ -213,16 +213,19 @@ def _in_the_way(world: WorldConstants, key: bytes, robot: Robot, what: str, rate
 
 
 def _routine(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
-    marks = Stream(key, f"routine-operation/{robot}")
+    draws = Stream(key, f"routine-operation/{robot}")
     instants = _arrivals(Stream(key, f"routine/{robot}"), _mean_s(world.routine_rate_per_s), world.routine_until_s)
     return [
-        (time_us, RoutineDue(robot, "motion" if marks.uniform() < world.motion_share else "sensing"))
+        (time_us, RoutineDue(robot, "motion" if draws.uniform() < world.motion_share else "sensing"))
         for time_us in instants
     ]
 
 
 def _absences(constants: Constants, key: bytes, member: Member) -> list[Fact]:
-    """The spells without the robot's own supervisor: the one absence, and those of the fleet's shifts; no two overlap."""
+    """Return the spells without the robot's own supervisor, none overlapping.
+
+    They are the one absence, and those of the fleet's shifts.
+    """
     supervisor, fleet = member.supervisor, constants.fleet
     if supervisor is None:
         return []
@@ -246,7 +249,7 @@ def _absences(constants: Constants, key: bytes, member: Member) -> list[Fact]:
 
 
 def _merged(spells: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """The spells in order, as one where they overlap or touch."""
+    """Return the spells in order, as one where they overlap or touch."""
     found: list[tuple[int, int]] = []
     for begin, end in sorted(spells):
         if found and begin <= found[-1][1]:
@@ -295,7 +298,10 @@ def _spells(
     until_s: float,
     edges: tuple[Event, Event],
 ) -> list[Fact]:
-    """Spells of something that is there or not, exponential as are the times between them: both edges of each that begins in time."""
+    """Yield both edges of each spell of something that begins in time.
+
+    Spells and the times between them are exponential.
+    """
     facts: list[Fact] = []
     begins_us, until_us = from_us + before.exponential_us(before_s), round(until_s * 1e6)
     while begins_us < until_us:

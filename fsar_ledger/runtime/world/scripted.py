@@ -1,7 +1,7 @@
 """The paper's workflows as worlds: their tasks and their wear, and no other disturbance.
 
-Paper: sec:prototype:workflows. What is scripted are facts of the world alone; what follows from them is FSAR's to decide. How long things take
-is drawn by the seed, as everywhere.
+Paper: sec:prototype:workflows. Only facts of the world are scripted; what follows from them is FSAR's to decide. The
+seed draws how long things take, as everywhere.
 """
 
 from fsar_ledger.constants import WorldConstants
@@ -13,7 +13,7 @@ from fsar_ledger.events.world import ActuatorDegraded, TaskArrived
 from .draws import FOREVER_US, Stream
 
 WEAR_AFTER_US = 1_000_000
-"""How long after the tasks' arrival an actuator degrades: while its robot is still on its first way, 2 s at least."""
+"""How long after the tasks' arrival an actuator degrades: while its robot is on its first way, 2 s at least."""
 
 
 def workflow_facts(world: WorldConstants, key: bytes, workflow: Workflow) -> list[tuple[int, Event]]:

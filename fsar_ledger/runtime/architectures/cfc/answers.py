@@ -1,4 +1,7 @@
-"""CFC: the coordinator calls supervisors, and who asked is not on its record of what they answered. Paper: sec:evaluation:baselines."""
+"""CFC: the coordinator calls supervisors, and records their answers without naming who asked.
+
+Paper: sec:evaluation:baselines.
+"""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import COORDINATOR
@@ -15,12 +18,12 @@ def _nobody(_request: Request) -> None:
 
 
 def respond(state: State, command: Respond) -> tuple[Event, ...]:
-    """The supervisor who was called has answered the coordinator, which does not know the requester."""
+    """Record the answer that the called supervisor gave the coordinator, which does not know the requester."""
     return supervision.respond(state, command, _nobody)
 
 
 def respond_to_call(state: State, command: RespondToCall) -> tuple[Event, ...]:
-    """The open call is answered by the supervisor it went to."""
+    """Let the supervisor who was called answer the open call."""
     return supervision.respond_to_call(state, command, _nobody)
 
 

@@ -1,4 +1,7 @@
-"""CFC: one coordinator serves all work in order of arrival and reads periodically synced copies. Paper: sec:evaluation:baselines."""
+"""CFC: one coordinator serves all work in order of arrival and reads periodically synced copies.
+
+Paper: sec:evaluation:baselines.
+"""
 
 from fsar_ledger.events.envelope import (
     COORDINATOR,
@@ -25,18 +28,18 @@ NO_TIME = "no time left"  # why a step is denied whose task would be given up be
 
 
 class Sync(Command):
-    """The robots' states are due to be copied."""
+    """Copy the states of the robots, which are due."""
 
 
 class ReachCoordinator(Command):
-    """A message about an action has reached the coordinator."""
+    """Deliver a message about an action to the coordinator."""
 
     action_id: str
     item: str
 
 
 class ProcessWork(Command):
-    """The coordinator has come to this item of work."""
+    """Process the item of work that is next at the coordinator."""
 
     action_id: str
     item: str
@@ -48,19 +51,19 @@ def by_coordinator(executor: Robot | None) -> Principals:
 
 
 def to_coordinator(action_id: str, item: str, draw: Draw) -> Scheduled:
-    """Word of the action reaches the coordinator after a message."""
+    """Schedule word of the action to the coordinator, one message away."""
     return Scheduled(ReachCoordinator(action_id, item), 0, (draw,))
 
 
 def until_next_sync_us(state: State, now_us: int) -> int:
-    """Time until just after the copies are next refreshed. Units: microseconds."""
+    """Return the time until just after the copies are next refreshed. Units: microseconds."""
     period_us = state.fleet.structure.sync_period_us
     offset_us = state.knowledge.sync_phase_ppm * period_us // 1_000_000
     return period_us - (now_us - offset_us) % period_us + 1
 
 
 def copied_policy(state: State, robot: Robot) -> PolicyOutcome:
-    """The robot's own policy as the copy shows it."""
+    """Return the robot's own policy as the copy shows it."""
     copy = state.knowledge.copy
     if robot in copy.local_deny:
         return "deny"
@@ -68,7 +71,7 @@ def copied_policy(state: State, robot: Robot) -> PolicyOutcome:
 
 
 def copied_rule(state: State, robot: Robot) -> PolicyOutcome:
-    """The fleet's rule for the robot's zone as the copy shows it."""
+    """Return the fleet's rule for the robot's zone as the copy shows it."""
     copy = state.knowledge.copy
     if robot in copy.fleet_deny:
         return "deny"
@@ -76,13 +79,13 @@ def copied_rule(state: State, robot: Robot) -> PolicyOutcome:
 
 
 def candidates_of(state: State, action_id: str) -> tuple[Robot, ...]:
-    """Whom the coordinator considers for a step: its own robot, or every capable other one."""
+    """Return whom the coordinator considers for a step: its own robot, or every other capable one."""
     request = state.request[action_id]
     return capable(state, request.capability, request.requester) if request.is_delegated else (request.requester,)
 
 
 def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
-    """The copies show the robots as they are now; of one that does not answer, as they were."""
+    """Copy the robots as they are now; keep the last copy of those that do not answer."""
     robots, copy = state.fleet.robots, state.knowledge.copy
     silent = state.world.off | state.world.unlinked
     local = {robot: in_force(state.world.local, robot) for robot in state.world.local}
@@ -108,10 +111,11 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
 def reach_coordinator(
     state: State, command: ReachCoordinator
 ) -> tuple[GapDetected | WorkQueued | RequestDenied | TaskAbandoned, ...]:
-    """The item waits for the coordinator; a gap is on record without who has it.
+    """Queue the item for the coordinator; record a gap without who has it.
 
-    The coordinator knows its own queue: a step that it would come to only after the task is given up is given up at once, so that a queue
-    that grows faster than it is served stays as long as tasks last. The denial of the step says on record that it was the coordinator's decision.
+    The coordinator knows its own queue, so it gives up at once a step that it would only reach after the task is given
+    up. A queue that grows faster than it is served therefore stays as long as tasks last. The denial of such a step
+    names the coordinator as decider.
     """
     action = state.execution.actions.get(command.action_id)
     request = state.request.get(command.action_id)

@@ -1,4 +1,7 @@
-"""CFC: robots are thin endpoints that execute what they are told, without a local check. Paper: sec:evaluation:baselines."""
+"""CFC: robots are thin endpoints that execute what they are told, without a local check.
+
+Paper: sec:evaluation:baselines.
+"""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
@@ -37,20 +40,20 @@ from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_nex
 
 
 class SafeStop(Command):
-    """The context of a robot has changed while the coordinator holds actions of it or for it."""
+    """Make a robot whose context has changed safe, while the coordinator holds actions of it or for it."""
 
     robot: Robot
     window: str | None
 
 
 class EndWatch(Command):
-    """A policy window that a local supervisor watched over has closed."""
+    """End a local supervisor's watch over a policy window that has closed."""
 
     window: str
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """The robot executes."""
+    """Start the execution."""
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage not in ("queued", "approaching"):
         return ()
@@ -58,7 +61,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
 
 
 def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
-    """The robot claims override over the actions it is party to; where a window opened, both supervisors claim supervision."""
+    """Let the robot claim override over its actions, and both supervisors claim supervision where a window opened."""
     claimed: list[Event] = []
     for action_id in _held(state, command.robot):
         task_id = state.request[action_id].task_id
@@ -77,7 +80,7 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
 
 
 def _held(state: State, robot: Robot) -> list[str]:
-    """Actions whose execution the coordinator claims and to which the robot is party."""
+    """Return the robot's actions whose execution the coordinator claims."""
     held = []
     for action_id, claims in state.authority.claims.items():
         request = state.request.get(action_id)
@@ -89,14 +92,14 @@ def _held(state: State, robot: Robot) -> list[str]:
 
 
 def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
-    """The local supervisor no longer claims what it watched over in this window."""
+    """Release what the local supervisor watched over in this window."""
     return released(
         claim for claims in state.authority.claims.values() for claim in claims if claim.reason == command.window
     )
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
-    """The robot has done its routine operation; a motion unless the last copy says that policy or rule forbid it."""
+    """Perform the routine operation; withhold a motion that the last copy of policy or rule forbids."""
     robot = command.robot
     principals = Parties(requested_by=robot, executed_by=robot, supervised_by=FLEET_SUPERVISOR).decided(robot)
     if command.operation == "motion" and "deny" in (copied_policy(state, robot), copied_rule(state, robot)):
@@ -116,7 +119,7 @@ def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> 
 
 
 def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:
-    """The coordinator learns of it with the next sync."""
+    """Tell the coordinator of the pause with the next sync."""
     return (
         Scheduled(
             ReachCoordinator(event.subject.action_id, "replan"),

@@ -1,4 +1,7 @@
-"""CFC: every failure goes to the coordinator, which retries, sends a helper, or calls H_F. Paper: sec:evaluation:baselines."""
+"""CFC: every failure goes to the coordinator, which retries, sends a helper, or calls H_F.
+
+Paper: sec:evaluation:baselines.
+"""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Principals, Robot, Subject
@@ -38,14 +41,14 @@ from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, copied_p
 
 
 class ReachHelper(Command):
-    """The order to help has reached the helper."""
+    """Deliver the order to help to the helper."""
 
     action_id: str
     helper: Robot
 
 
 class GoOnWithoutHelp(Command):
-    """The coordinator has waited long enough for the helper's answer."""
+    """Stop waiting for the helper's answer."""
 
     action_id: str
     helper: Robot
@@ -53,7 +56,7 @@ class GoOnWithoutHelp(Command):
 
 
 def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
-    """One turn of recovery or replanning at the coordinator."""
+    """Take one turn of recovery or replanning at the coordinator."""
     action = state.execution.actions.get(command.action_id)
     if action is None:
         return ()
@@ -86,7 +89,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 
 def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
-    """A helper that the copy shows idle is sent, trust or not; without one H_F is called."""
+    """Send a helper that the copy shows idle, trusted or not; call H_F where there is none."""
     subject, principals = Subject(action.task_id, None), by_coordinator(action.robot)
     for helper in helpers(state, action, recovery.cause):
         if helper not in state.knowledge.copy.busy and helper not in recovery.tried:
@@ -116,7 +119,7 @@ def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event
 
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
-    """The ordered retry has resolved the failure, or not."""
+    """End the ordered retry, which resolved the failure or did not."""
     failure = open_failure(state, command.action_id)
     if failure is None:
         return ()
@@ -131,7 +134,7 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
 
 
 def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
-    """The helper helps, or answers that it is busy."""
+    """Admit the request for help, or decline it while the helper is busy."""
     failure = open_failure(state, command.action_id)
     if failure is None:
         return ()
@@ -159,7 +162,7 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
 
 
 def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, ...]:
-    """A helper that has not answered in time is work for the coordinator again. Reading: R44."""
+    """Give the coordinator the failure again when the helper has not answered in time. Reading: R44."""
     failure = open_failure(state, command.action_id)
     if failure is None or (failure[1].failure, failure[1].awaited) != (command.failure, command.helper):
         return ()
@@ -167,7 +170,7 @@ def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, .
 
 
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
-    """The helper has resolved the failure and is free again, or could not."""
+    """Free the helper, which resolved the failure or could not."""
     return assistance.end_assistance(state, command, "fleet")
 
 

@@ -60,39 +60,39 @@ AGAIN = "assigned again: "
 
 
 class CommandReviewed(Command):
-    """H_F has decided on what policy wanted reviewed."""
+    """Take H_F's decision on what policy wanted reviewed."""
 
     action_id: str
 
 
 class ReceiveCommand(Command):
-    """The command has reached the robot."""
+    """Deliver the command to the robot."""
 
     action_id: str
     robot: Robot
 
 
 class GoOnWithout(Command):
-    """The coordinator has waited long enough for the robot's word that it has the command."""
+    """Stop waiting for the robot to confirm the command."""
 
     action_id: str
     robot: Robot
 
 
 class QueueOrdered(Command):
-    """H_F has put two commands in order."""
+    """Take the order in which H_F has put two commands."""
 
     action_id: str
 
 
 class DenyOutsider(Command):
-    """An out-of-trust request has reached the coordinator."""
+    """Deny an out-of-trust request that has reached the coordinator."""
 
     action_id: str
 
 
 def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
-    """The coordinator has dealt with one item of its work."""
+    """Process one item of the coordinator's work."""
     match command.item:
         case "step" | "again":
             return _match(state, command)
@@ -103,7 +103,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 
 def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
-    """The coordinator has picked a robot by its copy and gated the step on the executor's copied policy and the fleet's rule."""
+    """Pick a robot by the coordinator's copy, then gate the step on the copied policy and the fleet's rule."""
     request = state.request.get(command.action_id)
     if request is None or request.task_id not in state.task:
         return ()
@@ -141,7 +141,7 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 
 def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...]:
-    """The approved step is commanded; one that was not approved is denied."""
+    """Command the approved step, or deny one that was not approved."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -177,7 +177,10 @@ def _commanding(executor: Robot | None) -> Principals:
 
 
 def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
-    """The command waits in the robot's queue; a second delegation to a robot not seen to be taken is first put in order by H_F."""
+    """Queue the command at the robot; ask H_F for the order where it would be a second delegation.
+
+    H_F is asked only when the coordinator's copy did not show the robot as taken.
+    """
     request = state.request.get(command.action_id)
     robot = command.robot
     if (
@@ -196,7 +199,7 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
-    """A command that no robot has confirmed in time is taken back, and its step is matched again. Reading: R44."""
+    """Take back a command that no robot confirmed in time, and match its step again. Reading: R44."""
     request = state.request.get(command.action_id)
     if request is None or request.target != command.robot or request.is_received:
         return ()
@@ -207,7 +210,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
 
 
 def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
-    """The second command waits its turn and no longer claims the running action."""
+    """Let the second command wait its turn and release its claim on the running action."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -238,13 +241,13 @@ def _queued(request: Request, robot: Robot) -> ExecutionQueued:
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
-    """Every claim on the execution has ended, but the coordinator's override until it has processed the completion."""
+    """End every claim on the execution, except the coordinator's override, which ends with the completion."""
     claims = state.authority.claims.get(command.action_id, ())
     return released(claim for claim in claims if (claim.dimension, claim.claimant) != ("override", COORDINATOR))
 
 
 def _complete(state: State, command: ProcessWork) -> tuple[Event, ...]:
-    """The coordinator has closed the step."""
+    """Close the step at the coordinator."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -255,7 +258,7 @@ def _complete(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 
 def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
-    """The coordinator has denied a request without trust."""
+    """Deny a request without trust at the coordinator."""
     request = state.request[command.action_id]
     return (
         GapDetected(
@@ -316,7 +319,7 @@ def _on_finish(_state: State, event: ExecutionFinished, _now_us: int) -> tuple[S
 
 
 def _on_release(state: State, event: AuthorityReleased, _now_us: int) -> tuple[Scheduled, ...]:
-    """Nothing is completed by taking a command back."""
+    """Schedule the completion of the step, unless its command was taken back."""
     request = state.request.get(event.subject.action_id)
     is_taken_back = request is not None and request.is_delegated and request.target is None
     if (event.dimension, event.claimant) != ("override", COORDINATOR) or is_taken_back:

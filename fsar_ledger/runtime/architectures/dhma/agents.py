@@ -20,34 +20,34 @@ from fsar_ledger.runtime.handlers.execution import pause_running
 
 
 class TakeSnapshot(Command):
-    """A planner refreshes its snapshot of the robot's own policy."""
+    """Refresh a planner's snapshot of the robot's own policy."""
 
     robot: Robot
 
 
 class EngagePlanner(Command):
-    """A context change needs the planner's attention, and puts open contracts in question."""
+    """Direct the planner to a context change, which puts open contracts in question."""
 
     robot: Robot
 
 
 def planner(robot: Robot) -> Agent:
-    """The robot's planning agent."""
+    """Return the robot's planning agent."""
     return agent(robot, "planning")
 
 
 def snapshot(state: State, robot: Robot) -> PolicyOutcome:
-    """The robot's own policy as its planner last saw it."""
+    """Return the robot's own policy as its planner last saw it."""
     return state.knowledge.snapshot.get(robot, "allow")
 
 
 def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
-    """The planner sees the policy as it is now."""
+    """Refresh the planner's snapshot with the policy as it is now."""
     return (SnapshotTaken(command.robot, in_force(state.world.local, command.robot)),)
 
 
 def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
-    """Every agent that is party to an open action of the robot claims override until it ends."""
+    """Let every agent that is party to an open action of the robot claim override until the action ends."""
     robot = command.robot
     made: list[Event] = [PlannerEngaged(robot, command.now_us + state.fleet.structure.engagement_us)]
     for action in state.execution.actions.values():
@@ -70,7 +70,7 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
 
 
 def _has_started(state: State, request: Request) -> bool:
-    """True when no contract is left to question: the action runs, has ended, or is an outsider's, which has none."""
+    """Tell whether no contract is left to question: the action runs, has ended, or is an outsider's."""
     if request.step == 0:
         return True
     action = state.execution.actions.get(request.action_id)
@@ -82,7 +82,7 @@ def _has_started(state: State, request: Request) -> bool:
 def claims(
     state: State, action: Action, dimension: Any, claimants: tuple[Agent, ...], reason: str
 ) -> list[AuthorityClaimed]:
-    """The claims that these agents make and do not hold already."""
+    """Return the claims that these agents make and do not hold already."""
     known = {
         (claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims.get(action.action_id, ())
     }
@@ -94,14 +94,14 @@ def claims(
 
 
 def released(state: State, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:
-    """The open claims on the action end, or those made for this reason."""
+    """Release the open claims on the action, all of them or those made for this reason."""
     return end_claims(
         claim for claim in state.authority.claims.get(action_id, ()) if reason is None or claim.reason == reason
     )
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
-    """Authority over the finished execution has ended."""
+    """End authority over the finished execution."""
     return released(state, command.action_id)
 
 

@@ -1,4 +1,7 @@
-"""DHMA: execution authority goes from agent to agent, and each keeps it until the next acknowledges. Paper: sec:evaluation:baselines."""
+"""DHMA: agents pass execution authority on, and each keeps it until the next acknowledges.
+
+Paper: sec:evaluation:baselines.
+"""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
@@ -16,7 +19,7 @@ from .talk import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION,
 
 
 class PassExecution(Command):
-    """The work has reached the next agent of the executor."""
+    """Deliver the work to the executor's next agent."""
 
     action_id: str
     round: int
@@ -25,7 +28,7 @@ class PassExecution(Command):
 
 
 class AcknowledgeExecution(Command):
-    """The receiver's acknowledgement has reached the sender."""
+    """Deliver the receiver's acknowledgement to the sender."""
 
     action_id: str
     round: int
@@ -33,19 +36,19 @@ class AcknowledgeExecution(Command):
 
 
 class SettleBooking(Command):
-    """The two agents have agreed about the other task's action."""
+    """Settle the double booking that the two agents have agreed about."""
 
     action_id: str
 
 
 class RunOutsider(Command):
-    """A nested query has carried an out-of-trust request past visibility."""
+    """Run an out-of-trust request that a nested query has carried past visibility."""
 
     action_id: str
 
 
 def _under_contract(state: State, action_id: str, contract: int) -> Action | None:
-    """The action, as long as this round's contract holds it."""
+    """Return the action while this round's contract holds it."""
     action, request = state.execution.actions.get(action_id), state.request.get(action_id)
     if action is None or request is None or request.round != contract or action.stage == "withdrawn":
         return None
@@ -53,7 +56,7 @@ def _under_contract(state: State, action_id: str, contract: int) -> Action | Non
 
 
 def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
-    """The receiver claims execution too."""
+    """Let the receiver claim execution as well."""
     action = _under_contract(state, command.action_id, command.round)
     if action is None:
         return ()
@@ -62,7 +65,7 @@ def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
 
 
 def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[Event, ...]:
-    """The sender no longer claims execution."""
+    """Release the sender's claim on execution."""
     action = _under_contract(state, command.action_id, command.round)
     if action is None:
         return ()
@@ -75,12 +78,12 @@ def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[
 
 
 def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
-    """The double booking is resolved."""
+    """Resolve the double booking."""
     return released(state, command.action_id, "double booking")
 
 
 def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
-    """The request runs unchecked; nobody is on record for executing or supervising it."""
+    """Run the request unchecked, without an executor or a supervisor on record."""
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
@@ -106,7 +109,10 @@ def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
 
 
 def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple[Scheduled, ...]:
-    """The chain communication -> planning -> execution, each link one hop, each acknowledgement one hop."""
+    """Pass execution from communication to planning to the execution agent.
+
+    Each link takes one hop, and so does each acknowledgement.
+    """
     request = state.request.get(event.subject.action_id)
     if request is None or request.target is None:
         return ()
@@ -142,7 +148,7 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
 
 
 def _heard(said: Said, command: Command) -> tuple[Scheduled, ...]:
-    """What follows when the agents have talked, and the record of it."""
+    """Schedule what follows once the agents have talked, and the record of their talk."""
     lengths, record = said
     return (Scheduled(command, 0, lengths), record)
 

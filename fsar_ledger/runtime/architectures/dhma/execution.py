@@ -39,19 +39,19 @@ from .talk import OWN_STEP, RENEGOTIATION, REPLANNING, path, talk
 
 
 class PlanOwnStep(Command):
-    """A step of the robot's own is due."""
+    """Plan a step of the robot's own."""
 
     action_id: str
 
 
 class QueueOwnStep(Command):
-    """The execution agent has the plan."""
+    """Deliver the plan to the execution agent."""
 
     action_id: str
 
 
 def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
-    """The planner has decided to do the step, or its snapshot forbids it for now."""
+    """Decide to do the step, unless the planner's snapshot forbids it for now."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -68,7 +68,7 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
 
 
 def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
-    """The step waits for the robot."""
+    """Queue the step for the robot."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -90,7 +90,7 @@ def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """The robot executes, unless a party's context has changed since the award: then the contract is void."""
+    """Start the execution, or void the contract if a party's context has changed since the award."""
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage not in ("queued", "approaching"):
         return ()
@@ -105,7 +105,10 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
-    """Sensing is one agent's; a motion is the planner's decision, of which it and the execution agent each record a half, and engages it."""
+    """Perform the routine operation: sensing by one agent, a motion by the planner.
+
+    A motion engages the planner; the planner and the execution agent each record a half of it.
+    """
     robot, supervisor = command.robot, on_shift(state, command.robot)
     if command.operation == "sensing":
         return (
@@ -152,7 +155,7 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
 
 
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
-    """Replanning goes through the robot's agents, and for a delegated action through the other robot's too."""
+    """Replan through the robot's agents, and for a delegated action through the other robot's as well."""
     structure = state.fleet.structure
     action = state.execution.actions[event.subject.action_id]
     key = f"{event.subject.action_id}/replan{action.segments}"

@@ -1,4 +1,7 @@
-"""DHMA: the recovery agent must agree with planning and execution, and may dispute ownership. Paper: sec:evaluation:baselines."""
+"""DHMA: the recovery agent must agree with planning and execution, and may dispute ownership.
+
+Paper: sec:evaluation:baselines.
+"""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principals, agent
@@ -21,19 +24,19 @@ DISPUTE = "dispute"
 
 
 class Dispute(Command):
-    """The planner is engaged while the robot recovers, or was just before."""
+    """Dispute a recovery while the robot's planner is engaged, or was just before."""
 
     action_id: str
 
 
 class StartRecovery(Command):
-    """The recovery agent has been told and has asked the others."""
+    """Start recovery once the recovery agent has been told and has asked the others."""
 
     action_id: str
 
 
 class Escalate(Command):
-    """The robot's agents have given up."""
+    """Escalate a failure that the robot's agents have given up on."""
 
     action_id: str
 
@@ -47,7 +50,7 @@ def _is_disputed(state: State, action_id: str) -> bool:
 
 
 def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
-    """Recovery and planning agent both claim override until the failure is over."""
+    """Let the recovery and the planning agent both claim override until the failure is over."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "local":
             claimants = (agent(action.robot, "recovery"), planner(action.robot))
@@ -57,7 +60,7 @@ def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
 
 
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
-    """The first attempt to recover has begun."""
+    """Start the first attempt to recover."""
     match open_failure(state, command.action_id):
         case action, recovery:
             return (_attempted(state, action, recovery),)
@@ -79,7 +82,10 @@ def _attempted(state: State, action: Action, recovery: Recovery) -> RecoveryAtte
 
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
-    """The failure is resolved, or the next attempt has begun; a disputed one leaves only one attempt, and then loops."""
+    """Resolve the failure or start the next attempt.
+
+    A disputed failure gets one attempt only and then loops.
+    """
     match open_failure(state, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
             if attempt_succeeds(state, recovery, command):
@@ -99,7 +105,7 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
 
 
 def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
-    """H_F has been called."""
+    """Call H_F."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "local":
             return (*_escalated(state, action, recovery, ("recovery",)), *released(state, action.action_id, DISPUTE))

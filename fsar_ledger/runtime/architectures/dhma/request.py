@@ -5,13 +5,12 @@ from typing import Any
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, PolicyOutcome, Principal, Robot, agent
-from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
+from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
     AwardMade,
     BidSubmitted,
-    ContractVoided,
     GapDetected,
     RequestAccepted,
     RequestAdmitted,
@@ -21,8 +20,7 @@ from fsar_ledger.events.request import (
     RequestIssued,
     RequestUnanswered,
 )
-from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
-from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
@@ -31,46 +29,37 @@ from fsar_ledger.runtime.handlers.actors import named, requester, target
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
-    BeginStep,
-    CloseExecution,
     CloseRequest,
     Command,
-    CompleteStep,
     Decides,
-    Draw,
     Reacts,
-    Scheduled,
-    at_once,
-    message,
 )
 
 from .agents import snapshot
-from .talk import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, path, talk
-
-LONGEST = 3  # a call that is delivered within the answer time, and two hops, are over after so many of them
+from .talk import CALL, EVALUATION, path
 
 
 class DetectGap(Command):
-    """The step needs another robot."""
+    """Detect that the step needs another robot."""
 
     action_id: str
 
 
 class CallForProposals(Command):
-    """The communication agent has the planner's wish."""
+    """Deliver the planner's wish to the communication agent."""
 
     action_id: str
 
 
 class EvaluateBid(Command):
-    """A candidate's planner has the call and its snapshot before it."""
+    """Judge the call by the snapshot of a candidate's planner."""
 
     action_id: str
     robot: Robot
 
 
 class ReceiveBid(Command):
-    """A bid has been relayed to the requester's planner."""
+    """Deliver a relayed bid to the requester's planner."""
 
     action_id: str
     robot: Robot
@@ -78,13 +67,16 @@ class ReceiveBid(Command):
 
 
 class Award(Command):
-    """All bids are in, or H_F has approved the one under review."""
+    """Award the contract when all bids are in, or when H_F has approved the one under review."""
 
     action_id: str
 
 
 class CloseBidding(Command):
-    """The time in which the calls of this round should have been delivered is over; `is_last` when who was called in time has judged it, too."""
+    """End the time in which the calls of this round should have been delivered.
+
+    `is_last`: all who were called in time have judged the call as well.
+    """
 
     action_id: str
     round: int
@@ -92,20 +84,20 @@ class CloseBidding(Command):
 
 
 class GoOnWithout(Command):
-    """The requester has waited long enough for the word of the robot that was awarded the contract in this round."""
+    """Stop waiting for the robot that was awarded the contract in this round."""
 
     action_id: str
     round: int
 
 
 class AcceptAward(Command):
-    """The award has reached the executor's communication agent."""
+    """Deliver the award to the executor's communication agent."""
 
     action_id: str
 
 
 def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
-    """The first bid that allows, else the first under review, else None."""
+    """Return the first bid that allows, else the first under review, else None."""
     for wanted in ("allow", "review"):
         for robot, outcome in request.bids:
             if outcome == wanted:
@@ -114,7 +106,7 @@ def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
 
 
 def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
-    """The planner has found that the step needs another robot."""
+    """Record the planner's finding that the step needs another robot."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -129,7 +121,7 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
 
 
 def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
-    """Every capable robot has been called."""
+    """Call every capable robot."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -149,7 +141,7 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
 
 
 def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
-    """The candidate has bid by its planner's snapshot; its bid does not say which of its agents would execute."""
+    """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -174,7 +166,7 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
 
 
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
-    """The planner knows the bid."""
+    """Record the bid at the requester's planner."""
     request = state.request.get(command.action_id)
     return (
         ()
@@ -184,7 +176,7 @@ def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
 
 
 def award(state: State, command: Award) -> tuple[Event, ...]:
-    """The contract is awarded, or the best bid is put before H_F."""
+    """Award the contract, or put the best bid before H_F."""
     request = state.request.get(command.action_id)
     best = best_bid(request) if request is not None else None
     if (
@@ -206,9 +198,10 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
 
 
 def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
-    """Whom the call has not reached in time counts as a refusal: the contract goes to the best of the others, or nobody has answered. Reading: R44.
+    """Count robots that the call did not reach in time as refusals, and award to the best of the others.
 
-    A bid that is on its way is waited for, and so is a robot that the call has reached but whose agents still judge it.
+    The request is unanswered if none is left. A bid that is on its way is waited for, and so is a robot that the call
+    has reached but whose agents still judge it. Reading: R44.
     """
     request = state.request.get(command.action_id)
     if (
@@ -231,7 +224,7 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
-    """An award that was not accepted in time is no contract: the step is tried again later. Reading: R44."""
+    """Void an award that was not accepted in time; the step is tried again later. Reading: R44."""
     request = state.request.get(command.action_id)
     if request is None or request.round != command.round or request.target is None or request.is_accepted:
         return ()
@@ -245,7 +238,7 @@ def _unanswered(state: State, request: Request, executor: Robot | None) -> Reque
 
 
 def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
-    """The executor is committed; its communication agent claims execution until the planner acknowledges."""
+    """Commit the executor; its communication agent claims execution until the planner acknowledges."""
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
@@ -287,124 +280,13 @@ def _parties(state: State, request: Request, near: Robot, executor: Robot | None
 
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
-    """The requester's communication agent has closed the request."""
+    """Close the request at the requester's communication agent."""
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
     parties = _parties(state, request, request.target, request.target)
     principals = parties.decided(*path(request.requester, ("communication",)))
     return (RequestClosed(request.request_subject, principals),)
-
-
-def call(state: State, request: Request, robot: Robot, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
-    """The call reaches the candidate, whose agents work out a bid; `before` comes first."""
-    key = f"{request.action_id}/{request.round}/{robot}"
-    said, record = talk(state, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
-    return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
-
-
-def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DetectGap(event.subject.action_id)),) if event.target_role is not None else ()
-
-
-def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
-    assert event.subject.action_id is not None
-    said, record = talk(state, state.request[event.subject.action_id].requester, CALL, event.subject.action_id, 0)
-    return (Scheduled(CallForProposals(event.subject.action_id), 0, said), record)
-
-
-def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
-    assert event.subject.action_id is not None
-    request = state.request[event.subject.action_id]
-    calls = tuple(scheduled for robot in event.candidates for scheduled in call(state, request, robot))
-    return (*calls, *_closing(state, request, (at_once(request.requester),)))
-
-
-def _closing(state: State, request: Request, draws: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
-    """The bidding closes when the calls should have been delivered, or later by as long as a call that was delivered takes to be judged at the most."""
-    answer_us = state.fleet.answer_us
-    last = CloseBidding(request.action_id, request.round, is_last=True)
-    return (
-        Scheduled(CloseBidding(request.action_id, request.round), answer_us, draws),
-        Scheduled(last, LONGEST * answer_us, draws),
-    )
-
-
-def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(state.task[event.task_id].action_id) if event.task_id in state.task else None
-    if request is None:
-        return ()
-    key = f"{request.action_id}/{request.round}/{event.robot}"
-    received = ReceiveBid(request.action_id, event.robot, event.outcome)
-    said, record = talk(state, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
-    return (Scheduled(received, 0, said), record)
-
-
-def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request[event.subject.action_id]
-    if len(request.bids) < len(request.candidates):  # it may have been the last one that was waited for
-        return _closing(state, request, (at_once(request.requester),))
-    if best_bid(request) is None:
-        return (
-            Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),
-        )
-    return (Scheduled(Award(event.subject.action_id)),)
-
-
-def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.subject.action_id)
-    if event.purpose != "review" or request is None or not request.is_delegated:
-        return ()
-    return (Scheduled(Award(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
-
-
-def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
-    task = state.task.get(event.task_id)
-    if task is None:  # given up meanwhile
-        return ()
-    request = state.request[task.action_id]
-    told = Scheduled(
-        AcceptAward(request.action_id), 0, (message(request.requester, request.action_id, f"award/{request.round}"),)
-    )
-    return (
-        told,
-        Scheduled(GoOnWithout(request.action_id, request.round), state.fleet.answer_us, (at_once(request.requester),)),
-    )
-
-
-def _on_unanswered(state: State, event: RequestUnanswered, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
-
-
-def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
-    """Both sides' agents agree that it is void and negotiate again, under the same action."""
-    request = state.request[event.subject.action_id]
-    key = f"{request.action_id}/{request.round}/void"
-    said, record = talk(state, event.robot, VOIDING, key, "void")
-    agreed, other = talk(state, request.requester, RELAY, key, "again", (*said, message(event.robot, key, "void")))
-    calls = tuple(scheduled for robot in request.candidates for scheduled in call(state, request, robot, agreed))
-    return (*calls, record, other, *_closing(state, request, agreed))
-
-
-def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.subject.action_id)
-    close = Scheduled(CloseExecution(event.subject.action_id))
-    if request is None or request.step == 0:
-        return (close,)
-    said, record = talk(
-        state, event.robot, RESULT if request.is_delegated else OWN_RESULT, event.subject.action_id, "result"
-    )
-    if not request.is_delegated:
-        return (close, Scheduled(CompleteStep(event.subject.action_id), 0, said), record)
-    return (
-        close,
-        Scheduled(CloseRequest(event.subject.action_id), 0, (*said, message(event.robot, event.subject.action_id, 4))),
-        record,
-    )
-
-
-def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(CompleteStep(event.subject.action_id)),)
 
 
 DECIDES: Decides = {
@@ -429,16 +311,4 @@ ACTORS: Actors = {
     AcceptAward: target,
     CloseRequest: requester,
 }
-REACTS: Reacts = {
-    StepBegan: _on_step,
-    GapDetected: _on_gap,
-    RegistryQueried: _on_call,
-    BidSubmitted: _on_bid,
-    BidReceived: _on_bid_received,
-    SupervisorResponded: _on_response,
-    AwardMade: _on_award,
-    RequestUnanswered: _on_unanswered,
-    ContractVoided: _on_void,
-    ExecutionFinished: _on_finish,
-    RequestClosed: _on_close,
-}
+REACTS: Reacts = {}

@@ -1,7 +1,8 @@
-"""DHMA: the agents of a robot talk in hops, and one definition of a talk says how long it takes, what is on record of it, and who was on the way.
+"""DHMA: talks between the agents of a robot, with their duration, their record and their path in one definition.
 
-A talk is the row of agents through which the work goes. Each hop in it takes the latency of an internal message and leaves one record, in
-every phase; what is decided at its end has these agents as its path. Paper: sec:evaluation:baselines. Reading: R21.
+A talk is the row of agents through which the work goes. Each hop in it takes the latency of an internal message and
+leaves one record, in every phase; what is decided at its end has these agents as its path. Paper:
+sec:evaluation:baselines. Reading: R21.
 """
 
 from fsar_ledger.events.envelope import Agent, AgentKind, Parties, Robot, agent
@@ -47,14 +48,14 @@ RENEGOTIATION: Talk = (
 
 
 class HandOver(Command):
-    """The agents of a robot have talked."""
+    """Record a talk between the agents of a robot."""
 
     robot: Robot
     agents: Talk
 
 
 def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
-    """Each hop is on record; no message says for whom the work is."""
+    """Record each hop; no message says for whom the work is."""
     names = path(command.robot, command.agents)
     supervisor = on_shift(state, command.robot)
     return tuple(
@@ -76,14 +77,17 @@ def talk(
     before: tuple[Draw, ...] = (),
     after_us: int = 0,
 ) -> Said:
-    """How long it takes until these agents of the robot have talked, after what comes `before` (and `after_us`), and that it is put on record then."""
+    """Return how long these agents talk, and schedule the record of it.
+
+    The talk begins after what comes `before` it, and after `after_us`.
+    """
     said = (hop(state, key, name),) if len(agents) == 2 else hops(state, key, str(name), len(agents) - 1)
     lengths = (*before, *said)
     return lengths, Scheduled(HandOver(robot, agents), after_us, lengths)
 
 
 def path(robot: Robot, agents: Talk) -> tuple[Agent, ...]:
-    """Return the path of a decision that went through these agents of the robot; the last one decided."""
+    """Return the path of a decision that went through these agents of the robot, decider last."""
     return tuple(agent(robot, kind) for kind in agents)
 
 

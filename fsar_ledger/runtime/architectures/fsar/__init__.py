@@ -1,6 +1,9 @@
-"""Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates. Paper: eq:federation, eq:fleet-model."""
+"""Federated single-agent robotics: every robot stays one accountable principal, and the federation coordinates.
 
-from fsar_ledger.runtime.architectures.wiring import Growth, Wiring, wire
+Paper: eq:federation, eq:fleet-model.
+"""
+
+from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
 from fsar_ledger.runtime.handlers import (
     advertising,
     assistance,
@@ -16,11 +19,11 @@ from fsar_ledger.runtime.handlers import authority as rights
 from fsar_ledger.runtime.handlers import execution as bodies
 from fsar_ledger.runtime.handlers import request as requests
 
-from . import authority, availability, discovery, execution, recovery, request
+from . import authority, availability, discovery, execution, recovery, request, request_reactions
 
 _PUBLIC = (fleet, registry, advertising, requests, rights, trust, policy)
 
-FSAR: Wiring = wire(
+FSAR: HandlerTable = HandlerTable.of(
     task,
     bodies,
     assistance,
@@ -28,6 +31,7 @@ FSAR: Wiring = wire(
     withdrawal,
     discovery,
     request,
+    request_reactions,
     execution,
     authority,
     recovery,

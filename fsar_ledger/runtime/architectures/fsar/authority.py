@@ -19,36 +19,36 @@ from fsar_ledger.runtime.handlers.registry import Query, rejecting_filter
 
 
 class Revoke(Command):
-    """A requester's context has changed while others execute for it."""
+    """Claim override over what others execute for a requester whose context has changed."""
 
     robot: Robot
 
 
 class AnswerOutsider(Command):
-    """A request without trust has reached the registry."""
+    """Answer a request without trust that has reached the registry."""
 
     action_id: str
 
 
 class RememberPeer(Command):
-    """Two robots have met."""
+    """Let two robots that have met remember each other."""
 
     robot: Robot
     peer: Robot
 
 
 def released(state: State, action_id: str) -> tuple[AuthorityReleased, ...]:
-    """Every open claim on the action ends."""
+    """Release every open claim on the action."""
     return end_claims(state.authority.claims.get(action_id, ()))
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
-    """Authority over the finished execution has ended."""
+    """End authority over the finished execution."""
     return released(state, command.action_id)
 
 
 def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
-    """The requester holds override over what runs for it, until the next request boundary."""
+    """Let the requester claim override over what runs for it, until the next request boundary."""
     revoked: list[Event] = []
     for action_id, claims in state.authority.claims.items():
         action = state.execution.actions.get(action_id)
@@ -62,7 +62,7 @@ def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
 
 
 def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
-    """The registry has denied what it does not show; without trust evaluation the request runs."""
+    """Deny what the registry does not show; without trust evaluation, run the request."""
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
@@ -122,7 +122,10 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
 
 
 def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: str) -> RegistryQueried:
-    """The registry's answer to an outsider: not the robot that was asked for, by the filter that leaves it out (shown to nobody: visibility)."""
+    """Return the registry's answer to an outsider, with the filter that leaves out the robot it asked for.
+
+    The filter is visibility where the robot is shown to nobody.
+    """
     record = advertisement(state.registry, peer, capability)
     by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
     return RegistryQueried(
@@ -136,7 +139,7 @@ def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: 
 
 
 def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
-    """Both robots know each other for a while."""
+    """Let both robots know each other for a while."""
     until_us = command.now_us + state.fleet.structure.encounter_memory_us
     return (
         PeerRemembered(command.robot, command.peer, until_us),
@@ -164,7 +167,7 @@ def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) ->
 
 
 def _on_meeting(state: State, event: PeersMet, _now_us: int) -> tuple[Scheduled, ...]:
-    """Robots that cannot hear each other pass each other by."""
+    """Schedule the acquaintance of two robots, if they can hear each other."""
     if "shared-registry" not in state.fleet.without or not all(
         is_linked(state.world, one) for one in (event.robot, event.peer)
     ):

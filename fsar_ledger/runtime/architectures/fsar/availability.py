@@ -1,7 +1,10 @@
-"""FSAR: the registry hears who can do what: of a worn actuator from its robot, of silence from whoever got no answer. Paper: sec:architecture:registry.
+"""FSAR: how the registry learns what is available, from robots and from unanswered requests.
 
-Reading R44: the paper marks a robot offline that leaves "through failure detection". Nobody sees that a robot is off; the registry has it offline from the
-moment at which somebody waited for its answer in vain until its own word that it is back has come in.
+A robot reports a worn actuator; who got no answer reports silence. Paper: sec:architecture:registry.
+
+Reading R44: the paper marks a robot offline that leaves "through failure detection". Nobody sees that a robot is off.
+The registry has it offline from the moment at which somebody waited for its answer in vain until the robot's own word
+that it is back has come in.
 """
 
 from collections.abc import Iterable
@@ -19,20 +22,20 @@ from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reac
 
 
 class ReportActuator(Command):
-    """The robot's word about its actuator has reached the registry: degraded, or (False) in order again."""
+    """Deliver the robot's word about its actuator to the registry: degraded, or (False) in order again."""
 
     robot: Robot
     is_degraded: bool
 
 
 class ReportBack(Command):
-    """The robot's word that it can be asked again has reached the registry."""
+    """Deliver the robot's word that it can be asked again to the registry."""
 
     robot: Robot
 
 
 def found_silent(state: State, robots: Iterable[Robot]) -> tuple[AvailabilityChanged, ...]:
-    """The registry has those offline who did not answer; without one nobody is told."""
+    """Set those who did not answer offline in the registry, if it is in use."""
     if "shared-registry" in state.fleet.without:
         return ()
     news = [
@@ -46,7 +49,10 @@ def found_silent(state: State, robots: Iterable[Robot]) -> tuple[AvailabilityCha
 
 
 def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged, ...]:
-    """What the robot advertises is as available as before it was found silent, but for what has become of its actuator since."""
+    """Restore the availability from before the robot was found silent.
+
+    What has become of its actuator since is kept.
+    """
     return _present(state, command.robot)
 
 
@@ -69,9 +75,9 @@ def _present(state: State, robot: Robot, is_serviced: bool = False) -> tuple[Ava
 
 
 def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
-    """What the robot advertises is degraded, or ready again; what it had restricted or taken offline stays so.
+    """Set what the robot advertises to degraded, or back to ready, except what it restricted or took offline.
 
-    A word that was overtaken by what has happened since changes nothing; of a silent robot it says that it is back as well.
+    A report that later facts have overtaken changes nothing. A report of a silent robot also says that it is back.
     """
     if command.is_degraded != (command.robot in state.world.degraded):
         return ()

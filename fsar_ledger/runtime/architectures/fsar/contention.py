@@ -1,8 +1,11 @@
-"""FSAR: two requests for one robot, one of them time-critical, are put in order by H_F. Paper: sec:prototype:workflows (Workflow 3).
+"""FSAR: H_F orders two requests for one robot when one of them is time-critical.
 
-The policy resolver's outcome is then `review`: the request that was evaluated first calls H_F, the other joins the
-call, and both are evaluated again in the order that H_F has given: the second waits until the first is admitted or
-refused. A request that has not reached the executor by then holds nobody up. Without a time-critical task requests wait in order of arrival.
+Paper: sec:prototype:workflows (Workflow 3).
+
+The policy resolver's outcome is then `review`: the request that was evaluated first calls H_F and the other joins the
+call. Both are evaluated again in the order that H_F has given: the second waits until the first is admitted or refused.
+A request that has not reached the executor by then holds nobody up. Without a time-critical task, requests wait in
+order of arrival.
 """
 
 from fsar_ledger.events import Event
@@ -16,7 +19,9 @@ from fsar_ledger.runtime.handlers.task import is_critical
 
 
 def put_in_order(state: State, request: Request, executor: Robot, principals: Principals) -> tuple[Event, ...]:
-    """H_F is called to order this admissible request and its rival, or it waits for an answer, or for whom H_F lets go first; nothing without a rival.
+    """Call H_F to order this admissible request and its rival, or let it wait; do nothing without a rival.
+
+    It waits for H_F's answer, or for the rival that H_F lets go first.
 
     Reading: a request competes from the detection of its gap until the executor has admitted it.
     """
@@ -44,7 +49,7 @@ def put_in_order(state: State, request: Request, executor: Robot, principals: Pr
 
 
 def in_order(state: State, action_id: str, preferred: str | None) -> tuple[str, ...]:
-    """The requests that waited for H_F's answer about this action, in the order in which they go."""
+    """Return the requests that waited for H_F's answer about this action, in the order given."""
     called = [pair for pair in state.contention.orders if pair[0] == action_id]
     if not called:
         return ()
@@ -53,19 +58,19 @@ def in_order(state: State, action_id: str, preferred: str | None) -> tuple[str, 
 
 
 def held_up(state: State, action_id: str | None) -> tuple[str, ...]:
-    """The requests that waited for this one because H_F lets it go first."""
+    """Return the requests that waited for this one because H_F lets it go first."""
     orders = state.contention.orders.values()
     pairs = [(order.action_id, order.other) for order in orders if order.is_answered and order.preferred == action_id]
     return tuple(name for pair in pairs for name in pair if name != action_id and name in state.contention.arrived)
 
 
 def _goes_first(state: State, order: Order, rival: Request) -> bool:
-    """True while the rival that H_F lets go first waits for the executor's word itself."""
+    """Tell whether the rival that H_F lets go first is itself still waiting for the executor."""
     return order.preferred == rival.action_id and rival.action_id in state.contention.arrived and rival.offered is None
 
 
 def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
-    """The requests of other tasks that are not yet admitted, for the same robot, where one of both is time-critical."""
+    """Return the unadmitted requests of other tasks for the same robot, where either is time-critical."""
     if not any(task.is_time_critical for task in state.task.values()):
         return []
     found = []

@@ -1,4 +1,7 @@
-"""FSAR: a robot that lacks a capability asks the registry, or the peers it met, who could help. Paper: sec:model:request, phases 1 and 2."""
+"""FSAR: a robot that lacks a capability asks the registry, or the peers it met, who could help.
+
+Paper: sec:model:request, phases 1 and 2.
+"""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Parties, Principals, Robot
@@ -18,19 +21,19 @@ Found = tuple[tuple[Robot, ...], Robot | None]  # candidates, relay
 
 
 class DetectGap(Command):
-    """The step needs another robot."""
+    """Detect that the step needs another robot."""
 
     action_id: str
 
 
 class QueryRegistry(Command):
-    """The query has reached the registry."""
+    """Deliver the query to the registry."""
 
     action_id: str
 
 
 def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
-    """What the registry may show the requester, idle first; else one robot behind a doubly trusted peer, and that peer.
+    """Return the candidates visible to the requester, idle first, else one robot behind a doubly trusted peer.
 
     Paper: sec:architecture:registry, eq:nontransitive.
     """
@@ -50,7 +53,10 @@ def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
 
 
 def _untrusting(state: State, query: Query, answer: Answer) -> list[Robot]:
-    """The robots that only their lack of trust left out, nearest team first: a peer that both trust may ask them."""
+    """Return the robots that only trust left out, nearest team first.
+
+    A peer that both sides trust may ask them.
+    """
     found = []
     for name, by in zip(answer.rejected, answer.rejected_by, strict=True):
         record = advertisement(state.registry, name, query.capability)
@@ -60,7 +66,10 @@ def _untrusting(state: State, query: Query, answer: Answer) -> list[Robot]:
 
 
 def _visible(state: State, request: Request) -> list[Robot]:
-    """Capable robots whose advertisement the requester's role may see, nearest team first. Paper: eq:advertise."""
+    """Return capable robots whose advertisement the requester's role may see, nearest team first.
+
+    Paper: eq:advertise.
+    """
     role = state.fleet.robots[request.requester].role
     roles = {offer.robot: offer.visible_to for offer in offers(state.registry.offers, request.capability)}
     is_open = "trust-evaluation" in state.fleet.without
@@ -72,7 +81,10 @@ def _visible(state: State, request: Request) -> list[Robot]:
 
 
 def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
-    """Peers that both the requester and the executor trust, so that each link is admissible by itself, nearest team first."""
+    """Return peers that both requester and executor trust, nearest team first.
+
+    Each link is then admissible by itself.
+    """
     others = [
         peer
         for peer in state.fleet.robots
@@ -86,7 +98,7 @@ def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
 
 
 def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
-    """The requester has found that it needs another robot; without a registry it looks among the peers it met."""
+    """Record that the requester needs another robot; without a registry, search the peers it met."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -109,7 +121,7 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
 
 
 def _among_met(state: State, request: Request, now_us: int) -> Found:
-    """The same without a registry: only robots that were met lately, each link of a chain by itself."""
+    """Return candidates among robots met lately, judging each link of a chain by itself."""
     met = state.knowledge.met
 
     def knows(robot: Robot, peer: Robot) -> bool:
@@ -134,7 +146,7 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
 
 
 def unanswered(state: State, request: Request, executor: Robot | None = None) -> RequestUnanswered:
-    """The requester knows of nobody to ask, or has waited for the word of this executor in vain."""
+    """Record that nobody is known to ask, or that this executor did not answer."""
     robot = request.requester
     supervisor = on_shift(state, robot)
     return RequestUnanswered(
@@ -145,14 +157,14 @@ def unanswered(state: State, request: Request, executor: Robot | None = None) ->
 
 
 def _met(state: State, request: Request, found: tuple[Robot, ...], relay: Robot | None) -> RegistryQueried:
-    """The record of an answer from memory: no registry, so nobody says why others were left out."""
+    """Return the record of an answer from memory, which gives no reasons for those left out."""
     query = Query(request.requester, request.capability, request.task_id)
     answer = Answer(found, (request.capability,) * len(found), (), ())
     return queried(state, query, answer, request.task_id, request.action_id, relay)
 
 
 def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
-    """The registry has answered, governed by trust and visibility."""
+    """Answer the query from the registry, governed by trust and visibility."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()

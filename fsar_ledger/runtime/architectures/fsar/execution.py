@@ -36,13 +36,13 @@ from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_poli
 
 
 class DecideOwnStep(Command):
-    """A step of the robot's own is due."""
+    """Decide about a step of the robot's own."""
 
     action_id: str
 
 
 class LearnFleetRule(Command):
-    """Word of the fleet's rule has reached the robot."""
+    """Deliver word of the fleet's rule to the robot."""
 
     robot: Robot
     outcome: PolicyOutcome
@@ -50,7 +50,7 @@ class LearnFleetRule(Command):
 
 
 def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
-    """The robot has decided to do the step and queues it at itself."""
+    """Decide to do the step, and queue it at the robot itself."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -79,9 +79,11 @@ def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """The action runs, unless the robot's own policy (or, for an own step, the fleet's rule as last heard) holds it.
+    """Start the action, unless the robot's own policy holds it.
 
-    What a supervisor approved lifts only the reviews known then; that the fleet mandates what is held here is escalated.
+    For an own step, the fleet's rule as last heard may hold it as well. A supervisor's approval lifts only the reviews
+    known then. Where the fleet mandates what is held here, the conflict is escalated.
+
     Paper: sec:architecture:fleet (never a silent override).
     """
     action = state.execution.actions.get(command.action_id)
@@ -117,7 +119,7 @@ def _held(
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
-    """The robot has done its routine operation; a motion only if its own policy and the fleet's rule are clear."""
+    """Perform the routine operation; a motion only if the robot's policy and the fleet's rule are clear."""
     robot = command.robot
     parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot))
     principals = parties.decided(robot)
@@ -129,7 +131,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
 
 
 def learn_fleet_rule(state: State, command: LearnFleetRule) -> tuple[Event, ...]:
-    """The robot knows the rule, unless newer word has overtaken this one."""
+    """Record the rule at the robot, unless newer word has overtaken this one."""
     if command.as_of_us < state.knowledge.fleet_rule_as_of_us.get(command.robot, 0):
         return ()
     return (FleetRuleLearned(command.robot, command.outcome, command.as_of_us),)
@@ -151,7 +153,7 @@ def _on_window_closed(state: State, event: PolicyWindowClosed, now_us: int) -> t
 
 
 def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: int) -> tuple[Scheduled, ...]:
-    """What waits for a robot's own policy tries again when that may have changed; what polls the fleet's does so by itself."""
+    """Try again what waits for a robot's own policy; what waits for the fleet's rule polls by itself."""
     if event.scope == "fleet":
         return ()
     robots = (
@@ -163,7 +165,7 @@ def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: in
 
 
 def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
-    """The robot starts what its own policy held, if nothing holds it any more."""
+    """Start what the robot's own policy held, if nothing holds it any more."""
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
     if action is None or action.stage != "held" or holding(state, action)[0] != "allow":
         return ()

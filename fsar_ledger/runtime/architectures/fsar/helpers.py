@@ -1,11 +1,14 @@
-"""FSAR: who may help with a failure or take the step over, and if nobody may, why. Paper: sec:model:recovery, levels 2 and 3.
+"""FSAR: who may help with a failure or take the step over, or the reason why nobody may.
 
-The checks are those of any request: who can, shows it and is there, trust, authority, policy, then whether the robot
-is free. What remains after one is judged by the next; the check after which nobody remains is the reason. All are
-asked at once and give their word; who does not answer, because it is off or its link is down, is nobody's help, which is
-known only when the time for an answer is over (R44); only those that would come before whoever is chosen are waited for.
-Reading: a substitute is asked for its own capability, so that its advertisement's terms are what counts, and what holds of
-the step's capability holds for it as well.
+Paper: sec:model:recovery, levels 2 and 3.
+
+The checks are those of any request: capability, visibility, presence, trust, authority, policy, then whether the robot
+is free. Each check judges what the one before left; the check that leaves nobody is the reason. All are asked at once
+and answer for themselves. A robot that does not answer, because it is off or its link is down, is no help, which is
+known only when the time for an answer is over (R44). Only robots that would come before the chosen one are waited for.
+
+Reading: a substitute is asked for its own capability, so its advertisement's terms count, and what holds of the step's
+capability holds for it as well.
 """
 
 from collections.abc import Iterable
@@ -40,7 +43,7 @@ ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does no
 
 
 class Found(NamedTuple):
-    """Who, or why nobody; and who of those that would come before does not answer."""
+    """The helper, or the reason why there is none, and the silent robots that would come before it."""
 
     robot: Robot | None
     reason: str
@@ -48,7 +51,10 @@ class Found(NamedTuple):
 
 
 class Candidate(NamedTuple):
-    """A robot that could help, the capability of its own that it would use (the step's where its body is enough), and what leaves it out."""
+    """A robot that could help, the capability that it would use, and what leaves it out.
+
+    The capability is the step's own where the robot's body is enough.
+    """
 
     robot: Robot
     capability: str
@@ -56,7 +62,10 @@ class Candidate(NamedTuple):
 
 
 def peer(state: State, action: Action, recovery: Recovery) -> Found:
-    """The nearest peer not asked before that can help, is trusted to, whose policy and the asking robot's allow it, and that is idle."""
+    """Return the nearest idle peer that can help, is trusted and is allowed to, among those not asked before.
+
+    Its own policy and the asking robot's must both allow it.
+    """
     if "shared-registry" in state.fleet.without:
         return Found(None, "no shared registry")
     found = _bodies(state, action) if recovery.cause == "obstruction" else _stand_ins(state, action, action.robot)
@@ -64,9 +73,9 @@ def peer(state: State, action: Action, recovery: Recovery) -> Found:
 
 
 def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
-    """The registry has answered which peers have a capability of this kind; an obstruction needs none, and is not asked about.
+    """Record the registry's answer on which peers have a capability of this kind; nothing for an obstruction.
 
-    Whoever offers something of the kind that does not do what has failed is left out by its contract.
+    A robot that offers something of the kind that does not do what has failed is left out by its contract.
     """
     if recovery.cause == "obstruction" or "shared-registry" in state.fleet.without:
         return ()
@@ -93,7 +102,7 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
 
 
 def reassignee(state: State, action: Action) -> Found:
-    """The nearest robot that may execute the step for whom it was: able, trusted, allowed by all three policies, and idle."""
+    """Return the nearest idle robot that may execute the step: able, trusted, and allowed by all three policies."""
     request = state.request.get(action.action_id)
     if action.capability == NAVIGATION or request is None:
         return Found(None, "the robot's own way")
@@ -102,7 +111,7 @@ def reassignee(state: State, action: Action) -> Found:
 
 
 def _bodies(state: State, action: Action) -> list[Candidate]:
-    """Every other robot whose body could clear the way; that takes no capability, but a broader trust."""
+    """Return every other robot whose body could clear the way, which needs broader trust but no capability."""
     about = (action.capability, action.task_id)
     found: list[Candidate] = []
     for name in helpers(state, action, "obstruction"):
@@ -118,7 +127,7 @@ def _bodies(state: State, action: Action) -> list[Candidate]:
 
 
 def _stand_ins(state: State, action: Action, asking: Robot) -> list[Candidate]:
-    """Every other robot with each capability that it could do the step with, as the registry would answer the robot that asks."""
+    """Return every other robot with each capability that fits the step, as the registry would answer."""
     found: list[Candidate] = []
     for name in stand_ins(state, action):
         for capability in means(state, action.capability):
@@ -129,7 +138,10 @@ def _stand_ins(state: State, action: Action, asking: Robot) -> list[Candidate]:
 
 
 def _left_out_by(state: State, action: Action, asking: Robot, record: Advertisement) -> Filter | None:
-    """The filter that leaves the record out: who is not there before who does not trust. Recovery keeps its trust gate in every configuration."""
+    """Return the filter that leaves the record out: presence before trust.
+
+    Recovery keeps its trust gate in every configuration.
+    """
     by = rejecting_filter(state, Query(asking, record.capability, action.task_id), record)
     if by == "visibility":
         return by
@@ -145,7 +157,7 @@ def _left_out_by(state: State, action: Action, asking: Robot, record: Advertisem
 def _first(
     state: State, action: Action, asking: Robot, found: list[Candidate], kind: str, carried: PolicyOutcome | None = None
 ) -> Found:
-    """The nearest idle candidate that passes every check, or the check after which nobody remained."""
+    """Return the nearest idle candidate that passes every check, or the check that left nobody."""
     able = [one for one in found if one.left_out_by not in ("visibility", "availability")]
     if not able:
         return Found(None, f"no capable {kind}")
@@ -158,7 +170,7 @@ def _first(
 def _chosen(
     state: State, action: Action, asking: Robot, able: list[Candidate], kind: str, carried: PolicyOutcome | None
 ) -> Found:
-    """Who is chosen of those that answer."""
+    """Return the choice among those that answer."""
     if not able:
         return Found(None, NO_ANSWER)
     trusted = [one for one in able if one.left_out_by != "trust"]
@@ -174,7 +186,7 @@ def _chosen(
 
 
 def _is_allowed(state: State, asking: Robot, one: Candidate, action: Action, carried: PolicyOutcome | None) -> bool:
-    """True when the policies compose to allow: what the request carried, if there was one, and the asking robot's own beside it."""
+    """Tell whether the asking robot's policy, and what the request carried, compose to allow."""
     for capability in {one.capability, action.capability}:
         about = (capability, action.task_id)
         own = own_policy(state, asking, *about)
@@ -189,7 +201,7 @@ def _is_allowed(state: State, asking: Robot, one: Candidate, action: Action, car
 
 
 def _may_ask(state: State, asking: Robot, one: Candidate, action: Action) -> bool:
-    """A revoked right stays revoked when something fails. Paper: sec:model:recovery."""
+    """Tell whether the requester's right still stands; a failure lifts no revocation. Paper: sec:model:recovery."""
     rights = (
         right_of(state.authority, asking, one.robot, capability, action.task_id)
         for capability in {one.capability, action.capability}

@@ -1,6 +1,6 @@
 """FSAR: recovery starts at the robot and goes outward level by level. Paper: eq:recovery, sec:model:recovery.
 
-A failure creates no authority: who helps or takes over is judged by the trust and the policy that were there before it.
+A failure creates no authority: the trust and the policy from before it decide who helps or takes over.
 """
 
 from fsar_ledger.events import Event
@@ -49,15 +49,16 @@ EXHAUSTED = "budget exhausted"
 
 
 class StartRecovery(Command):
-    """A failure was detected."""
+    """Start recovery from a failure that was detected."""
 
     action_id: str
 
 
 class AskPeers(Command):
-    """The question for help has reached the peers, after `asked` of them; `is_last` when the time for an answer about this `failure` is over.
+    """Deliver the question for help to the peers, after `asked` of them.
 
-    Units: `since_us` run time at which recovery turned to them.
+    `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
+    them.
     """
 
     action_id: str
@@ -68,9 +69,10 @@ class AskPeers(Command):
 
 
 class ConsiderReassignment(Command):
-    """The failure has reached the recovery orchestrator, and those it asks; `is_last` when the time for an answer about this `failure` is over.
+    """Deliver the failure to the recovery orchestrator, and to those it asks.
 
-    Units: `since_us` run time at which recovery turned to it.
+    `is_last`: the time to answer about this `failure` is over. Units: `since_us` run time at which recovery turned to
+    it.
     """
 
     action_id: str
@@ -80,7 +82,10 @@ class ConsiderReassignment(Command):
 
 
 class CallNext(Command):
-    """The time in which the supervisor who was called should have resolved the failure is over; `calls` counts the calls until then."""
+    """End the time in which the called supervisor should have resolved the failure.
+
+    `calls` counts the calls until then.
+    """
 
     action_id: str
     failure: int
@@ -116,7 +121,10 @@ def _attempted(state: State, action: Action, recovery: Recovery, deadline_us: in
 
 
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
-    """The robot has begun to recover by itself, if it may; without layered recovery H_F is called at once. Paper: sec:model:recovery, level 1."""
+    """Start the robot's own recovery, if it may; without layered recovery, call H_F at once.
+
+    Paper: sec:model:recovery, level 1.
+    """
     match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "local" and recovery.number == 0:
             by_robot = parties(state, action).decided(action.robot)
@@ -133,7 +141,7 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
 
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
-    """The failure is resolved, or the next attempt has begun, or the budget is spent and recovery goes to the peers."""
+    """Resolve the failure, start the next attempt, or turn to the peers once the budget is spent."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
             if attempt_succeeds(state, recovery, command):
@@ -161,7 +169,7 @@ def _is_exhausted(state: State, action: Action, level: RecoveryLevel, spent_us: 
 
 
 def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
-    """A trusted idle peer helps, or recovery goes to the fleet. Paper: sec:model:recovery, level 2."""
+    """Let a trusted idle peer help, or turn to the fleet. Paper: sec:model:recovery, level 2."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "peer" and not (
             command.is_last and (command.failure, command.asked) != (recovery.failure, len(recovery.tried))
@@ -212,12 +220,15 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
 
 
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
-    """The peer has resolved the failure and is free again, or could not."""
+    """Free the peer, which resolved the failure or could not."""
     return assistance.end_assistance(state, command, "peer")
 
 
 def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[Event, ...]:
-    """Another robot takes the step over from a declared checkpoint, or a supervisor is called. Paper: sec:model:recovery, level 3."""
+    """Hand the step to another robot from a declared checkpoint, or call a supervisor.
+
+    Paper: sec:model:recovery, level 3.
+    """
     match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "fleet" and not (
             command.is_last and command.failure != recovery.failure
@@ -251,7 +262,7 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
 
 
 def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot, resume_at: str) -> tuple[Event, ...]:
-    """The helper holds the state of the task, and the step waits at it; the robot that failed is free."""
+    """Transfer the task's state to the helper, queue the step there, and free the robot that failed."""
     done = state.task[action.task_id].steps[: action.step - 1]
     return (
         FailureResolved(action.subject, action.robot, recovery.failure, "fleet"),
@@ -278,7 +289,7 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
 
 
 def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> tuple[Event, ...]:
-    """H_i is called about what is the robot's own matter, H_F about what concerns others. Paper: sec:model:recovery, level 4."""
+    """Call H_i about the robot's own matter, H_F about what concerns others. Paper: sec:model:recovery, level 4."""
     supervisor = supervisor_for(state, action.robot, is_cross_robot(state, action))
     called = SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery")
     principals = Principals(  # the service does not decide here, it passes on
@@ -292,7 +303,7 @@ def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> 
 
 
 def call_next(state: State, command: CallNext) -> tuple[Event, ...]:
-    """H_F is called in the place of a supervisor who has not resolved the failure in time, while the level's budget lasts."""
+    """Call H_F after a supervisor who has not resolved the failure in time, while the level's budget lasts."""
     match open_failure(state, command.action_id):
         case action, recovery if (recovery.failure, recovery.calls) == (command.failure, command.calls):
             if recovery.calls >= budget(state, action.robot, "human").n_max:
@@ -330,7 +341,7 @@ def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple
 
 
 def _asking(state: State, action_id: str, since_us: int, told: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
-    """The peers are asked, and waited for no longer than for an answer."""
+    """Schedule the question to the peers, and the end of the time for their answers."""
     recovery = state.recovery[action_id]
     asked = len(recovery.tried)
     last = Scheduled(AskPeers(action_id, since_us, asked, recovery.failure, is_last=True), state.fleet.answer_us, told)
@@ -343,7 +354,7 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
 
 
 def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    """The robot is told, and turns to the next peer as long as the budget of the level lasts."""
+    """Tell the robot, which turns to the next peer while the level's budget lasts."""
     recovery, key = state.recovery[event.subject.action_id], f"{event.subject.action_id}/{event.failure}"
     told = (
         message(event.helper, key, f"no help/{event.helper}"),

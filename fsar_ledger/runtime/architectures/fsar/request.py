@@ -5,18 +5,14 @@ from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import (
     COORDINATION,
     FLEET_SUPERVISOR,
-    REGISTRY,
     Parties,
     Principals,
     RequestSubject,
     Robot,
     Subject,
 )
-from fsar_ledger.events.execution import ApproachStarted, ExecutionFinished, ExecutionPreempted, ExecutionQueued
-from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.execution import ApproachStarted, ExecutionPreempted, ExecutionQueued
 from fsar_ledger.events.request import (
-    OfferAnswered,
-    PeerSought,
     RequestAccepted,
     RequestAdmitted,
     RequestClosed,
@@ -25,9 +21,8 @@ from fsar_ledger.events.request import (
     RequestDenied,
     RequestIssued,
     RequestRelayed,
-    RequestUnanswered,
 )
-from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
@@ -37,16 +32,11 @@ from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
-    BeginStep,
     CloseRequest,
     Command,
-    CompleteStep,
     Decides,
     Reacts,
-    Scheduled,
     TakeTurn,
-    at_once,
-    message,
 )
 from fsar_ledger.runtime.handlers.execution import holds_robot
 from fsar_ledger.runtime.handlers.policy import conflict, own_policy
@@ -54,44 +44,47 @@ from fsar_ledger.runtime.handlers.supervision import is_due_for_review
 from fsar_ledger.runtime.handlers.trust import trusts
 
 from .availability import ReportBack, found_silent, report_back
-from .contention import held_up, in_order, put_in_order
+from .contention import put_in_order
 from .discovery import unanswered
 
 
 class IssueRequest(Command):
-    """The answer has reached the requester."""
+    """Deliver the answer to the requester."""
 
     action_id: str
 
 
 class RelayRequest(Command):
-    """The request has reached the doubly trusted peer."""
+    """Deliver the request to the doubly trusted peer."""
 
     action_id: str
 
 
 class EvaluateRequest(Command):
-    """The request has reached the executor."""
+    """Deliver the request to the executor."""
 
     action_id: str
 
 
 class GoOnWithout(Command):
-    """The time in which the request should have been delivered is over: to whom it was sent, or (`is_relayed`) to whom the relay has passed it on."""
+    """End the time in which the request should have been delivered.
+
+    To the robot it was sent to, or (`is_relayed`) to the one that the relay has passed it on to.
+    """
 
     action_id: str
     is_relayed: bool = False
 
 
 class AdmitReviewed(Command):
-    """A supervisor has approved what policy or supervision density wanted reviewed, or not."""
+    """Take a supervisor's decision on what policy or supervision density wanted reviewed."""
 
     action_id: str
     approves: bool = True
 
 
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
-    """The requester has sent its request, its own policy in it; without a candidate it backs off."""
+    """Send the request with the requester's own policy; back off without a candidate."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -117,7 +110,7 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
 
 
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
-    """The peer has passed the request on, its own policy composed, or denied its link of the chain. Paper: eq:nontransitive."""
+    """Pass the request on with the peer's policy composed, or deny this link of the chain. Paper: eq:nontransitive."""
     request = state.request.get(command.action_id)
     if request is None or request.relay is None:
         return ()
@@ -137,7 +130,7 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
 
 
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
-    """The executor has admitted, countered or denied the request, or asked H_F for review. Paper: eq:admissible, phase 4."""
+    """Admit, counter or deny the request at the executor, or ask H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.get(command.action_id)
     if request is not None and request.silent:  # too late; it was found silent, and its word says otherwise
         return report_back(state, ReportBack(request.silent[0]))
@@ -147,7 +140,7 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
 
 
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
-    """The executor has admitted the approved request, if all but policy still holds, or denied the one that was not."""
+    """Admit the approved request if all but policy still holds, or deny one that was not approved."""
     request = state.request.get(command.action_id)
     if request is None or not _is_open(state, request):
         return ()
@@ -160,7 +153,10 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
-    """The request was not delivered in time: the requester tries again later, and the registry knows who was silent. Reading: R44."""
+    """Record that the request was not delivered in time, and tell the registry who was silent.
+
+    The requester tries again later. Reading: R44.
+    """
     request = state.request.get(command.action_id)
     if request is None or request.is_relayed != command.is_relayed:
         return ()
@@ -178,7 +174,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
 
 
 def _is_open(state: State, request: Request) -> bool:
-    """True while the request waits for the executor's word."""
+    """Tell whether the request waits for the executor."""
     if not request.is_adhoc and request.task_id not in state.task:  # its task was given up
         return False
     has_word = request.is_over or request.is_accepted or request.is_unanswered or request.offered is not None
@@ -217,7 +213,7 @@ def _principals(state: State, request: Request, executor: Robot) -> Principals:
 
 
 def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
-    """The request is admitted with its authority, and waits for the robot or takes it. Paper: eq:auth, eq:override."""
+    """Admit the request with its authority, and let it wait for the robot or take it. Paper: eq:auth, eq:override."""
     executor = request.candidates[0]
     parties = _parties(state, request, executor)
     principals = parties.decided(executor)
@@ -259,7 +255,10 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
 
 
 def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
-    """The executor has accepted, claims execution and override, and approaches; one that was preempted comes back as accepted. Paper: eq:auth."""
+    """Accept the request, claim execution and override, and approach.
+
+    A request that was preempted comes back as accepted. Paper: eq:auth.
+    """
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state, action):
         return ()
@@ -280,7 +279,7 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
 
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
-    """The coordination engine has closed the request. Paper: sec:architecture:fleet."""
+    """Close the request at the coordination engine. Paper: sec:architecture:fleet."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -290,120 +289,6 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
         supervised_by=on_shift(state, request.requester),
     )
     return (RequestClosed(request.request_subject, parties.decided(COORDINATION), request.result or "success"),)
-
-
-def _is_step(state: State, request: Request | None) -> bool:
-    """True for a step of an open task; what an outsider injected, or a robot asks by itself, is nobody's step."""
-    return request is not None and not request.is_adhoc and request.task_id in state.task
-
-
-def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
-    if (
-        event.subject.task_id not in state.task or event.subject.action_id in state.recovery
-    ):  # an outsider's request is nobody's step; recovery asks for itself
-        return ()
-    assert event.subject.action_id is not None
-    if "shared-registry" in state.fleet.without:
-        return (Scheduled(IssueRequest(event.subject.action_id)),)
-    return (Scheduled(IssueRequest(event.subject.action_id), 0, (message(REGISTRY, event.subject.action_id, 1),)),)
-
-
-def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Scheduled, ...]:
-    assert event.subject.action_id is not None
-    request = state.request.get(event.subject.action_id)
-    if request is None or not (request.is_adhoc or _is_step(state, request)):
-        return ()
-    next_one: Command = (
-        RelayRequest(event.subject.action_id) if event.relay else EvaluateRequest(event.subject.action_id)
-    )
-    asked = Scheduled(next_one, 0, (message(request.requester, event.subject.action_id, 2),))
-    return (
-        asked,
-        Scheduled(GoOnWithout(event.subject.action_id), state.fleet.answer_us, (at_once(request.requester),)),
-    )
-
-
-def _on_relay(state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
-    asked = Scheduled(
-        EvaluateRequest(event.subject.action_id), 0, (message(event.principals.decided_by, event.subject.action_id, 3),)
-    )
-    late = GoOnWithout(event.subject.action_id, is_relayed=True)
-    return (asked, Scheduled(late, state.fleet.answer_us, (at_once(event.principals.requested_by),)))
-
-
-def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Scheduled, ...]:
-    return (*_again(state, event.subject.action_id), *_let_pass(state, event, now_us))
-
-
-def _let_pass(
-    state: State, event: RequestAdmitted | RequestCountered | RequestDenied, _now_us: int
-) -> tuple[Scheduled, ...]:
-    """Whom H_F has let go first is admitted, or waits for the executor no more: those that waited for it are judged again."""
-    if not state.contention.orders:
-        return ()
-    return tuple(
-        Scheduled(EvaluateRequest(name), place)
-        for place, name in enumerate(held_up(state, event.subject.action_id), start=1)
-    )
-
-
-def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Scheduled, ...]:
-    """The executor judges the changed request; a step whose requester let go is tried again later."""
-    assert event.subject.action_id is not None
-    if event.override is None:
-        return _again(state, event.subject.action_id)
-    return (
-        Scheduled(
-            EvaluateRequest(event.subject.action_id),
-            0,
-            (message(event.principals.requested_by, event.subject.action_id, f"offer{event.round}"),),
-        ),
-    )
-
-
-def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
-    request = state.request.get(action_id or "")
-    if request is None or not _is_step(state, request):
-        return ()
-    return (Scheduled(BeginStep(request.task_id, request.action_id), state.fleet.structure.back_off_us),)
-
-
-def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
-
-
-def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.purpose == "ordering":
-        waiting = in_order(state, event.subject.action_id, event.preferred)
-        return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
-    return (
-        (Scheduled(AdmitReviewed(event.subject.action_id, event.approves), 1, (at_once(event.principals.decided_by),)),)
-        if event.purpose == "review"
-        else ()
-    )
-
-
-def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.subject.action_id)
-    if request is None or not (request.is_adhoc or _is_step(state, request)):
-        return ()
-    if event.robot != request.requester:
-        return (
-            Scheduled(CloseRequest(event.subject.action_id), 0, (message(event.robot, event.subject.action_id, 4),)),
-        )
-    return (
-        (Scheduled(CompleteStep(event.subject.action_id)),)
-        if event.result == "success"
-        else _again(state, event.subject.action_id)
-    )
-
-
-def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
-    """The step is done; one that did not succeed is tried again later."""
-    if not _is_step(state, state.request.get(event.subject.action_id)):
-        return ()
-    done = Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),))
-    return (done,) if event.result == "success" else _again(state, event.subject.action_id)
 
 
 DECIDES: Decides = {
@@ -423,17 +308,4 @@ ACTORS: Actors = {
     AdmitReviewed: asked,
     CloseRequest: nobody,
 }
-REACTS: Reacts = {
-    RegistryQueried: _on_answer,
-    RequestIssued: _on_request,
-    RequestRelayed: _on_relay,
-    RequestAdmitted: _let_pass,
-    RequestCountered: _let_pass,
-    RequestDenied: _on_denial,
-    OfferAnswered: _on_offer,
-    RequestUnanswered: _on_unanswered,
-    PeerSought: _on_unanswered,
-    SupervisorResponded: _on_response,
-    ExecutionFinished: _on_finish,
-    RequestClosed: _on_close,
-}
+REACTS: Reacts = {}

@@ -13,8 +13,8 @@ from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.ledger.rows.codec import RunRecord, encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
+from fsar_ledger.runtime.knockouts.knockout import decided_by
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
-from fsar_ledger.runtime.switches import _decided_by
 
 
 def played(
@@ -109,7 +109,7 @@ def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> N
     )
     [(unknown, no_path), (known, path)] = [
         (one.principals.decided_by, one.principals.path)  # type: ignore[attr-defined]
-        for one in (_decided_by(closed, name) for name in (None, Robot("robot/a")))
+        for one in (decided_by(closed, name) for name in (None, Robot("robot/a")))
     ]
     assert (unknown, no_path) == (None, ())
     assert (known, path) == ("robot/a", ("robot/a",))

@@ -1,0 +1,71 @@
+"""The handler table of an architecture: which handler decides a command, and which reactions follow an event."""
+
+from types import ModuleType
+from typing import NamedTuple
+
+import msgspec
+
+from fsar_ledger.events import Event
+from fsar_ledger.runtime.handlers.commands import Actor, Actors, Command, Decide, Decides, PublicCommand, React
+
+
+class HandlerTable(msgspec.Struct, frozen=True, eq=False):
+    """Handlers by command type (exactly one each), reactions by event type (in order), and actors by command type.
+
+    The actor of a command is the robot or service that carries it out. Only commands from outside have none.
+    """
+
+    decides: dict[type[Command], Decide]
+    reacts: dict[type[Event], tuple[React, ...]]
+    actors: dict[type[Command], Actor] = {}
+
+    @classmethod
+    def of(
+        cls, *handlers: ModuleType, own: Decides | None = None, instead: dict[React, React] | None = None
+    ) -> "HandlerTable":
+        """Collect the `DECIDES`, `REACTS` and `ACTORS` of the handler modules.
+
+        `own` are commands of shared modules that the architecture decides in its own way; `instead` maps shared
+        reactions to the architecture's own.
+
+        Raises:
+            ValueError: two modules decide the same command, nobody carries one out, or what is to be replaced is
+                not there.
+        """
+        decides: dict[type[Command], Decide] = {}
+        reacts: dict[type[Event], tuple[React, ...]] = {}
+        actors: Actors = {}
+        for module in handlers:
+            for command, decide in module.DECIDES.items():
+                if command in decides:
+                    raise ValueError(f"{module.__name__}: {command.__name__} is decided twice")
+                decides[command] = decide
+            for event, react in module.REACTS.items():
+                reacts[event] = (*reacts.get(event, ()), (instead or {}).get(react, react))
+            actors |= module.ACTORS
+        shared = {react for module in handlers for react in module.REACTS.values()}
+        missing = [react.__name__ for react in instead or {} if react not in shared]
+        missing += [f"{command.__name__} by no module" for command in own or {} if command not in decides]
+        missing += [
+            f"{command.__name__} by nobody"
+            for command in decides
+            if not issubclass(command, PublicCommand) and command not in actors
+        ]
+        if missing:
+            raise ValueError(f"a handler table lacks what it names: {', '.join(missing)}")
+        return cls(decides | (own or {}), reacts, actors)
+
+
+class Growth(NamedTuple):
+    """What an architecture adds to the world's facts, in events and in elements of their lists.
+
+    Upper bounds of what runs were seen to make: for each robot; for each set of tasks of a team; and for each delegated
+    step in these and each team whose robot may be a candidate for it.
+    """
+
+    of_robot: float
+    of_team: float
+    of_candidate: float
+    list_of_robot: float
+    list_of_team: float
+    list_of_candidate: float

@@ -1,0 +1,72 @@
+"""FSAR without one mechanism. The handlers check the four of the paper's ablation themselves."""
+
+from functools import wraps
+from typing import Any
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, as_robot
+from fsar_ledger.events.execution import RoutinePerformed
+from fsar_ledger.events.request import RequestClosed
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.architectures.fsar import authority, request
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.commands import CloseRequest, DecideRoutine, StartAction
+from fsar_ledger.runtime.handlers.execution import holds_robot, started
+
+from .knockout import ChangeTable, Knockout, decided_by, nothing
+
+
+def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ...]:
+    events = request.close_request(state, command)
+    return tuple(
+        decided_by(event, as_robot(event.principals.requested_by))
+        if isinstance(event, RequestClosed) and event.principals.requested_by is not None
+        else event
+        for event in events
+    )
+
+
+def _started_unchecked(state: State, command: StartAction) -> tuple[Event, ...]:
+    """Start the action as soon as its robot is there for it."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage not in ("queued", "approaching", "preempted") or not holds_robot(state, action):
+        return ()
+    if action.stage == "preempted" and action.has_approach:  # it has to come back first
+        return ()
+    return (started(state, action, command),)
+
+
+def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
+    """Start delegated work, or else the robot's own, unchecked; check the other kind as before."""
+
+    def changed(table: HandlerTable) -> HandlerTable:
+        checked = table.decides[StartAction]
+
+        @wraps(checked)
+        def start(state: State, command: Any) -> tuple[Event, ...]:
+            action = state.execution.actions.get(command.action_id)
+            is_meant = action is not None and action.is_delegated == is_delegated
+            return _started_unchecked(state, command) if is_meant else checked(state, command)
+
+        return HandlerTable({**table.decides, StartAction: start}, table.reacts, table.actors)
+
+    return changed
+
+
+def _moved_unchecked(state: State, command: DecideRoutine) -> tuple[Event, ...]:
+    robot = command.robot
+    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot))
+    return (RoutinePerformed(parties.decided(robot), robot, command.operation),)
+
+
+KNOCKOUTS = (
+    Knockout("trust-evaluation", "fsar"),
+    Knockout("policy-composition", "fsar"),
+    Knockout("layered-recovery", "fsar"),
+    Knockout("shared-registry", "fsar"),
+    Knockout("engine-closing", "fsar", {CloseRequest: _closed_by_requester}),
+    Knockout("boundary-revocation", "fsar", {authority.Revoke: nothing}),
+    Knockout("start-recheck", "fsar", change=_starting_unchecked(is_delegated=True)),
+    Knockout("own-work-check", "fsar", {DecideRoutine: _moved_unchecked}, _starting_unchecked(is_delegated=False)),
+)
