@@ -65,27 +65,9 @@ def undocumented(root: Path) -> list[str]:
 
 
 PRINTING = {
-    *(
-        "print",
-        "sys.stdout",
-        "sys.stderr",
-        "sys.__stdout__",
-        "sys.__stderr__",
-        "sys.displayhook",
-        "pprint.pprint",
-        "warnings.warn",
-        "os.system",
-    ),
-    *(
-        "typer.echo",
-        "typer.secho",
-        "typer.echo_via_pager",
-        "typer.prompt",
-        "typer.confirm",
-        "typer.progressbar",
-        "typer.launch",
-        "input",
-    ),
+    *("print", "input", "pprint.pprint", "warnings.warn", "os.system"),
+    *(f"sys.{name}" for name in ("stdout", "stderr", "__stdout__", "__stderr__", "displayhook")),
+    *(f"typer.{name}" for name in ("echo", "secho", "echo_via_pager", "prompt", "confirm", "progressbar", "launch")),
 }
 PRINTERS = {"rich", "click", "logging", "curses", "readline", "pdb", "faulthandler"}
 MAY_PRINT = ("cli/terminal.py", "cli/progress.py")

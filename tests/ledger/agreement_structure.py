@@ -6,7 +6,7 @@ from pathlib import Path
 from fsar_ledger.ledger.rows.segment import to_parquet
 from fsar_ledger.ledger.store.paths import segment_path
 from tests.ledger.agreement import OTHER_VERSION, VERSION, Case, Make, tables_of, unchained, with_value
-from tests.ledger.agreement_damage import forged_segment
+from tests.ledger.agreement_rows import forged_segment
 from tests.ledger.parquet_damage import DAMAGED
 from tests.ledger.parts import two_faced
 

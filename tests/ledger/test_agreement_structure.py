@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger.ledger.store.paths import segment_path
 from tests.ledger.agreement import OTHER_VERSION, VERSION, by_package, judged, plain, tables_of, unchained, write
-from tests.ledger.agreement_damage import forged_segment
+from tests.ledger.agreement_rows import forged_segment
 from tests.ledger.agreement_structure import a_segment_with_two_faces
 from tests.ledger.parquet_damage import DAMAGED, TIME, TYPE, lying, to, within, without
 from tests.ledger.parts import Page, Parts

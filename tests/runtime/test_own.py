@@ -38,7 +38,8 @@ from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.checks import problems_of_fleet, problems_of_scenario
 from fsar_ledger.runtime.world.schedule import schedule
-from tests.runtime.test_replay import committed, restarted
+from tests.runtime.test_replay import committed
+from tests.runtime.test_replay_refused import restarted
 
 ROOT = Path(__file__).resolve().parents[2]
 FLEET = Fleet(
