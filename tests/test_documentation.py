@@ -292,7 +292,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 ELSEWHERE = (
     "fsar-ledger multiverse out/ledger",
     "fsar-ledger report out/ledger --out out/report.pdf",
-    *(example for name, example in examples() if name == "report" and "--with" in example),
+    *(example for name, example in examples() if name == "report" and ("--with" in example or "--numbers" in example)),
 )
 """Examples that `make test` leaves to `make test-all`: others that it runs, or `docs/model.md`, do most of what they do."""
 

@@ -345,6 +345,7 @@ def test_an_import_that_breaks_the_rule_is_found(tree: Path, file: str, line: st
     assert complaint in result.stdout
 
 
+@pytest.mark.slow  # builds and installs a wheel
 def test_the_wheel_has_every_module_query_and_report(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     place = tmp_path_factory.mktemp("installed")
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]

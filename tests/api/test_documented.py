@@ -53,10 +53,12 @@ def test_an_import_takes_no_library() -> None:
     assert done.stdout.split() == ["fsar_ledger"]
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_page_run(tmp_path: Path) -> None:
     run_in_order(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL), tmp_path)
 
 
+@pytest.mark.slow
 def test_the_cells_of_the_tour_run(tmp_path: Path) -> None:
     run_in_order(cells(), tmp_path)
     assert (tmp_path / "out" / "tour.svg").read_bytes().startswith(b"<?xml")

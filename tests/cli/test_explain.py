@@ -152,6 +152,7 @@ def test_a_place_without_ledger_and_a_ledger_without_runs_are_named(call: Call, 
     one_message(call("explain", tmp_path / "empty"), 2, "found no run")
 
 
+@pytest.mark.slow  # a report of the results is made anyway
 def test_the_report_takes_a_ledger_of_workflows_and_refuses_another(
     call: Call, ledger: Path, workflows: Path, tmp_path: Path
 ) -> None:

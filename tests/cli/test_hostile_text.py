@@ -78,22 +78,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("key", "new", key, "--name", "x/\u05d0"),
         ("recover", ledger, "--workers", 1),
     )
-    policy, state = place / "policy\x1b[2J", place / "witness\x1b[2J"
-    yield from (
-        ("witness", "new", state, "--name", "x/\u05d0"),
-        ("witness", "new", state, "--name", EVIL),
-        ("witness", "new", state, "--name", ORIGIN),
-    )
-    yield "witness", "serve", state, "--log", EVIL
-    cosigner = Cosigner(ORIGIN, bytes(32)).key
-    policy.write_text(
-        f"log {Signer(ORIGIN, bytes(32)).verifier}\nwitness {ORIGIN} {cosigner} http://127.0.0.1:9/\u202e\nquorum {ORIGIN}\n"
-    )
-    yield from (
-        ("verify", ledger, "--witness-policy", policy),
-        ("witness", "ask", ledger, "--policy", policy),
-        ("witness", "ask", ledger, "--policy", state / "none"),
-    )
+    yield from calls_of_witnesses(ledger, place)
     yield from (
         ("simulate", ledger, "--runs", 1),
         ("simulate", out, "--scenario", EVIL),
@@ -111,6 +96,26 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("multiverse", ledger, "--metric", EVIL),
         (EVIL,),
         (f"--{EVIL}",),
+    )
+
+
+def calls_of_witnesses(ledger: Path, place: Path) -> Iterator[tuple[object, ...]]:
+    """Witnesses and policies that are named with hostile text."""
+    policy, state = place / "policy\x1b[2J", place / "witness\x1b[2J"
+    yield from (
+        ("witness", "new", state, "--name", "x/\u05d0"),
+        ("witness", "new", state, "--name", EVIL),
+        ("witness", "new", state, "--name", ORIGIN),
+    )
+    yield "witness", "serve", state, "--log", EVIL
+    cosigner = Cosigner(ORIGIN, bytes(32)).key
+    policy.write_text(
+        f"log {Signer(ORIGIN, bytes(32)).verifier}\nwitness {ORIGIN} {cosigner} http://127.0.0.1:9/\u202e\nquorum {ORIGIN}\n"
+    )
+    yield from (
+        ("verify", ledger, "--witness-policy", policy),
+        ("witness", "ask", ledger, "--policy", policy),
+        ("witness", "ask", ledger, "--policy", state / "none"),
     )
 
 

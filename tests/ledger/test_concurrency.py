@@ -39,6 +39,7 @@ def test_what_several_writers_append_at_once_is_there_once_and_readers_see_whole
     )
 
 
+@pytest.mark.slow
 def test_a_writer_killed_among_others_loses_nothing_and_stops_nobody(nursery: Nursery, tmp_path: Path) -> None:
     moments = random.Random(3)
     killed = 0

@@ -295,6 +295,7 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], st
     return {(row["configuration"], row["feature"]): row["grade"] for row in rows}
 
 
+@pytest.mark.slow  # 300 runs
 @pytest.mark.parametrize(
     ("mechanism", "feature", "grade"),
     [

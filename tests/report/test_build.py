@@ -44,14 +44,14 @@ def test_another_ledger_gives_another_report(make_ledger: Make, ledger: Path, tm
     assert one.read_bytes() != other.read_bytes()
 
 
-@pytest.mark.parametrize(  # an ablation alone has one architecture and no experiment of the paper; the soaks try what holds more than that
+@pytest.mark.parametrize(
     "contents",
     [
         pytest.param({"architectures": ("fsar",)}, marks=pytest.mark.slow),
         pytest.param(
             {"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1}, marks=pytest.mark.slow
         ),
-        {"architectures": ("fsar",), "configuration": "without-shared-registry"},
+        pytest.param({"architectures": ("fsar",), "configuration": "without-shared-registry"}, marks=pytest.mark.slow),
         pytest.param({"fleet_size": 8}, marks=pytest.mark.slow),
         {"architectures": ()},
     ],
