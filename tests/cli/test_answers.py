@@ -203,7 +203,9 @@ def test_an_experiment_that_is_not_known_is_refused_before_anything_is_made(call
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow  # all of them; that an experiment that is there is not made again, and a report has the same bytes again, is tested in parts as well
+# all of them; that an experiment that is there is not made again, and a report has the same bytes again, is tested in
+# parts as well
+@pytest.mark.slow
 def test_reproduce_can_be_repeated(call: Call, tmp_path: Path) -> None:
     reproduced(call, tmp_path)
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()}
@@ -212,7 +214,8 @@ def test_reproduce_can_be_repeated(call: Call, tmp_path: Path) -> None:
 
 
 def reproduced(call: Call, tmp_path: Path, *only: str) -> None:
-    """The results and these experiments (none named: all) were done with one run of each scenario, complete and signed, in the folder `out`."""
+    """The results and these experiments (none named: all) were done with one run of each scenario, complete and signed,
+    in the folder `out`."""
     assert call("key", "new", tmp_path / "fleet.key", "--name", "example.org/fleet").code == 0
     asked = [option for name in only for option in ("--only", name)]
     said = call(

@@ -1,4 +1,5 @@
-"""Every verb over a ledger with hostile text in every field, in a terminal: nothing is painted, and no line begins with what an attacker wrote."""
+"""Every verb over a ledger with hostile text in every field, in a terminal: nothing is painted, and no line begins with
+what an attacker wrote."""
 
 import json
 import os

@@ -1,4 +1,5 @@
-"""Commands that read take the memory that they state, and say so when it is not enough; nothing of it is the ledger's fault."""
+"""Commands that read take the memory that they state, and say so when it is not enough; nothing of it is the ledger's
+fault."""
 
 import os
 import subprocess

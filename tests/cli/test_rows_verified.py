@@ -1,4 +1,5 @@
-"""Every answer from rows says whether they were compared with the root: `rows_verified` in JSON, a line on stderr where they were not."""
+"""Every answer from rows says whether they were compared with the root: `rows_verified` in JSON, a line on stderr where
+they were not."""
 
 import json
 import shutil

@@ -1,6 +1,7 @@
 """What can be wrong with a ledger: each function damages one thing, and says whether a verifier must find it.
 
-A function gets a ledger of its own to change, what is drawn, and a folder for files beside the ledger. It returns None where it does not apply.
+A function gets a ledger of its own to change, what is drawn, and a folder for files beside the ledger. It returns None
+where it does not apply.
 """
 
 import os
@@ -223,7 +224,8 @@ def a_forged_note(path: Path, draw: random.Random, beside: Path) -> Case | None:
 
 
 def a_foreign_signature(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """Signatures of a stranger, of nobody, or broken ones of the trusted key: damage with the key where they count, never without."""
+    """Signatures of a stranger, of nobody, or broken ones of the trusted key: damage with the key where they count,
+    never without."""
     records = unchained(path)
     if not records:
         return None

@@ -1,4 +1,5 @@
-"""Damage to rows and Parquet files whose hashes fit: each function damages one thing and tells whether a verifier must find it."""
+"""Damage to rows and Parquet files whose hashes fit: each function damages one thing and tells whether a verifier must
+find it."""
 
 import random
 from pathlib import Path
@@ -122,7 +123,10 @@ def other_parquet(path: Path, draw: random.Random, beside: Path) -> Case | None:
 
 
 def a_flipped_bit_whose_hash_fits(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """A bit of a segment, in half of the cases of its footer. It may say the same in other bytes, which the format allows and `verify` may doubt."""
+    """A bit of a segment, in half of the cases of its footer.
+
+    It may say the same in other bytes, which the format allows and `verify` may doubt.
+    """
     records = unchained(path)
     if not records:
         return None

@@ -1,4 +1,5 @@
-"""How often `verify` and the independent verifier agree: `python -m tests.ledger.agreement_soak [N]` judges N ledgers (1,000), good and damaged."""
+"""How often `verify` and the independent verifier agree: `python -m tests.ledger.agreement_soak [N]` judges N ledgers
+(1,000), good and damaged."""
 
 import random
 import shutil

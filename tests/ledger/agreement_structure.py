@@ -1,4 +1,7 @@
-"""Segments that hold the right rows and say something twice, or say what nobody reads; their hashes fit. Functions as in `agreement_damage`."""
+"""Segments that hold the right rows and say something twice, or say what nobody reads; their hashes fit.
+
+Functions as in `agreement_damage`.
+"""
 
 import random
 from pathlib import Path
@@ -12,7 +15,8 @@ from tests.ledger.parts import two_faced
 
 
 def a_segment_with_two_faces(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """Readers that begin at the data find the rows of the tree, readers that begin at the dictionary find others; or the other way round."""
+    """Readers that begin at the data find the rows of the tree, readers that begin at the dictionary find others; or
+    the other way round."""
     records, tables = unchained(path), tables_of(path)
     if not tables:
         return None

@@ -1,6 +1,7 @@
 """Thirty bombs: small things that an enemy hands over so that whoever looks at them runs out of memory or time.
 
-Those in a ledger are committed as a writer would have: every hash in the records fits what lies there, and only the leaves were never made.
+Those in a ledger are committed as a writer would have: every hash in the records fits what lies there, and only the
+leaves were never made.
 """
 
 import os

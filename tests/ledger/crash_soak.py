@@ -1,6 +1,8 @@
-"""Everything that test_crash.py and test_concurrency.py do a part of: `python -m tests.ledger.crash_soak [KILLS] [PAIRS]`.
+"""Everything that test_crash.py and test_concurrency.py do a part of: `python -m tests.ledger.crash_soak [KILLS]
+[PAIRS]`.
 
-Every kind of fault at every call of two appends, each followed by power failures; pairs of faults, the second during the
+Every kind of fault at every call of two appends, each followed by power failures; pairs of faults, the second during
+the
 recovery from the first; processes really killed at every call; KILLS processes (2,000) really killed at random moments,
 two to eight at a time on one ledger. Prints counts and ends with exit code 1 if anything was lost or torn.
 """
@@ -62,7 +64,10 @@ def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -
 
 
 def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, seed: int = 13) -> int:
-    """So many processes are really killed at random moments while they open, recover and append. Returns how many batches were acknowledged."""
+    """So many processes are really killed at random moments while they open, recover and append.
+
+    Returns how many batches were acknowledged.
+    """
     draw = random.Random(seed)
     acknowledged = ledgers = 0
     until = tally.kills + kills

@@ -84,7 +84,8 @@ def _names(problem: Problem, place: str) -> bool:
 
 
 def cases(path: Path) -> Iterator[Case]:
-    """Every file of the ledger taken away, emptied, made longer, or made something else, and any two of a kind exchanged."""
+    """Every file of the ledger taken away, emptied, made longer, or made something else, and any two of a kind
+    exchanged."""
     names = files_of(path)
     for name in names:
         yield from _alone(path, name)

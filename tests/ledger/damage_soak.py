@@ -1,7 +1,8 @@
-"""Every single-bit flip and every length of every file of a ledger, and files in each other's place: `python -m tests.ledger.damage_soak`.
+"""Every single-bit flip and every length of every file of a ledger, and files in each other's place: `python -m
+tests.ledger.damage_soak`.
 
-Each damage is made alone, `verify` looks at the whole ledger, and must doubt it and name the file. Segments that are as they were
-are decoded once. Prints counts by kind of file; exit code 1 if any damage is not found or not placed.
+Each damage is made alone, `verify` looks at the whole ledger, and must doubt it and name the file. Segments that are as
+they were are decoded once. Prints counts by kind of file; exit code 1 if any damage is not found or not placed.
 """
 
 import os
@@ -86,7 +87,8 @@ def _try(path: Path, task: Task) -> Tally:
 
 
 def try_places(folder: Path) -> Iterator[Tally]:
-    """Every file removed, replaced, exchanged, replayed or added; and every tail dropped, with each later checkpoint as anchor."""
+    """Every file removed, replaced, exchanged, replayed or added; and every tail dropped, with each later checkpoint as
+    anchor."""
     path = folder / "swapped" / "ledger"
     write_ledger(path, SWAPPED_SIZES, folder / "snapshots")
     with examined_once(path):

@@ -153,7 +153,10 @@ class FaultyOs:
         raise OSError(code, os.strerror(code))
 
     def _do(self, name: str, arguments: tuple[Any, ...], options: dict[str, Any]) -> Any:
-        """The call happens, and the model learns of it. Nothing is really synced: whether it was is for the model to know."""
+        """The call happens, and the model learns of it.
+
+        Nothing is really synced: whether it was is for the model to know.
+        """
         result = None if name == "fsync" else getattr(os, name)(*arguments, **options)
         match name:
             case "open":

@@ -1,6 +1,8 @@
-"""Single bits flipped in all files of a ledger, and then every command that answers from it: `python -m tests.ledger.flips_soak [COUNT]`.
+"""Single bits flipped in all files of a ledger, and then every command that answers from it: `python -m
+tests.ledger.flips_soak [COUNT]`.
 
-An answer must be refused, or be that of the undamaged ledger. Prints counts by kind of file and by command; exit code 1 if any answer is wrong.
+An answer must be refused, or be that of the undamaged ledger. Prints counts by kind of file and by command; exit code 1
+if any answer is wrong.
 """
 
 import os

@@ -206,7 +206,8 @@ def append_again(path: Path, runs: Sequence[RunRecord]) -> None:
 
 
 def relabelled(run: RunRecord, name: Callable[[str], str]) -> RunRecord:
-    """The same run with another text in every field that takes any but `parameters` and `observes`; what was the same text is the same text again."""
+    """The same run with another text in every field that takes any but `parameters` and `observes`; what was the same
+    text is the same text again."""
     events = []
     for event in run.events:
         free = [

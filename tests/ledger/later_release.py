@@ -1,6 +1,8 @@
-"""A made-up later release: a copy of the package in which event types were changed the way docs/changing-events.md says, run in a process of its own.
+"""A made-up later release: a copy of the package in which event types were changed the way docs/changing-events.md
+says, run in a process of its own.
 
-`StepBegan` went through two versions: v2 said `is_own`, v3 says `is_delegated` instead; `RobotJoined` has a new optional field `depot`.
+`StepBegan` went through two versions: v2 said `is_own`, v3 says `is_delegated` instead; `RobotJoined` has a new
+optional field `depot`.
 """
 
 import json
@@ -115,7 +117,10 @@ for line in sys.stdin:
             traceback.print_exc()
     print(json.dumps([status, out.getvalue(), err.getvalue()]), flush=True)
 """
-"""Answers each line, some code or None and its arguments, with one. To start a process for each would take most of the time."""
+"""Answers each line, some code or None and its arguments, with one.
+
+To start a process for each would take most of the time.
+"""
 
 
 class Said(NamedTuple):

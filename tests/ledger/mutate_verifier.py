@@ -1,8 +1,9 @@
-"""Takes each check out of the verifier, once, and demands that a test fails: `python -m tests.ledger.mutate_verifier [PART OF A NAME ...]`.
+"""Takes each check out of the verifier, once, and demands that a test fails: `python -m tests.ledger.mutate_verifier
+[PART OF A NAME ...]`.
 
 Every mutant is tried in a process of its own, forked after the libraries were imported and before the package is:
-first with the quick tests, then, if it survives those, with the slow ones. Exit code 1 if one survives that is not listed
-in `EQUIVALENT`, or if an entry there no longer stands for a mutant that survives.
+first with the quick tests, then, if it survives those, with the slow ones. Exit code 1 if one survives that is not
+listed in `EQUIVALENT`, or if an entry there no longer stands for a mutant that survives.
 """
 
 import ast

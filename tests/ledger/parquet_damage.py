@@ -1,4 +1,5 @@
-"""Ways to say a thing twice in a Parquet file, or to say what nobody reads: each makes one segment into another that a verifier must refuse."""
+"""Ways to say a thing twice in a Parquet file, or to say what nobody reads: each makes one segment into another that a
+verifier must refuse."""
 
 from collections.abc import Callable
 from typing import cast

@@ -130,7 +130,8 @@ class Disk:
         return sum(not change.is_durable for change in self._changes)
 
     def after_power_failure(self, choice: "Choice", path: Path) -> None:
-        """The new folder `path` holds what the root would hold after a power failure now, with this choice of what survives."""
+        """The new folder `path` holds what the root would hold after a power failure now, with this choice of what
+        survives."""
         names = {id(folder): dict(first) for folder, first in self._first}
         for change in self._changes:
             if change.is_durable or choice.keeps_change():

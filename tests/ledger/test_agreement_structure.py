@@ -1,4 +1,5 @@
-"""What a segment says twice, and only its rows show as false: both verifiers find it, also where they cannot write the same bytes again."""
+"""What a segment says twice, and only its rows show as false: both verifiers find it, also where they cannot write the
+same bytes again."""
 
 import random
 from pathlib import Path

@@ -1,6 +1,8 @@
-"""Each of thirty bombs, and each command that touches it: a clear error or a right answer, within ten seconds of processor and a gibibyte.
+"""Each of thirty bombs, and each command that touches it: a clear error or a right answer, within ten seconds of
+processor and a gibibyte.
 
-Seconds of processor, for those of the wall depend on what else runs. The small ones are tried with every run of the tests, the rest with the long ones.
+Seconds of processor, for those of the wall depend on what else runs. The small ones are tried with every run of the
+tests, the rest with the long ones.
 """
 
 import shutil

@@ -1,4 +1,7 @@
-"""A later release opens ledgers of this one, and this one refuses what a later release wrote. See `later_release.py`."""
+"""A later release opens ledgers of this one, and this one refuses what a later release wrote.
+
+See `later_release.py`.
+"""
 
 import re
 import shutil

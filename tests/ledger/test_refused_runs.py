@@ -1,4 +1,7 @@
-"""What a writer refuses, before anything is in the ledger: what `verify` would condemn, and what breaks a run. Each is named with run, seq and field."""
+"""What a writer refuses, before anything is in the ledger: what `verify` would condemn, and what breaks a run.
+
+Each is named with run, seq and field.
+"""
 
 import re
 import shutil

@@ -1,4 +1,7 @@
-"""Ledgers of every released version open for ever, and event types change only as stored events allow. See `keep_release.py`."""
+"""Ledgers of every released version open for ever, and event types change only as stored events allow.
+
+See `keep_release.py`.
+"""
 
 import shutil
 from collections.abc import Mapping

@@ -245,7 +245,10 @@ def test_an_anchor_that_is_not_there_is_the_callers_mistake(tmp_path: Path) -> N
 
 
 def test_old_tiles_left_in_a_rewritten_ledger_do_not_deceive_a_quick_look(tmp_path: Path) -> None:
-    """The anchor ends within a tile. Its root comes out of the old leaves there, the new root out of the level above them."""
+    """The anchor ends within a tile.
+
+    Its root comes out of the old leaves there, the new root out of the level above them.
+    """
 
     def batches(seed: int) -> list[list[RunRecord]]:
         return [[made_up_run("a", 256, 1)], [made_up_run("b", 44, seed)], [made_up_run("c", 400, 3)]]

@@ -1,4 +1,5 @@
-"""Whatever a writer accepts, `verify` accepts and readers read back; whatever it refuses leaves the ledger's bytes as they were.
+"""Whatever a writer accepts, `verify` accepts and readers read back; whatever it refuses leaves the ledger's bytes as
+they were.
 
 Batches are mostly good; a few values of any field, cause, time, name or order in them are not.
 """
@@ -191,7 +192,8 @@ def batches(draw: st.DrawFn) -> list[RunRecord]:
 
 
 def check(path: Path, offered: list[list[RunRecord]], fates: Counter[str]) -> None:
-    """Each batch is appended, by a writer of its own or the one before, or refused; then all that is there is looked at."""
+    """Each batch is appended, by a writer of its own or the one before, or refused; then all that is there is looked
+    at."""
     kept: list[RunRecord] = []
     writer = Writer(path, ORIGIN)
     newest: list[RunRecord] = []

@@ -1,4 +1,5 @@
-"""Every way out that we could think of is tried, one process each: it is refused for its reason, and nothing is left behind."""
+"""Every way out that we could think of is tried, one process each: it is refused for its reason, and nothing is left
+behind."""
 
 import os
 import resource
@@ -180,12 +181,14 @@ ALIKE = {
     "insert explained",
     "statements as text",
 }
-"""Ways that one lock stops with others: here all are tried on the locks (`test_duckdbs_locks_hold_by_themselves`), in a process each with the soaks."""
+"""Ways that one lock stops with others: here all are tried on the locks (`test_duckdbs_locks_hold_by_themselves`), in a
+process each with the soaks."""
 
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a ledger, whose path has a quote, and beside it what must not be read: a secret, also where DuckDB would spill."""
+    """A folder with a ledger, whose path has a quote, and beside it what must not be read: a secret, also where DuckDB
+    would spill."""
     base = tmp_path_factory.mktemp("escapes")
     ledger = base / "the auditor's ledger"
     with Writer(ledger, "test") as writer:
@@ -200,7 +203,8 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def surrounded(base: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """That folder as the working folder of a caller with a secret in its environment; afterwards everything is as it was, and no process more runs."""
+    """That folder as the working folder of a caller with a secret in its environment; afterwards everything is as it
+    was, and no process more runs."""
     monkeypatch.chdir(base)
     monkeypatch.setenv("HOME", str(base / "home"))
     monkeypatch.setenv("FSAR_LEDGER_KEY", "hush")

@@ -1,4 +1,5 @@
-"""Ways to put a defect into the rows of a real run: each changes the rows and returns the positions that must be caught."""
+"""Ways to put a defect into the rows of a real run: each changes the rows and returns the positions that must be
+caught."""
 
 from collections.abc import Callable
 from typing import Any
@@ -92,7 +93,8 @@ def swapped(name: str, other: str) -> Seeds:
 
 
 def before_start(name: str, change: dict[str, Any]) -> Seeds:
-    """An event of this type about the action stands just before a delegated execution, in place of another action's event."""
+    """An event of this type about the action stands just before a delegated execution, in place of another action's
+    event."""
 
     def seed(rows: list[Row]) -> list[int]:
         start = next(
@@ -181,7 +183,8 @@ def at_its_start(seed: Seeds) -> Seeds:
 
 
 def in_place_before(name: str, inserted: str, change: dict[str, Any], kept: tuple[str, ...], **fields: Any) -> Seeds:
-    """An event that never was stands before one of this type, in place of another's that no invariant judges; it shows at itself."""
+    """An event that never was stands before one of this type, in place of another's that no invariant judges; it shows
+    at itself."""
 
     def seed(rows: list[Row]) -> list[int]:
         for at in where(rows, name, **fields):

@@ -74,7 +74,8 @@ def test_a_claim_has_no_number_where_its_scenario_was_not_run_or_is_not_observed
 
 
 def variants() -> Iterator[pa.Table]:
-    """One run of each scenario and baseline, and once for each concern as a source would record it that does not observe it."""
+    """One run of each scenario and baseline, and once for each concern as a source would record it that does not
+    observe it."""
     concern_of = dict(answer("facts/event_concerns"))
     for architecture, scenario in [(one, other) for one in ("cfc", "dhma") for other in SCENARIOS.values()]:
         rows = encode([simulate_run(RunSpec(42, architecture, "full", scenario, 4, 3), Constants())])

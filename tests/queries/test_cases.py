@@ -15,7 +15,8 @@ SCENARIOS = {1: TRUST, 2: RECOVERY, 3: CONTENTION, 4: DELIVERY}
 
 
 def counted(number: int, **histories: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """What each history adds to the numerator of each claim of the case; one that is no case of a claim does not have it."""
+    """What each history adds to the numerator of each claim of the case; one that is no case of a claim does not have
+    it."""
     runs = [run(*events, run_id=name, scenario=SCENARIOS[number]) for name, events in histories.items()]
     found: dict[str, dict[str, int]] = {name: {} for name in histories}
     for name, claim, count in answer(f"cases/case_{number}_evidence", *runs, columns=("run_id", "claim", "counted")):

@@ -1,4 +1,5 @@
-"""Only runs that met the same world are compared; the others are named, with what differs, and what cannot be compared is said."""
+"""Only runs that met the same world are compared; the others are named, with what differs, and what cannot be compared
+is said."""
 
 from collections.abc import Sequence
 from typing import get_args

@@ -1,4 +1,5 @@
-"""Experiments of the paper's size are drawn from the runs that are there: world by world, scenario by scenario, the same ones each time."""
+"""Experiments of the paper's size are drawn from the runs that are there: world by world, scenario by scenario, the
+same ones each time."""
 
 from typing import Any
 

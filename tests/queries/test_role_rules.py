@@ -24,7 +24,8 @@ ABOUT = list(product((DOOR, LIFT), ("t1", "t2")))
 
 
 def history(seed: int) -> list[Event]:
-    """A fleet whose robots join before, between and after random rules: of roles in domains, of single robots, and of all."""
+    """A fleet whose robots join before, between and after random rules: of roles in domains, of single robots, and of
+    all."""
     draw = Random(seed)
     events: list[Event] = []
     for _ in range(draw.randint(1, 12)):
@@ -66,7 +67,8 @@ def folded(events: Iterable[Event]) -> policy.Policy:
 
 
 def in_force(database: Database, at_us: int, capability: str, context: str) -> dict[tuple[str, str, str], str]:
-    """What policy says at the time about the capability in the context, by run, robot and scope, as the queries have it."""
+    """What policy says at the time about the capability in the context, by run, robot and scope, as the queries have
+    it."""
     found = database.query(
         "audit/policy_at", {"at_us": str(at_us), "capability": capability, "context": context}
     ).to_pylist()

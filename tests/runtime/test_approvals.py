@@ -42,7 +42,8 @@ START = StartAction("q1", drawn=5)
 
 
 def test_an_approval_lifts_no_rule_that_denies_by_then() -> None:
-    """Whether the review was wanted by policy or by density alone, the executor does not act against a rule; a mandate against it is escalated."""
+    """Whether the review was wanted by policy or by density alone, the executor does not act against a rule; a mandate
+    against it is escalated."""
     mandate = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)
     own = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="deny", decided_by=H_B)
     fleets = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=H_F)

@@ -1,4 +1,7 @@
-"""Rights by a supervisor's word, revocation at the request boundary, and claims that end. Paper: sec:model:authority."""
+"""Rights by a supervisor's word, revocation at the request boundary, and claims that end.
+
+Paper: sec:model:authority.
+"""
 
 from typing import Any
 

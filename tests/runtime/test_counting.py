@@ -30,7 +30,8 @@ COUNTS = """
 
 
 class Counted(msgspec.Struct, frozen=True):
-    """Over all runs: decisions, their local share, records, denials of steps that nobody asks for again, and the most of one step."""
+    """Over all runs: decisions, their local share, records, denials of steps that nobody asks for again, and the most
+    of one step."""
 
     decisions: int
     locality: float

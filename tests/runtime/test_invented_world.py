@@ -1,4 +1,5 @@
-"""Replay makes the world again: a fact that was left out, added, moved or altered before the run was made and committed is found.
+"""Replay makes the world again: a fact that was left out, added, moved or altered before the run was made and committed
+is found.
 
 Every invented run here is what the real handlers decide in that world, so that nothing but the world itself is wrong.
 """

@@ -1,4 +1,5 @@
-"""How the clock keeps what cannot be done now: nothing that a robot should do while it is off, and no message over a link that is down, is lost or early."""
+"""How the clock keeps what cannot be done now: nothing that a robot should do while it is off, and no message over a
+link that is down, is lost or early."""
 
 from collections.abc import Sequence
 from math import inf
@@ -52,7 +53,8 @@ DELEGATED = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",),
 
 
 def nameless(one: Wiring) -> set[type[Command]]:
-    """The commands that the clock may hold and of which nobody knows who does them; those from outside are done by whoever gives them."""
+    """The commands that the clock may hold and of which nobody knows who does them; those from outside are done by
+    whoever gives them."""
     return {command for command in one.decides if not issubclass(command, PublicCommand) and command not in one.actors}
 
 

@@ -1,4 +1,7 @@
-"""Override levels and a busy robot: who waits, who goes ahead, who is interrupted and goes on afterwards. Paper: eq:override."""
+"""Override levels and a busy robot: who waits, who goes ahead, who is interrupted and goes on afterwards.
+
+Paper: eq:override.
+"""
 
 from typing import Any
 

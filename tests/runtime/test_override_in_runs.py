@@ -1,4 +1,7 @@
-"""Override levels in whole runs: what is preempted goes on for its rest, and nothing is lost or doubled. Paper: eq:override."""
+"""Override levels in whole runs: what is preempted goes on for its rest, and nothing is lost or doubled.
+
+Paper: eq:override.
+"""
 
 from typing import Any
 
@@ -247,7 +250,8 @@ PAIRS = (
 
 
 def amid(seed: int) -> Kernel:
-    """A whole scenario with its obstructions, windows, context changes and recoveries, and urgent requests all through it."""
+    """A whole scenario with its obstructions, windows, context changes and recoveries, and urgent requests all through
+    it."""
     commands: list[tuple[int, Any]] = []
     for number in range(24):
         requester, executor, capability = PAIRS[(number + seed) % len(PAIRS)]

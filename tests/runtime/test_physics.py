@@ -1,6 +1,7 @@
 """Physics: what no way of governing can bend, stated over every architecture and judged over whole runs.
 
-Rates of 0 and probabilities of 0 and 1 are legal constants of the world, and these are what many statements are made with.
+Rates of 0 and probabilities of 0 and 1 are legal constants of the world, and these are what many statements are made
+with.
 """
 
 import pytest
@@ -294,7 +295,8 @@ def test_every_task_comes_to_an_end_whatever_happens(architecture: Architecture)
 def test_nothing_of_a_task_begins_where_it_is_known_to_be_given_up_and_nobody_claims_what_nobody_does(
     architecture: Architecture,
 ) -> None:
-    """Known is it where it was decided, and at another robot when a message has been under way for its time and both can be reached."""
+    """Known is it where it was decided, and at another robot when a message has been under way for its time and both
+    can be reached."""
     begins = (ExecutionQueued, RequestAdmitted, CommandIssued, AwardMade, OwnStepDecided, StepBegan)
     goes_on = (ApproachStarted, ExecutionStarted, RequestAccepted)
     message_us = round(OURS.message.high_s * 1_000_000) + 10

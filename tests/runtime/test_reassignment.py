@@ -1,4 +1,7 @@
-"""Recovery by another robot or by people: given events, when a command, then events. Paper: eq:recovery, app:foundations."""
+"""Recovery by another robot or by people: given events, when a command, then events.
+
+Paper: eq:recovery, app:foundations.
+"""
 
 import pytest
 

@@ -1,4 +1,7 @@
-"""Recovery by the robot and its peers: given events, when a command, then events. Paper: eq:recovery, app:foundations."""
+"""Recovery by the robot and its peers: given events, when a command, then events.
+
+Paper: eq:recovery, app:foundations.
+"""
 
 import pytest
 

@@ -74,7 +74,8 @@ def test_another_seed_gives_another_ledger(tmp_path: Path, expected: dict[str, s
     assert fingerprint(tmp_path / "ledger") != expected
 
 
-@pytest.mark.slow  # that an interrupted simulation continues to the same root is tested in tests/cli/test_interruption.py
+# that an interrupted simulation continues to the same root is tested in tests/cli/test_interruption.py
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_a_killed_simulation_resumes_to_the_same_bytes(tmp_path: Path, expected: dict[str, str], workers: str) -> None:
     out = tmp_path / "ledger"

@@ -270,7 +270,8 @@ def test_each_link_of_a_relayed_request_rests_on_its_own_trust() -> None:
 
 
 def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last() -> None:
-    """A1 may ask B1 and B1 may ask C1; A1 at C1 has no trust whatever was granted along the way, and C1 judges B1 alone."""
+    """A1 may ask B1 and B1 may ask C1; A1 at C1 has no trust whatever was granted along the way, and C1 judges B1
+    alone."""
     grants = (
         AuthorityGranted(
             requested_by=A,
