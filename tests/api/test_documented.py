@@ -46,7 +46,8 @@ def test_every_public_name_can_be_imported_and_says_what_it_is() -> None:
 def test_an_import_takes_no_library() -> None:
     code = (
         "import sys; before = set(sys.modules); import fsar_ledger; "
-        "loaded = {name for name in set(sys.modules) - before if name.partition('.')[0] not in sys.stdlib_module_names}; "
+        "loaded = {name for name in set(sys.modules) - before if name.partition('.')[0] not in "
+        "sys.stdlib_module_names}; "
         "print(*sorted(loaded))"
     )
     done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, env=_here(), check=True)

@@ -24,13 +24,19 @@ def rows_of(called: Called) -> list[dict[str, str]]:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["simulate", "--help"], ["query", "--help"]])
 def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
-    code = f"import sys; from fsar_ledger.cli.app import run; run({arguments}); print(*{HEAVY} & sys.modules.keys(), file=sys.stderr)"
+    code = (
+        f"import sys; from fsar_ledger.cli.app import run; run({arguments}); print(*{HEAVY} & sys.modules.keys(), "
+        "file=sys.stderr)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.split() == []
 
 
 def test_the_version_is_told_without_typer() -> None:
-    code = "import sys; sys.argv[1:] = ['--version']; from fsar_ledger.__main__ import main; main(); print('typer' in sys.modules)"
+    code = (
+        "import sys; sys.argv[1:] = ['--version']; from fsar_ledger.__main__ import main; main(); print('typer' in "
+        "sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == f"fsar-ledger {__version__}\nFalse\n"
 

@@ -111,7 +111,8 @@ def calls_of_witnesses(ledger: Path, place: Path) -> Iterator[tuple[object, ...]
     yield "witness", "serve", state, "--log", EVIL
     cosigner = Cosigner(ORIGIN, bytes(32)).key
     policy.write_text(
-        f"log {Signer(ORIGIN, bytes(32)).verifier}\nwitness {ORIGIN} {cosigner} http://127.0.0.1:9/\u202e\nquorum {ORIGIN}\n"
+        f"log {Signer(ORIGIN, bytes(32)).verifier}\nwitness {ORIGIN} {cosigner} "
+        f"http://127.0.0.1:9/\u202e\nquorum {ORIGIN}\n"
     )
     yield from (
         ("verify", ledger, "--witness-policy", policy),

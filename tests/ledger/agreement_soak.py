@@ -61,7 +61,8 @@ def main(arguments: list[str]) -> int:
     stricter = sum(outcome.is_stricter for outcome in found)
     agreed = len(found) - len(differences) - stricter
     print(
-        f"ledgers {len(found)}, good {good}, damaged {len(found) - good}: agree {agreed}, disagree {len(differences)}, verify alone stricter {stricter}"
+        f"ledgers {len(found)}, good {good}, damaged {len(found) - good}: agree {agreed}, disagree "
+        f"{len(differences)}, verify alone stricter {stricter}"
     )
     for difference in differences:
         print(f"  {difference}")

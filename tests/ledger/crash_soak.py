@@ -105,18 +105,21 @@ def soak(folder: Path, kills: int, pairs: int) -> Tally:
 
     single_faults(laboratory, calls)
     say(
-        f"{len(calls)} calls of two appends: {tally.faults:,} faults, {tally.power_failures:,} power failures after them"
+        f"{len(calls)} calls of two appends: {tally.faults:,} faults, {tally.power_failures:,} power failures "
+        "after them"
     )
     pairs_of_faults(laboratory, calls, pairs)
     say(
-        f"{pairs:,} pairs of faults: {tally.faults_in_recovery:,} during the recovery, {tally.power_failures:,} power failures in all"
+        f"{pairs:,} pairs of faults: {tally.faults_in_recovery:,} during the recovery, "
+        f"{tally.power_failures:,} power failures in all"
     )
     with Nursery() as nursery:
         kills_at_calls(laboratory, nursery, calls)
         say(f"{tally.kills:,} processes killed, one at each call")
         acknowledged = kills_at_moments(folder, tally, nursery, kills)
         say(
-            f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} batches acknowledged beside them"
+            f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} batches "
+            "acknowledged beside them"
         )
     return tally
 
@@ -127,8 +130,10 @@ def main(arguments: list[str]) -> int:
     with tempfile.TemporaryDirectory() as folder:
         tally = soak(Path(folder), kills, pairs)
     print(
-        f"injected faults {tally.faults:,}, during recovery {tally.faults_in_recovery:,}, power failures {tally.power_failures:,}, SIGKILLs {tally.kills:,}\n"
-        f"acknowledged events lost: {tally.lost}, torn: {tally.torn}, other complaints: {len(tally.complaints) - tally.lost - tally.torn}"
+        f"injected faults {tally.faults:,}, during recovery {tally.faults_in_recovery:,}, power failures "
+        f"{tally.power_failures:,}, SIGKILLs {tally.kills:,}\n"
+        f"acknowledged events lost: {tally.lost}, torn: {tally.torn}, other complaints: "
+        f"{len(tally.complaints) - tally.lost - tally.torn}"
     )
     for complaint in tally.complaints[:MAX_COMPLAINTS]:
         print(complaint)

@@ -29,7 +29,8 @@ CHUNK = 512
 
 
 class Task(NamedTuple):
-    """A part of one file: its bytes from `first` to before `last` are flipped, or it is cut to each of these lengths."""
+    """A part of one file: its bytes from `first` to before `last` are flipped, or it is cut to each of these
+    lengths."""
 
     name: str
     is_cut: bool
@@ -147,7 +148,8 @@ def main() -> int:
     print("\n".join(missed[:10]))
     total = sum((count for count in counts.values()), Counter())
     print(
-        f"{total['tried']:,} damages of a ledger of {sum(SIZES)} events, {total['found']:,} found, {total['placed']:,} placed; {time.monotonic() - began:.0f} s"
+        f"{total['tried']:,} damages of a ledger of {sum(SIZES)} events, {total['found']:,} found, "
+        f"{total['placed']:,} placed; {time.monotonic() - began:.0f} s"
     )
     return 0 if total["tried"] == total["found"] == total["placed"] > 0 else 1
 

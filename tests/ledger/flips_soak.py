@@ -66,7 +66,8 @@ def main(count: int) -> int:
                 tally += counted
                 wrong += named
                 print(
-                    f"{sum(tally[kind, outcome] for kind in KINDS for outcome in OUTCOMES):,} answers, {len(wrong):,} wrong",
+                    f"{sum(tally[kind, outcome] for kind in KINDS for outcome in OUTCOMES):,} answers, "
+                    f"{len(wrong):,} wrong",
                     flush=True,
                 )
     for name in (*KINDS, *VERBS):

@@ -85,7 +85,8 @@ def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None
     text = columns / f"{RELEASE}.txt"
     if text.exists() and text.read_text("utf-8") != described(SCHEMA):
         raise SystemExit(
-            f"{text}: found other columns than today's, expected them unchanged since release {RELEASE}; set RELEASE to {version}"
+            f"{text}: found other columns than today's, expected them unchanged since release {RELEASE}; set "
+            f"RELEASE to {version}"
         )
     kept = write_ledger(folder / "ledger")
     lines = [msgspec.json.encode({tag: fields}) + b"\n" for tag, fields in stored_types(LAYOUTS.values()).items()]

@@ -54,7 +54,8 @@ class StepBeganV2(Event, frozen=True, tag="StepBegan.v2"):
 
 
 def _second(event: StepBeganV1) -> StepBeganV2:
-    return StepBeganV2(event.task_id, event.action_id, event.robot, event.step, event.attempt, event.capability, event.target_role is None, event.target_role)
+    kept = (event.task_id, event.action_id, event.robot, event.step, event.attempt, event.capability)
+    return StepBeganV2(*kept, event.target_role is None, event.target_role)
 
 
 def _third(event: StepBeganV2) -> StepBegan:

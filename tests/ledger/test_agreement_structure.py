@@ -39,7 +39,8 @@ def test_both_verifiers_find_two_faces(path: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("page", range(3))
 def test_statistics_of_each_page_are_those_of_its_rows(path: Path, page: int) -> None:
-    """Pages of ten rows, by another version of the library; those of integers say which are their least and greatest."""
+    """Pages of ten rows, by another version of the library; those of integers say which are their least and
+    greatest."""
     data = packed(tables_of(path)[1], data_page_size=1, write_batch_size=10).replace(VERSION, OTHER_VERSION)
     parts = Parts(data)
     assert len(parts.pages[TIME]) == 3

@@ -104,7 +104,8 @@ def test_a_listing_that_lacks_a_commit_made_meanwhile_is_made_again(
     (path / "commits" / "000000000002.json").rename(tmp_path / "gone")
     with pytest.raises(
         LedgerCorrupted,
-        match=r"000000000003\.json: commit 3: found number 3, expected numbers below 3, without gaps: commits/000000000002.json is missing",
+        match=r"000000000003\.json: commit 3: found number 3, expected numbers below 3, without gaps: "
+        r"commits/000000000002.json is missing",
     ):
         open_ledger(path)
 

@@ -57,7 +57,8 @@ def test_a_run_of_an_earlier_commit_is_refused_and_the_writer_goes_on(path: Path
         for runs in ([run], [BATCHES[2][0], run], [made_up_run(run.run_id, 5, seed=77)]):
             with pytest.raises(
                 InvalidRun,
-                match=rf"run {run.run_id}, seq 0, field run_id: found a run that commit {number} holds, expected each run in one commit",
+                match=rf"run {run.run_id}, seq 0, field run_id: found a run that commit {number} holds, expected "
+                r"each run in one commit",
             ):
                 writer.append(stage(path, runs))
             assert contents(path) == before
@@ -255,7 +256,8 @@ def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> N
     refused(
         path,
         [run],
-        "run night, seq 0, field parameters: found .*, expected constants as a JSON object, or None; nothing was written",
+        "run night, seq 0, field parameters: found .*, expected constants as a JSON object, or None; nothing "
+        "was written",
     )
 
 

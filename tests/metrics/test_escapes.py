@@ -122,7 +122,10 @@ TAKES_ALL_MEMORY = {
         "ran out of memory",
     ),
     "windows": (
-        "SELECT max(s) FROM (SELECT string_agg(repeat('x', 100), '') OVER (ORDER BY i) AS s FROM range(1000000) AS t(i))",
+        (
+            "SELECT max(s) FROM (SELECT string_agg(repeat('x', 100), '') OVER (ORDER BY i) AS s FROM "
+            "range(1000000) AS t(i))"
+        ),
         "ran out of memory",
     ),
     "JSON that nests too deep": (
@@ -275,7 +278,9 @@ ALLOWED = {
     "a description": "DESCRIBE run_started",
     "a plan with times": "EXPLAIN ANALYZE SELECT count(*) FROM events",
     "a SELECT in a text": "SELECT * FROM query('SELECT count(*) AS n FROM events')",
-    "a recursion that ends": "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r WHERE n < 9) SELECT max(n) AS n FROM r",
+    "a recursion that ends": (
+        "WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r WHERE n < 9) SELECT max(n) AS n FROM r"
+    ),
 }
 
 

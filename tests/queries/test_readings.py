@@ -120,7 +120,9 @@ def test_readings_of_one_relation_say_the_same_in_any_order(cases: Database, rel
             )
             found.append(
                 cases.rows(
-                    f"SELECT * FROM ({library().relations[second.name].reading_from({one.replaces: 'first_reading'})}) ORDER BY ALL"
+                    "SELECT * FROM "
+                    f"({library().relations[second.name].reading_from({one.replaces: 'first_reading'})}) ORDER "
+                    "BY ALL"
                 )
             )
             cases.undefine("first_reading")

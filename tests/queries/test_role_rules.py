@@ -1,4 +1,5 @@
-"""Rules by role and domain: the handlers and the queries find the same policy, and a robot's own rule is the exception."""
+"""Rules by role and domain: the handlers and the queries find the same policy, and a robot's own rule is the
+exception."""
 
 from collections.abc import Iterable
 from itertools import product

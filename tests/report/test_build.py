@@ -18,7 +18,8 @@ REPORT = """
 import sys
 from pathlib import Path
 from fsar_ledger.report import write_report
-write_report(Path(sys.argv[1]), Path(sys.argv[2]), reads_every_way=sys.argv[3] == "True", numbers_out=Path(sys.argv[2] + ".json"))
+_, ledger, out, every_way = sys.argv
+write_report(Path(ledger), Path(out), reads_every_way=every_way == "True", numbers_out=Path(out + ".json"))
 """
 
 
@@ -108,7 +109,8 @@ def test_file_where_a_folder_is_needed_is_refused(tmp_path: Path) -> None:
 
 @contextmanager
 def small_files() -> Iterator[None]:
-    """No file can grow beyond 1,000 bytes: a real refusal by the kernel; Python ignores the signal that comes with it."""
+    """No file can grow beyond 1,000 bytes: a real refusal by the kernel; Python ignores the signal that comes with
+    it."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:

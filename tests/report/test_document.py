@@ -174,8 +174,8 @@ def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_t
     found = gather(path)
     assert found.unjudged is not None
     assert (
-        "The printed tables are over 5 scenarios with equally many runs of each, but of FSAR, CFC, DHMA this ledger has "
-        in found.unjudged
+        "The printed tables are over 5 scenarios with equally many runs of each, but of FSAR, CFC, DHMA this "
+        "ledger has " in found.unjudged
     )
     assert held in found.unjudged
     assert sum(row["mean"] is not None for row in found.cells) > 18
@@ -251,9 +251,8 @@ def test_tables_are_of_one_seed_and_the_others_stand_apart(ledger: Path, tmp_pat
     assert [row["mean"] for row in found.cells] == [row["mean"] for row in findings.cells]
     assert found.evidence == findings.evidence
     assert {(row["otherwise"], row["n"]) for row in found.others} == {("seed 43", 1)}
-    assert (
-        found.shown
-        == "The tables are of seed 42, simulated runs, model 1; runs made otherwise are never taken together with these."
+    assert found.shown == (
+        "The tables are of seed 42, simulated runs, model 1; runs made otherwise are never taken together with these."
     )
     pooled = gather(several, pools_seeds=True)
     assert (pooled.others, max(row["n"] for row in pooled.cells)) == ((), 11)

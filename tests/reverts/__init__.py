@@ -40,6 +40,7 @@ def reverted(text: str, change: Change) -> str:
     """Return the text without the fix. Raises: ValueError where the text of the fix does not stand exactly once."""
     if (times := text.count(change.now)) != 1:
         raise ValueError(
-            f"{change.file}: found {times} times {change.now!r:.90}, expected once; follow the fix to where it stands now"
+            f"{change.file}: found {times} times {change.now!r:.90}, expected once; follow the fix to where it "
+            "stands now"
         )
     return text.replace(change.now, change.before)

@@ -83,7 +83,8 @@ def main(names: list[str]) -> int:
             silent.append(name)
     tests = len(names or known)
     print(
-        f"{tests} fixes taken out, {tests - len(silent)} tests failed by an assertion, {len(silent)} did not{': ' + ', '.join(silent) if silent else ''}"
+        f"{tests} fixes taken out, {tests - len(silent)} tests failed by an assertion, {len(silent)} did "
+        f"not{': ' + ', '.join(silent) if silent else ''}"
     )
     return 1 if silent else 0
 

@@ -77,9 +77,7 @@ def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_
     assert types(play(state, START)) == ["ExecutionStarted"]
 
 
-def test_what_was_approved_and_then_held_by_a_rule_starts_when_the_rule_is_lifted_although_the_approved_one_stands() -> (
-    None
-):
+def test_what_a_rule_held_after_its_approval_starts_when_that_rule_is_lifted_although_the_approved_one_stands() -> None:
     rule = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="review", decided_by=H_B)
     state = approved(rule)
     broad = PolicyRuleSet(scope="local", robot=B, capability=None, context=None, outcome="deny", decided_by=H_B)

@@ -191,11 +191,14 @@ def test_a_difference_says_which_fact_was_found_and_which_was_expected() -> None
     difference = replay_run(simulated_in([*facts[:at], invented, *facts[at + 1 :]], spec))
     assert difference is not None
     assert isinstance(missing[1], ObstructionAppeared)
-    assert (
-        difference.expected
-        == f"ObstructionAppeared.v1 at {missing[0]} microseconds (robot {missing[1].robot!r}, obstruction {missing[1].obstruction!r})"
+    assert difference.expected == (
+        f"ObstructionAppeared.v1 at {missing[0]} microseconds (robot {missing[1].robot!r}, obstruction "
+        f"{missing[1].obstruction!r})"
     )
-    found = f"ObstructionCleared.v1 at {missing[0]} microseconds (robot 'robot/A1', obstruction 'obstruction/A1/0'), which the world of this run does not have"
+    found = (
+        f"ObstructionCleared.v1 at {missing[0]} microseconds (robot 'robot/A1', obstruction 'obstruction/A1/0'), "
+        "which the world of this run does not have"
+    )
     assert difference.actual == found
     assert str(difference).endswith(
         f"seq {difference.seq}, field type: found {found}, expected {difference.expected} from world.schedule.schedule"

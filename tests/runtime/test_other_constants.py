@@ -62,9 +62,11 @@ def test_a_run_under_other_constants_is_no_doubt_but_told() -> None:
     assert isinstance(started, RunStarted)
     [remark] = remarks_on(played([started, run_started(SPECS[1], CONSTANTS)]))
     assert remark == (
-        f"other constants: 1 of 2 runs (1 of {SPECS[0].architecture}) met a world or a structure that is not this version's: "
+        f"other constants: 1 of 2 runs (1 of {SPECS[0].architecture}) met a world or a structure that is not "
+        "this version's: "
         f"structure.local_attempts=9 (here 2), world.context_rate_per_s=1e-9 (here {OURS.context_rate_per_s}), "
-        f"world.fleet_rule_rate_per_s=1e-9 (here {OURS.fleet_rule_rate_per_s}), world.obstruction_rate_per_s=1e-9 (here {OURS.obstruction_rate_per_s})"
+        f"world.fleet_rule_rate_per_s=1e-9 (here {OURS.fleet_rule_rate_per_s}), "
+        f"world.obstruction_rate_per_s=1e-9 (here {OURS.obstruction_rate_per_s})"
     )
 
 

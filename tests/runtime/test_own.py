@@ -255,7 +255,8 @@ def test_a_file_stands_alone_and_a_fleet_has_a_name_or_is_a_file(tmp_path: Path)
 
 
 def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path: Path) -> None:
-    """The package is copied with these, and nothing else of it changes; no experiment of the paper is enlarged by them."""
+    """The package is copied with these, and nothing else of it changes; no experiment of the paper is enlarged by
+    them."""
     shutil.copytree(ROOT / "fsar_ledger", tmp_path / "fsar_ledger", ignore=shutil.ignore_patterns("__pycache__"))
     scenario = 'name = "sixth"\n[[tasks]]\nowner = "A"\nsteps = ["A door.open.basic B"]\n'
     (tmp_path / "fsar_ledger/runtime/world/scenarios/sixth.toml").write_text(scenario)

@@ -198,7 +198,8 @@ def _differs(runs: Expected) -> int:
 
 
 def replaced(swap: Swap) -> bool:
-    """Put the mutant in the place of every function that its file holds; return whether there was one that it changes."""
+    """Put the mutant in the place of every function that its file holds; return whether there was one that it
+    changes."""
     name = str(swap.file)
     before = _functions(compile(ast.parse(swap.file.read_text()), name, "exec"))
     after = _functions(
