@@ -55,6 +55,7 @@ def test_an_answer_without_any_output_to_go_to_is_one_message(ledger: Path) -> N
     assert done.stderr == "fsar-ledger: the output has nowhere to go: it was closed; write it to a file or a pipe\n"
 
 
+@pytest.mark.slow
 def test_nothing_is_left_behind_where_libraries_keep_their_files(ledger: Path, tmp_path: Path) -> None:
     (tmp_path / "scratch").mkdir()
     environment = {"HOME": "/proc/nowhere", "TMPDIR": str(tmp_path / "scratch"), "PATH": "/usr/bin:/bin"}
