@@ -50,7 +50,7 @@ def small(*architectures: Architecture, **given: Any) -> Experiment:
 
 
 def planned_only(path: Path, experiment: Experiment, origin: str = ORIGIN) -> None:
-    """The experiment was interrupted when it had begun."""
+    """Make an experiment that was interrupted right after its plan."""
     with pytest.raises(Stopped):
         simulate(path, experiment, 1, stop_after(0), origin=origin)
 

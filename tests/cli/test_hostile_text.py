@@ -181,7 +181,7 @@ def more_calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, 
 
 
 def drive(all_calls: Iterator[tuple[object, ...]], call: Call) -> tuple[set[str], set[int]]:
-    """The verbs that were called and the exit codes that they ended with; none of them painted anything."""
+    """Make all calls; return the verbs called and the exit codes. Fails if any call paints the screen."""
     seen, codes = set(), set()
     for arguments in all_calls:
         called = call(*arguments)

@@ -54,7 +54,7 @@ def outcomes(count: int, *, is_large: bool) -> list[Outcome]:
 
 
 def main(arguments: list[str]) -> int:
-    """The counts are printed; 1 where the two differ anywhere, or both from what was expected."""
+    """Print the counts; return 1 where the two differ from each other or from what was expected."""
     found = outcomes(int(arguments[0]) if arguments else 1000, is_large=True)
     differences = [outcome.difference for outcome in found if outcome.difference]
     good = sum(outcome.is_good for outcome in found)

@@ -118,8 +118,7 @@ def _column(field: pa.Field, value: object, count: int) -> pa.Array:
 
 
 def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> None:
-    """This segment is committed so many times after what is there, as far as anybody sees who does not hash its
-    rows."""
+    """Commit this segment so many times after what is there; only hashing its rows would tell."""
     data = data if isinstance(data, bytes) else bytes(segment.to_parquet(data))
     for _ in range(times):
         number = len(list((path / "commits").iterdir()))

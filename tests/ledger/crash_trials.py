@@ -82,7 +82,7 @@ def _written(table: pa.Table) -> pa.Buffer:
 
 
 def encode_all() -> None:
-    """No batch is encoded or decoded again in this process, nor in those that it forks."""
+    """Encode and decode every batch once, for this process and those that it forks."""
     for batch in BATCHES:
         _parquet(batch[0].run_id)
     _decoded()
@@ -105,8 +105,10 @@ def _read(path: Path, columns: list[str] | None = None) -> pa.Table:
 
 @contextmanager
 def encoded_once() -> Iterator[None]:
-    """Each batch is encoded once, and its segment decoded once, and for all: that writes nothing, and would take most
-    of the time of a trial."""
+    """Encode each batch and decode its segment only once.
+
+    Both write nothing, and would take most of the time of a trial.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(segment, "read_table", _read)
         patch.setattr(append, "encode_hashed", lambda runs: _encoded(runs[0].run_id))

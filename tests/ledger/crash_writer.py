@@ -75,7 +75,7 @@ def _child(work: Callable[[Callable[[str, object], None]], None], name: str, pip
 
 
 def obey(order: Order) -> Outcome:
-    """The order was carried out; no child is left."""
+    """Carry out the order; leave no child running."""
     path = Path(order.path)
     listen, pipe = os.pipe()
     stop, stopper = os.pipe()

@@ -28,9 +28,9 @@ def own_commits(view: LedgerView, name: str) -> int:
 
 
 def write(path: Path, name: str, batches: int, say: Callable[[str, object], None]) -> None:
-    """All batches of this writer are in the ledger.
+    """Append all batches of this writer.
 
-    Each is acknowledged at once; a conflict is answered by opening anew.
+    Acknowledges each at once; after a conflict, opens the ledger anew.
     """
     while True:
         try:

@@ -181,7 +181,7 @@ class FaultyOs:
         return result
 
     def end(self) -> None:
-        """The process is over: what it had open is closed, and with it go its locks."""
+        """End the process: close what it had open, which releases its locks."""
         self._is_dead = True
         self.left_open = len(self._handles)
         for handle in list(self._handles):

@@ -55,8 +55,7 @@ class Answer(NamedTuple):
 
 
 def write_runs(path: Path) -> None:
-    """There is a ledger of three runs of each architecture, those of one in a commit: segments of which most is data,
-    as in a large ledger."""
+    """Write a ledger of three runs of each architecture, one of them a commit: mostly data, as in a large one."""
     with Writer(path, "example.org/flips") as writer:
         for architecture in ARCHITECTURES:
             specs = [RunSpec(7, architecture, "full", scenario, 4, 0) for scenario in SCENARIOS]

@@ -107,8 +107,10 @@ _examined: dict[tuple[tuple[str, str], ...], Examined] = {}
 
 @contextmanager
 def examined_once(ledger: Path | Examined) -> Iterator[None]:
-    """Inside, `verify` and `recover` decode only segments that differ from those that this ledger holds now; of equal
-    ledgers only the first is decoded."""
+    """Make `verify` and `recover` decode only segments that differ from those that this ledger holds now.
+
+    Of equal ledgers only the first is decoded.
+    """
     if isinstance(ledger, Examined):
         examined = ledger
     else:

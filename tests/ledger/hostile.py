@@ -188,7 +188,7 @@ def _zigzag(number: int) -> bytes:
 
 
 def stage_anything(path: Path, runs: Sequence[RunRecord]) -> Staged:
-    """The runs are staged as 0.1.0 staged them: whatever their names and their order."""
+    """Stage the runs as 0.1.0 did: with any names, in any order."""
     return stage_rows(path, runs, *encode_hashed(runs))
 
 

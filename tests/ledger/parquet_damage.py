@@ -91,12 +91,12 @@ def within(number: int, alter: Alter) -> Alter:
 
 
 def without(number: int) -> Alter:
-    """The field is not there."""
+    """Leave the field out."""
     return lambda struct: struct.remove(next(one for one in struct if one.number == number))
 
 
 def again(number: int, *, at_once: bool) -> Alter:
-    """The field is there twice, one after the other or in another place."""
+    """Write the field twice, one after the other or in another place."""
 
     def change(struct: Struct) -> None:
         at, one = next((at, one) for at, one in enumerate(struct) if one.number == number)
@@ -116,7 +116,7 @@ def gap(before: int | None) -> Damage:
 
 
 def one_less(number: int) -> Alter:
-    """The list in this field is shorter."""
+    """Shorten the list in this field."""
 
     def change(struct: Struct) -> None:
         cast(Listed, field(struct, number)).values.pop()

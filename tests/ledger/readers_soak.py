@@ -131,7 +131,7 @@ class Readers:
             return f"a reader ended the process ({code})"
 
     def close(self) -> None:
-        """The process is gone."""
+        """End the process."""
         self._pipe.close()
         self._process.join()
 

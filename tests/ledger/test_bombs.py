@@ -27,7 +27,7 @@ def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def explode(name: str, intact: Path, place: Path, most: int | None = None) -> None:
-    """The bomb is laid, and its first calls (None: all) are made."""
+    """Lay the bomb and make its first calls (None: all)."""
     shutil.copytree(intact, place / "ledger")
     bomb = BOMBS[name]
     bomb.lay(place / "ledger")

@@ -18,7 +18,7 @@ FLIPS = 2000
 
 
 def restored(path: Path, snapshots: Path, number: int) -> Path:
-    """The whole ledger is rolled back to what it was after so many commits, all its files with it."""
+    """Roll the whole ledger, with all its files, back to what it was after so many commits."""
     shutil.rmtree(path)
     return Path(shutil.copytree(snapshots / str(number), path))
 
@@ -239,7 +239,7 @@ def test_history_written_again_is_caught_by_an_anchor(snapshots: Path, tmp_path:
 
 
 def restored_from(path: Path, original: Path) -> None:
-    """The files are those of the original again."""
+    """Restore the files of the original."""
     for entry in (path, path.parent / "aside"):
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry)

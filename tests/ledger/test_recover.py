@@ -64,7 +64,7 @@ def aside(path: Path) -> Files:
 
 
 def assert_nothing_lost(before: Files, path: Path) -> None:
-    """Each file that was there is in the ledger or set aside, or it is a note that a record holds."""
+    """Check that each file that was there is in the ledger or set aside, unless it is a note that a record holds."""
     now = {*contents(path).values(), *aside(path).values()}
     notes = {json.loads(data)["note"].encode() for name, data in contents(path).items() if name.startswith("commits/")}
     assert [name for name, data in before.items() if data not in now | notes] == []

@@ -192,8 +192,7 @@ def batches(draw: st.DrawFn) -> list[RunRecord]:
 
 
 def check(path: Path, offered: list[list[RunRecord]], fates: Counter[str]) -> None:
-    """Each batch is appended, by a writer of its own or the one before, or refused; then all that is there is looked
-    at."""
+    """Append each batch, with a new writer or the one before; then look at all that is there."""
     kept: list[RunRecord] = []
     writer = Writer(path, ORIGIN)
     newest: list[RunRecord] = []

@@ -58,7 +58,7 @@ def of_delegated_start(change: dict[str, Any]) -> Seeds:
 
 
 def lost(name: str) -> Seeds:
-    """The events of this type of a delegated action are lost (they become an event that says nothing of it)."""
+    """Lose the events of this type of a delegated action: they become an event that says nothing of it."""
 
     def seed(rows: list[Row]) -> list[int]:
         start = delegated_start(rows)
@@ -207,7 +207,7 @@ def in_place_before(name: str, inserted: str, change: dict[str, Any], kept: tupl
 
 
 def revoked_before_admission(rows: list[Row]) -> list[int]:
-    """The right to ask was revoked before a request was admitted; it shows at the admission."""
+    """Revoke the right to ask before a request is admitted; it shows at the admission."""
     for at in where(rows, "RequestAdmitted"):
         free = next(
             (
@@ -253,7 +253,7 @@ def never_closed(rows: list[Row]) -> list[int]:
 
 
 def without(name: str, shows_at: str, **fields: Any) -> Seeds:
-    """The last event of this type about an action is lost; it shows at the next one of the other type."""
+    """Lose the last event of this type about an action; it shows at the next one of the other type."""
 
     def seed(rows: list[Row]) -> list[int]:
         shown = where(rows, shows_at, **fields)[0]
@@ -285,7 +285,7 @@ def an_hour_later(name: str, **fields: Any) -> Seeds:
 
 
 def beyond(name: str, change: dict[str, int]) -> Seeds:
-    """The fleet was founded with another budget, which what was done overran."""
+    """Found the fleet with another budget, which what was done overran."""
 
     def seed(rows: list[Row]) -> list[int]:
         at = where(rows, name)[0]

@@ -109,8 +109,7 @@ def test_file_where_a_folder_is_needed_is_refused(tmp_path: Path) -> None:
 
 @contextmanager
 def small_files() -> Iterator[None]:
-    """No file can grow beyond 1,000 bytes: a real refusal by the kernel; Python ignores the signal that comes with
-    it."""
+    """Let no file grow beyond 1,000 bytes: the kernel refuses, and Python ignores the signal that it sends."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:

@@ -57,7 +57,7 @@ class Bench(Kernel):
         self._record(fact, self.now_us, 0)
 
     def proceed(self) -> bool:
-        """The next pending command is decided; False when none is pending."""
+        """Decide the next pending command; return False when none is pending."""
         if not self._pending:
             return False
         due_us, _, cause, scheduled = heappop(self._pending)

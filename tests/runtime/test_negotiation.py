@@ -137,7 +137,7 @@ def test_an_answer_to_no_open_offer_is_rejected(command: AnswerOffer, found: str
 
 
 def executing(result_of: str = "q1") -> State:
-    """The request is being executed."""
+    """Return the state in which the request is being executed."""
     state = served(asked(), EvaluateRequest(result_of), TakeTurn(result_of))
     apply(
         state,

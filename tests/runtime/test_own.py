@@ -334,7 +334,7 @@ def designs(draw: st.DrawFn) -> Constants:
 
 
 def plays(folder: Path, own: Constants, teams: int, architecture: str) -> None:
-    """The design is well made, and its run verifies and replays."""
+    """Check that the design is well made, and that its run verifies and replays."""
     assert own.fleet is not None
     assert own.scenario is not None
     assert list(problems_of_fleet(own.fleet)) == []

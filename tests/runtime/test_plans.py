@@ -47,7 +47,7 @@ def stop_after(batches: int) -> Callable[[int, int], None]:
 
 
 def interrupted(path: Path, experiment: Experiment, batches: int) -> None:
-    """The experiment was stopped when so many batches were there."""
+    """Stop the experiment when so many batches are there."""
     with pytest.raises(Stopped):
         simulate(path, experiment, 1, stop_after(batches))
 
