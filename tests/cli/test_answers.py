@@ -225,7 +225,7 @@ def reproduced(call: Call, tmp_path: Path, *only: str) -> None:
     assert call("key", "new", tmp_path / "fleet.key", "--name", "example.org/fleet").code == 0
     asked = [option for name in only for option in ("--only", name)]
     said = call(
-        "reproduce", "--out", tmp_path / "out", "--runs", 1, "--workers", "2", "--key", tmp_path / "fleet.key", *asked
+        "reproduce", "--out", tmp_path / "out", "--runs", 1, "--workers", "1", "--key", tmp_path / "fleet.key", *asked
     )
     assert said.code == 0, said.err
     names = {"results", *only} if only else set(EXPERIMENTS)

@@ -5,6 +5,7 @@ from hashlib import sha256
 from pathlib import Path
 
 import msgspec
+import pytest
 
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.store.append import Writer, stage
@@ -41,6 +42,7 @@ def test_constants_of_the_first_run_are_listed_by_name(findings: Findings) -> No
     assert findings.runs[0]["numbers"] == "0 to 1"
 
 
+@pytest.mark.slow
 def test_constants_are_those_of_the_runs_in_the_tables_and_not_of_others_that_come_first(
     ledger: Path, tmp_path: Path, findings: Findings
 ) -> None:
