@@ -16,11 +16,9 @@ from fsar_ledger.metrics.library import generated
 
 ROOT = Path(__file__).resolve().parent.parent
 CODE = ("fsar_ledger", "queries", "reports", "tests", "benchmarks", "docs")
-FILE_LINES_MAX, FUNCTION_LINES_MAX, QUERY_LINES_MAX = (
-    560,
-    100,
-    140,
-)  # to be 400, 60, 80 again once every folder is wrapped
+FILE_LINES_MAX, FUNCTION_LINES_MAX, QUERY_LINES_MAX = 400, 60, 140
+LONGER = {"tests/independent_verifier.py": 520}
+"""Files that may be longer: the verifier keeps the order of docs/ledger-format.md, to be read beside it as one text."""
 TOP_LEVEL = {"README.md", "pyproject.toml", "fsar_ledger", "queries", "reports", "tests"}
 REQUIREMENTS = {f"requirements{part}.{kind}" for part in ("", "-test", "-all") for kind in ("in", "txt")}
 SUPPORT = {"Makefile", "LICENSE", "CHANGELOG.md", "benchmarks", "docs", *REQUIREMENTS}
@@ -36,7 +34,7 @@ def too_long(root: Path) -> list[str]:
     found = []
     for path in [*code_files(root, ".py"), *code_files(root, ".sql")]:
         text, name = path.read_text("utf-8"), path.relative_to(root)
-        limit = QUERY_LINES_MAX if path.suffix == ".sql" else FILE_LINES_MAX
+        limit = QUERY_LINES_MAX if path.suffix == ".sql" else LONGER.get(name.as_posix(), FILE_LINES_MAX)
         if (lines := len(text.splitlines())) > limit:
             found.append(f"{name}: {lines} lines, at most {limit}")
         found += [
