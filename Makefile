@@ -1,5 +1,5 @@
-# `make reproduce` and `make test` need a POSIX system (Linux, macOS), Python 3.11 or newer, and make. Each installs what it uses:
-# `reproduce` requirements.txt, `test` requirements-test.txt on top of it, `test-all` requirements-all.txt on top of that.
+# `make reproduce` and `make test` need a POSIX system (Linux, macOS), Python 3.11 or newer, and make. Each installs
+# what it uses: `reproduce` requirements.txt, `test` also requirements-test.txt, `test-all` also requirements-all.txt.
 #
 # PYTHON=python3.12 make test   uses another interpreter; the default is the first of these that is new enough.
 # JOBS=4 make test              runs the tests in more processes.
@@ -22,19 +22,22 @@ READY := .venv/.ready
 READY_TEST := .venv/.ready-test
 READY_ALL := .venv/.ready-all
 
-SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts soak-swaps
+SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers \
+	soak-reverts soak-swaps
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all check check-style check-types check-sql check-imports soak $(SOAKS) soak-sensitivity bench docs pins sbom clean
+.PHONY: help setup reproduce test test-all check check-style check-types check-sql check-imports soak $(SOAKS) \
+	soak-sensitivity bench docs pins sbom clean
 
 help:
 	@echo "make setup       create .venv with the command fsar-ledger in it"
 	@echo "make reproduce   simulate the paper's experiments, measure them, typeset the report into $(OUT)/"
-	@echo "make test        run every check and the tests, 5 minutes; tests that need an extra are skipped, with the reason"
+	@echo "make test        run every check and the tests, 5 minutes; skips tests that need an extra, and says so"
 	@echo "make test-all    install the extras and run all tests but the soaks, 30 minutes; a skipped test is a failure"
 	@echo "make check       run the checks without the tests: style, types, imports, SQL"
 	@echo "make soak        run the long tests, over an hour: $(SOAKS)"
-	@echo "make soak-sensitivity   measure how much each number depends on each constant, most of an hour; resumes where it was interrupted"
+	@echo "make soak-sensitivity   measure how much each number depends on each constant, most of an hour;"
+	@echo "                 resumes where it was interrupted"
 	@echo "make bench       run the benchmarks and print ratios"
 	@echo "make docs        rewrite the pages that show real output"
 	@echo "make pins        pin the versions in requirements*.in again; needs uv"
@@ -44,7 +47,9 @@ help:
 setup: $(READY)
 
 $(READY): requirements.txt pyproject.toml
-	@if [ -z "$(PYTHON)" ]; then echo "make: no Python 3.11 or newer found; install one, or name it: make PYTHON=/path/to/python3" >&2; exit 2; fi
+	@if [ -z "$(PYTHON)" ]; then \
+		echo "make: no Python 3.11 or newer found; install one, or name it: make PYTHON=/path/to/python3" >&2; \
+		exit 2; fi
 	$(PYTHON) -m venv .venv
 	$(PIP) --require-hashes -r requirements.txt
 	$(PIP) --no-deps --no-build-isolation -e .
@@ -94,7 +99,8 @@ soak-tests: $(READY_TEST)
 soak-federation: $(READY_TEST)
 	$(BIN)/python -m tests.runtime.test_federation_model $(STEPS)
 
-# Inject a fault at every call of an append and of its recovery, cut the power, kill 2,000 processes: nothing is lost, nothing torn.
+# Inject a fault at every call of an append and of its recovery, cut the power, kill 2,000 processes: nothing is lost,
+# nothing torn.
 soak-crash: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.crash_soak
 
@@ -122,11 +128,13 @@ soak-readers: $(READY_TEST)
 soak-reverts: $(READY_TEST)
 	$(BIN)/python -m tests.reverts.soak
 
-# Every two arguments that could be mistaken for each other, wherever an event is made, swapped once: the type checker, a run or a test finds it.
+# Swap once every two arguments that could be mistaken for each other, wherever an event is made: the type checker, a
+# run or a test finds it.
 soak-swaps: $(READY_TEST)
 	$(BIN)/python -m tests.swaps.soak
 
-# Vary every constant, the load and the fleet size: which cell does each move, and how far? Not a test; repeat it after a fit.
+# Vary every constant, the load and the fleet size: which cell does each move, and how far? Not a test; repeat it after
+# a fit.
 soak-sensitivity: $(READY)
 	$(BIN)/fsar-ledger sensitivity --out $(OUT)/sensitivity.parquet --svg $(OUT)/sensitivity.svg
 
@@ -141,7 +149,8 @@ bench: $(READY_TEST)
 
 docs: reproduce $(READY_TEST)
 	$(BIN)/python docs/write.py
-	$(BIN)/python -c 'from pathlib import Path; from fsar_ledger.report import result_figure_svg; result_figure_svg(Path("$(OUT)/results"), Path("docs/results.svg"))'
+	$(BIN)/python -c 'from pathlib import Path; from fsar_ledger.report import result_figure_svg; \
+		result_figure_svg(Path("$(OUT)/results"), Path("docs/results.svg"))'
 
 # The versions and hashes that the three set-ups install.
 pins: $(READY)

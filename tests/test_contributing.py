@@ -1,4 +1,5 @@
-"""Each section of docs/contributing.md is a change that can be made as it is written, and passes the checks that it names.
+"""Each section of docs/contributing.md is a change that can be made as it is written, and passes the checks that it
+names.
 
 `python -m tests.test_contributing "An event" PLACE` makes one in a copy of the repository, to look at it.
 """
@@ -48,7 +49,8 @@ def commands(section: str) -> list[list[str]]:
 
 
 def hunks(diff: str) -> Iterator[tuple[str, str]]:
-    """Yield what stands there and what shall stand there, for each part between lines of `@@`; an empty line is one of both."""
+    """Yield what stands there and what shall stand there, for each part between lines of `@@`; an empty line is one of
+    both."""
     for part in re.split(r"^@@\n", diff, flags=re.MULTILINE):
         lines = [line or " " for line in part.splitlines()]
         before, after = ("".join(f"{line[1:]}\n" for line in lines if line[0] in kept) for kept in (" -", " +"))
@@ -109,7 +111,10 @@ def make(section: str, place: Path) -> list[Change]:
 
 
 def called(command: list[str], place: Path) -> None:
-    """Run a command of the environment in the tree, against the package there. Raises: AssertionError unless it ends with 0."""
+    """Run a command of the environment in the tree, against the package there.
+
+    Raises: AssertionError unless it ends with 0.
+    """
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join([str(place.parent / "site"), str(place)]),
         "PYTHONDONTWRITEBYTECODE": "1",

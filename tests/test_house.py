@@ -17,11 +17,9 @@ from fsar_ledger.metrics.library import generated
 
 ROOT = Path(__file__).resolve().parent.parent
 CODE = ("fsar_ledger", "queries", "reports", "tests", "benchmarks", "docs")
-FILE_LINES_MAX, FUNCTION_LINES_MAX, QUERY_LINES_MAX = (
-    560,
-    100,
-    140,
-)  # to be 400, 60, 80 again once every folder is wrapped
+FILE_LINES_MAX, FUNCTION_LINES_MAX, QUERY_LINES_MAX = 400, 60, 140
+LONGER = {"tests/independent_verifier.py": 520}
+"""Files that may be longer: the verifier keeps the order of docs/ledger-format.md, to be read beside it as one text."""
 TOP_LEVEL = {"README.md", "pyproject.toml", "fsar_ledger", "queries", "reports", "tests"}
 REQUIREMENTS = {f"requirements{part}.{kind}" for part in ("", "-test", "-all") for kind in ("in", "txt")}
 SUPPORT = {"Makefile", "LICENSE", "CHANGELOG.md", "benchmarks", "docs", *REQUIREMENTS}
@@ -37,7 +35,7 @@ def too_long(root: Path) -> list[str]:
     found = []
     for path in [*code_files(root, ".py"), *code_files(root, ".sql")]:
         text, name = path.read_text("utf-8"), path.relative_to(root)
-        limit = QUERY_LINES_MAX if path.suffix == ".sql" else FILE_LINES_MAX
+        limit = QUERY_LINES_MAX if path.suffix == ".sql" else LONGER.get(name.as_posix(), FILE_LINES_MAX)
         if (lines := len(text.splitlines())) > limit:
             found.append(f"{name}: {lines} lines, at most {limit}")
         found += [
@@ -66,27 +64,9 @@ def undocumented(root: Path) -> list[str]:
 
 
 PRINTING = {
-    *(
-        "print",
-        "sys.stdout",
-        "sys.stderr",
-        "sys.__stdout__",
-        "sys.__stderr__",
-        "sys.displayhook",
-        "pprint.pprint",
-        "warnings.warn",
-        "os.system",
-    ),
-    *(
-        "typer.echo",
-        "typer.secho",
-        "typer.echo_via_pager",
-        "typer.prompt",
-        "typer.confirm",
-        "typer.progressbar",
-        "typer.launch",
-        "input",
-    ),
+    *("print", "input", "pprint.pprint", "warnings.warn", "os.system"),
+    *(f"sys.{name}" for name in ("stdout", "stderr", "__stdout__", "__stderr__", "displayhook")),
+    *(f"typer.{name}" for name in ("echo", "secho", "echo_via_pager", "prompt", "confirm", "progressbar", "launch")),
 }
 PRINTERS = {"rich", "click", "logging", "curses", "readline", "pdb", "faulthandler"}
 MAY_PRINT = ("cli/terminal.py", "cli/progress.py")
@@ -427,6 +407,7 @@ def test_an_import_that_breaks_the_rule_is_found(tree: Path, file: str, line: st
     assert complaint in result.stdout
 
 
+@pytest.mark.slow  # builds and installs a wheel
 def test_the_wheel_has_every_module_query_and_report(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
     place = tmp_path_factory.mktemp("installed")
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]

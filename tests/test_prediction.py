@@ -44,6 +44,7 @@ def test_encounters_change_nothing_else() -> None:
     assert len({msgspec.json.encode(msgspec.structs.replace(world, encounter_mean_s=90.0)) for world in worlds}) == 1
 
 
+@pytest.mark.slow
 def test_numbers_name_what_was_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = [
         msgspec.structs.replace(play, experiment=msgspec.structs.replace(play.experiment, runs=1))

@@ -46,17 +46,20 @@ def test_every_public_name_can_be_imported_and_says_what_it_is() -> None:
 def test_an_import_takes_no_library() -> None:
     code = (
         "import sys; before = set(sys.modules); import fsar_ledger; "
-        "loaded = {name for name in set(sys.modules) - before if name.partition('.')[0] not in sys.stdlib_module_names}; "
+        "loaded = {name for name in set(sys.modules) - before if name.partition('.')[0] not in "
+        "sys.stdlib_module_names}; "
         "print(*sorted(loaded))"
     )
     done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, env=_here(), check=True)
     assert done.stdout.split() == ["fsar_ledger"]
 
 
+@pytest.mark.slow
 def test_the_examples_of_the_page_run(tmp_path: Path) -> None:
     run_in_order(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL), tmp_path)
 
 
+@pytest.mark.slow
 def test_the_cells_of_the_tour_run(tmp_path: Path) -> None:
     run_in_order(cells(), tmp_path)
     assert (tmp_path / "out" / "tour.svg").read_bytes().startswith(b"<?xml")

@@ -59,7 +59,8 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
 
 @pytest.fixture(scope="session")
 def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small ledger that tests may read but not change: two scenarios, two runs, three architectures; its rows are known to be those under its root."""
+    """A small ledger that tests may read but not change: two scenarios, two runs, three architectures; its rows are
+    known to be those under its root."""
     path = tmp_path_factory.mktemp("cli") / "out" / "ledger"
     for command in (("simulate", path, *SMALL), ("verify", path)):
         called = in_a_process(*command)

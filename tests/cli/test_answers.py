@@ -24,13 +24,19 @@ def rows_of(called: Called) -> list[dict[str, str]]:
 
 @pytest.mark.parametrize("arguments", [["--help"], ["simulate", "--help"], ["query", "--help"]])
 def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
-    code = f"import sys; from fsar_ledger.cli.app import run; run({arguments}); print(*{HEAVY} & sys.modules.keys(), file=sys.stderr)"
+    code = (
+        f"import sys; from fsar_ledger.cli.app import run; run({arguments}); print(*{HEAVY} & sys.modules.keys(), "
+        "file=sys.stderr)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.split() == []
 
 
 def test_the_version_is_told_without_typer() -> None:
-    code = "import sys; sys.argv[1:] = ['--version']; from fsar_ledger.__main__ import main; main(); print('typer' in sys.modules)"
+    code = (
+        "import sys; sys.argv[1:] = ['--version']; from fsar_ledger.__main__ import main; main(); print('typer' in "
+        "sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == f"fsar-ledger {__version__}\nFalse\n"
 
@@ -203,7 +209,9 @@ def test_an_experiment_that_is_not_known_is_refused_before_anything_is_made(call
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.slow  # all of them; that an experiment that is there is not made again, and a report has the same bytes again, is tested in parts as well
+# all of them; that an experiment that is there is not made again, and a report has the same bytes again, is tested in
+# parts as well
+@pytest.mark.slow
 def test_reproduce_can_be_repeated(call: Call, tmp_path: Path) -> None:
     reproduced(call, tmp_path)
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()}
@@ -212,11 +220,12 @@ def test_reproduce_can_be_repeated(call: Call, tmp_path: Path) -> None:
 
 
 def reproduced(call: Call, tmp_path: Path, *only: str) -> None:
-    """The results and these experiments (none named: all) were done with one run of each scenario, complete and signed, in the folder `out`."""
+    """The results and these experiments (none named: all) were done with one run of each scenario, complete and signed,
+    in the folder `out`."""
     assert call("key", "new", tmp_path / "fleet.key", "--name", "example.org/fleet").code == 0
     asked = [option for name in only for option in ("--only", name)]
     said = call(
-        "reproduce", "--out", tmp_path / "out", "--runs", 1, "--workers", "2", "--key", tmp_path / "fleet.key", *asked
+        "reproduce", "--out", tmp_path / "out", "--runs", 1, "--workers", "1", "--key", tmp_path / "fleet.key", *asked
     )
     assert said.code == 0, said.err
     names = {"results", *only} if only else set(EXPERIMENTS)

@@ -1,4 +1,5 @@
-"""`statistics` says whose worlds differ before any number, and why it compares nothing; `--pool` is asked for by name."""
+"""`statistics` says whose worlds differ before any number, and why it compares nothing; `--pool` is asked for by
+name."""
 
 import csv
 import io
@@ -48,7 +49,8 @@ def test_statistics_name_differing_worlds_before_any_number_and_fail(call: Call,
     lines = table.out.splitlines()
     assert table.code == 1
     assert lines[0].startswith(
-        "fsar-cfc: 1 pair of runs is left out: they did not meet the same facts of the world; first under seed 7, door-relay, 4 robots, run 0"
+        "fsar-cfc: 1 pair of runs is left out: they did not meet the same facts of the world; first under seed "
+        "7, door-relay, 4 robots, run 0"
     )
     assert " 1 " in next(line for line in lines[1:] if "coordination_success" in line)
     answer = json.loads(call("statistics", unlike, "--json").out)

@@ -50,7 +50,7 @@ def small(*architectures: Architecture, **given: Any) -> Experiment:
 
 
 def planned_only(path: Path, experiment: Experiment, origin: str = ORIGIN) -> None:
-    """The experiment was interrupted when it had begun."""
+    """Make an experiment that was interrupted right after its plan."""
     with pytest.raises(Stopped):
         simulate(path, experiment, 1, stop_after(0), origin=origin)
 
@@ -103,9 +103,8 @@ def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_
     found = info(call, path)
     [plan] = found["plans"]
     assert (found["is_complete"], found["runs"], plan["there_count"], plan["planned_count"]) == (False, 2, 2, 6)
-    assert (
-        plan["continues_with"]
-        == f"fsar-ledger simulate '{path}' --architecture cfc --architecture fsar --scenario door-relay --runs 3 --seed 5"
+    assert plan["continues_with"] == (
+        f"fsar-ledger simulate '{path}' --architecture cfc --architecture fsar --scenario door-relay --runs 3 --seed 5"
     )
     assert (
         f"2 of 6 runs of door-relay x 3 runs x cfc, fsar, seed 5, 4 robots; go on with: {plan['continues_with']}\n"
@@ -217,8 +216,8 @@ def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, t
     assert found["is_complete"] is False
     text = said(call, tmp_path / "ledger")
     assert (
-        "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the constants that began it"
-        in text
+        "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the "
+        "constants that began it" in text
     )
     assert f"constants A: simulated, model version 2, 3 runs: {OURS}\n" in text
     assert "constants B: simulated, model version 2, 1 run: world.window_mean_s=12\n" in text

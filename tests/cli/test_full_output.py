@@ -55,6 +55,7 @@ def test_an_answer_without_any_output_to_go_to_is_one_message(ledger: Path) -> N
     assert done.stderr == "fsar-ledger: the output has nowhere to go: it was closed; write it to a file or a pipe\n"
 
 
+@pytest.mark.slow
 def test_nothing_is_left_behind_where_libraries_keep_their_files(ledger: Path, tmp_path: Path) -> None:
     (tmp_path / "scratch").mkdir()
     environment = {"HOME": "/proc/nowhere", "TMPDIR": str(tmp_path / "scratch"), "PATH": "/usr/bin:/bin"}
@@ -68,7 +69,10 @@ def test_nothing_is_left_behind_where_libraries_keep_their_files(ledger: Path, t
 
 
 def test_an_unbuffered_answer_that_fits_in_part_is_said_to_be_incomplete(ledger: Path, tmp_path: Path) -> None:
-    call = f'ulimit -f 8; exec {sys.executable} -m fsar_ledger sql "{ledger}" "SELECT * FROM events" --csv > "{tmp_path / "part"}"'
+    call = (
+        f'ulimit -f 8; exec {sys.executable} -m fsar_ledger sql "{ledger}" "SELECT * FROM events" --csv > '
+        f'"{tmp_path / "part"}"'
+    )
     done = subprocess.run(
         ["sh", "-c", call], env={**os.environ, "PYTHONUNBUFFERED": "1"}, capture_output=True, text=True, check=False
     )

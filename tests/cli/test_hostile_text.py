@@ -1,4 +1,5 @@
-"""Every verb over a ledger with hostile text in every field, in a terminal: nothing is painted, and no line begins with what an attacker wrote."""
+"""Every verb over a ledger with hostile text in every field, in a terminal: nothing is painted, and no line begins with
+what an attacker wrote."""
 
 import json
 import os
@@ -78,22 +79,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("key", "new", key, "--name", "x/\u05d0"),
         ("recover", ledger, "--workers", 1),
     )
-    policy, state = place / "policy\x1b[2J", place / "witness\x1b[2J"
-    yield from (
-        ("witness", "new", state, "--name", "x/\u05d0"),
-        ("witness", "new", state, "--name", EVIL),
-        ("witness", "new", state, "--name", ORIGIN),
-    )
-    yield "witness", "serve", state, "--log", EVIL
-    cosigner = Cosigner(ORIGIN, bytes(32)).key
-    policy.write_text(
-        f"log {Signer(ORIGIN, bytes(32)).verifier}\nwitness {ORIGIN} {cosigner} http://127.0.0.1:9/\u202e\nquorum {ORIGIN}\n"
-    )
-    yield from (
-        ("verify", ledger, "--witness-policy", policy),
-        ("witness", "ask", ledger, "--policy", policy),
-        ("witness", "ask", ledger, "--policy", state / "none"),
-    )
+    yield from calls_of_witnesses(ledger, place)
     yield from (
         ("simulate", ledger, "--runs", 1),
         ("simulate", out, "--scenario", EVIL),
@@ -111,6 +97,27 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("multiverse", ledger, "--metric", EVIL),
         (EVIL,),
         (f"--{EVIL}",),
+    )
+
+
+def calls_of_witnesses(ledger: Path, place: Path) -> Iterator[tuple[object, ...]]:
+    """Witnesses and policies that are named with hostile text."""
+    policy, state = place / "policy\x1b[2J", place / "witness\x1b[2J"
+    yield from (
+        ("witness", "new", state, "--name", "x/\u05d0"),
+        ("witness", "new", state, "--name", EVIL),
+        ("witness", "new", state, "--name", ORIGIN),
+    )
+    yield "witness", "serve", state, "--log", EVIL
+    cosigner = Cosigner(ORIGIN, bytes(32)).key
+    policy.write_text(
+        f"log {Signer(ORIGIN, bytes(32)).verifier}\nwitness {ORIGIN} {cosigner} "
+        f"http://127.0.0.1:9/\u202e\nquorum {ORIGIN}\n"
+    )
+    yield from (
+        ("verify", ledger, "--witness-policy", policy),
+        ("witness", "ask", ledger, "--policy", policy),
+        ("witness", "ask", ledger, "--policy", state / "none"),
     )
 
 
@@ -174,7 +181,7 @@ def more_calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, 
 
 
 def drive(all_calls: Iterator[tuple[object, ...]], call: Call) -> tuple[set[str], set[int]]:
-    """The verbs that were called and the exit codes that they ended with; none of them painted anything."""
+    """Make all calls; return the verbs called and the exit codes. Fails if any call paints the screen."""
     seen, codes = set(), set()
     for arguments in all_calls:
         called = call(*arguments)

@@ -94,7 +94,7 @@ def limited_disk(*arguments: object, file_bytes_max: int) -> subprocess.Complete
     )
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.slow), "2"])
 def test_a_full_disk_ends_a_simulation_without_half_a_commit(
     call: Call, ledger: Path, tmp_path: Path, workers: str
 ) -> None:

@@ -1,4 +1,5 @@
-"""Commands that read take the memory that they state, and say so when it is not enough; nothing of it is the ledger's fault."""
+"""Commands that read take the memory that they state, and say so when it is not enough; nothing of it is the ledger's
+fault."""
 
 import os
 import subprocess
@@ -62,7 +63,10 @@ def test_what_takes_more_is_ended_with_one_message_and_leaves_no_half_file(tmp_p
 )
 def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
     grow = "kept = bytearray(b'x') * (400 << 20); import time; time.sleep(60)"
-    within = f"import subprocess, sys\nwith bounded(256, Path('ledger')):\n    subprocess.run([sys.executable, '-c', {grow!r}])\n"
+    within = (
+        "import subprocess, sys\nwith bounded(256, Path('ledger')):\n    subprocess.run([sys.executable, '-c', "
+        f"{grow!r}])\n"
+    )
     code = f"from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\n{within}"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
@@ -72,7 +76,10 @@ def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
 
 
 def test_what_is_asked_for_at_once_is_refused_by_the_system(tmp_path: Path) -> None:
-    code = "from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\nwith bounded(256, Path('ledger')):\n    bytearray(64 << 30)\n"
+    code = (
+        "from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\nwith bounded(256, "
+        "Path('ledger')):\n    bytearray(64 << 30)\n"
+    )
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert "LimitReached: memory: this needs more than 256 MiB" in done.stderr
 

@@ -105,8 +105,8 @@ def test_explain_does_not_say_that_there_were_no_requests(call: Call, members: P
 
 def test_info_names_what_no_answer_is_about(call: Call, members: Path) -> None:
     assert (
-        "not observed, so that no answer is about it: authority (1 of 1 runs), command (1 of 1 runs), execution (1 of 1 runs)"
-        in call("info", members).out
+        "not observed, so that no answer is about it: authority (1 of 1 runs), command (1 of 1 runs), "
+        "execution (1 of 1 runs)" in call("info", members).out
     )
     found = json.loads(call("info", members, "--json").out)["not_observed"]
     assert {one["concern"] for one in found} == set(CONCERNS) - {"fleet"}

@@ -1,4 +1,5 @@
-"""An answer that is made some rows at a time is to the byte the answer that is made at once, and is shown whole or not at all."""
+"""An answer that is made some rows at a time is to the byte the answer that is made at once, and is shown whole or not
+at all."""
 
 from collections.abc import Iterator
 from itertools import pairwise

@@ -1,4 +1,5 @@
-"""Every answer from rows says whether they were compared with the root: `rows_verified` in JSON, a line on stderr where they were not."""
+"""Every answer from rows says whether they were compared with the root: `rows_verified` in JSON, a line on stderr where
+they were not."""
 
 import json
 import shutil
@@ -20,7 +21,7 @@ ANSWERS = (*WITH_JSON, "export")
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is remembered yet."""
+    """Start with an empty cache."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
@@ -66,7 +67,8 @@ def test_an_answer_says_whether_its_rows_were_compared_with_the_root(call: Call,
     before = call(*words(verb, small, *options))
     assert before.code in (0, 1)
     assert before.err == (
-        f"fsar-ledger: the rows of {small} were not compared with its root; `fsar-ledger verify {small}` does that, and --verified demands it\n"
+        f"fsar-ledger: the rows of {small} were not compared with its root; `fsar-ledger verify {small}` does "
+        "that, and --verified demands it\n"
     )
     after = call(*words(verb, small, *options, "--verified"))
     assert (after.code, after.err) == (before.code, "")

@@ -187,7 +187,8 @@ def test_verify_says_how_it_looked_who_signed_and_since_when_it_only_grew(call: 
     assert "runs" not in quick
     quick = call("verify", ledger, "--quick", *anchor).out
     assert quick.endswith(
-        f"\nthe recorded roots only grew since the anchor's {size_of(ledger):,} events; rows were not compared with them\n"
+        f"\nthe recorded roots only grew since the anchor's {size_of(ledger):,} events; rows were not compared "
+        "with them\n"
     )
 
 

@@ -29,6 +29,7 @@ def answer(call: str, capsys: pytest.CaptureFixture[str]) -> str:
     return without_digests(out + err)
 
 
+@pytest.mark.slow
 def test_the_page_of_own_fleets_shows_what_happens(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -133,7 +133,8 @@ def plain(sizes: Sequence[int]) -> list[list[RunRecord]]:
 
 
 def bases(folder: Path, is_large: bool) -> list[Path]:
-    """Ledgers of several shapes: sizes about a tile's width, signed, half signed, odd text; one (`is_large`) with tiles of level 2."""
+    """Ledgers of several shapes: sizes about a tile's width, signed, half signed, odd text; one (`is_large`) with tiles
+    of level 2."""
     shapes: list[tuple[list[int], list[Signer | None]]] = [
         ([], []),
         ([1], [None]),
@@ -286,8 +287,8 @@ Make = Callable[[Path, random.Random, Path], Case | None]
 class Outcome(NamedTuple):
     """What was found: whether `verify` calls it good, and where the two differ, or both from what was expected.
 
-    `is_stricter`: `verify` doubts only that its own version of the library wrote these bytes for right rows, or that a footer and its columns agree,
-    which is more than the format asks.
+    `is_stricter`: `verify` doubts only that its own version of the library wrote these bytes for right rows, or that a
+    footer and its columns agree, which is more than the format asks.
     """
 
     is_good: bool

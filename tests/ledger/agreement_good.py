@@ -1,6 +1,8 @@
-"""What a good ledger may look like, and what depends on the key or the anchor: each function makes one thing so, and says what a verifier must find.
+"""What a good ledger may look like, and what depends on the key or the anchor: each function makes one thing so, and
+says what a verifier must find.
 
-A function gets a ledger of its own to change, what is drawn, and a folder for files beside the ledger. It returns None where it does not apply.
+A function gets a ledger of its own to change, what is drawn, and a folder for files beside the ledger. It returns None
+where it does not apply.
 """
 
 import random
@@ -107,7 +109,8 @@ def outgrown_tiles_left(path: Path, draw: random.Random, beside: Path) -> Case |
 
 
 def another_history(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """Everything rewritten consistently from an altered row: good without a key and an anchor, and with an anchor of what came before; else damage."""
+    """Everything rewritten consistently from an altered row: good without a key and an anchor, and with an anchor of
+    what came before; else damage."""
     tables = tables_of(path)
     if not tables:
         return None
@@ -128,7 +131,8 @@ def another_history(path: Path, draw: random.Random, beside: Path) -> Case | Non
 
 
 def packed_otherwise(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """The same rows in other Parquet, by what says that it is another version of the library: other pages, compressed otherwise, with fewer statistics."""
+    """The same rows in other Parquet, by what says that it is another version of the library: other pages, compressed
+    otherwise, with fewer statistics."""
     level, pages, bounded = (
         draw.randrange(1, 10),
         draw.choice([100, 1 << 20]),

@@ -1,4 +1,5 @@
-"""How often `verify` and the independent verifier agree: `python -m tests.ledger.agreement_soak [N]` judges N ledgers (1,000), good and damaged."""
+"""How often `verify` and the independent verifier agree: `python -m tests.ledger.agreement_soak [N]` judges N ledgers
+(1,000), good and damaged."""
 
 import random
 import shutil
@@ -53,14 +54,15 @@ def outcomes(count: int, *, is_large: bool) -> list[Outcome]:
 
 
 def main(arguments: list[str]) -> int:
-    """The counts are printed; 1 where the two differ anywhere, or both from what was expected."""
+    """Print the counts; return 1 where the two differ from each other or from what was expected."""
     found = outcomes(int(arguments[0]) if arguments else 1000, is_large=True)
     differences = [outcome.difference for outcome in found if outcome.difference]
     good = sum(outcome.is_good for outcome in found)
     stricter = sum(outcome.is_stricter for outcome in found)
     agreed = len(found) - len(differences) - stricter
     print(
-        f"ledgers {len(found)}, good {good}, damaged {len(found) - good}: agree {agreed}, disagree {len(differences)}, verify alone stricter {stricter}"
+        f"ledgers {len(found)}, good {good}, damaged {len(found) - good}: agree {agreed}, disagree "
+        f"{len(differences)}, verify alone stricter {stricter}"
     )
     for difference in differences:
         print(f"  {difference}")

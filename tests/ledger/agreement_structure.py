@@ -1,4 +1,7 @@
-"""Segments that hold the right rows and say something twice, or say what nobody reads; their hashes fit. Functions as in `agreement_damage`."""
+"""Segments that hold the right rows and say something twice, or say what nobody reads; their hashes fit.
+
+Functions as in `agreement_damage`.
+"""
 
 import random
 from pathlib import Path
@@ -6,13 +9,14 @@ from pathlib import Path
 from fsar_ledger.ledger.rows.segment import to_parquet
 from fsar_ledger.ledger.store.paths import segment_path
 from tests.ledger.agreement import OTHER_VERSION, VERSION, Case, Make, tables_of, unchained, with_value
-from tests.ledger.agreement_damage import forged_segment
+from tests.ledger.agreement_rows import forged_segment
 from tests.ledger.parquet_damage import DAMAGED
 from tests.ledger.parts import two_faced
 
 
 def a_segment_with_two_faces(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """Readers that begin at the data find the rows of the tree, readers that begin at the dictionary find others; or the other way round."""
+    """Readers that begin at the data find the rows of the tree, readers that begin at the dictionary find others; or
+    the other way round."""
     records, tables = unchained(path), tables_of(path)
     if not tables:
         return None

@@ -1,6 +1,8 @@
-"""What a call of the command line costs; `python -m tests.ledger.bomb_trial SECONDS ARGUMENT ...` runs one and prints its cost.
+"""What a call of the command line costs; `python -m tests.ledger.bomb_trial SECONDS ARGUMENT ...` runs one and prints
+its cost.
 
-A process begins with the memory of the one that started it, as the operating system counts: so a small one is between a test and the command.
+A process begins with the memory of the one that started it, as the operating system counts: so a small one is between a
+test and the command.
 """
 
 import json
@@ -17,7 +19,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Cost(NamedTuple):
-    """The exit code (-9: its time was over), the message, and what it took. Units: seconds of processor and wall, MiB of its largest process."""
+    """The exit code (-9: its time was over), the message, and what it took.
+
+    Units: seconds of processor and wall, MiB of its largest process.
+    """
 
     code: int
     said: str

@@ -1,6 +1,7 @@
 """Thirty bombs: small things that an enemy hands over so that whoever looks at them runs out of memory or time.
 
-Those in a ledger are committed as a writer would have: every hash in the records fits what lies there, and only the leaves were never made.
+Those in a ledger are committed as a writer would have: every hash in the records fits what lies there, and only the
+leaves were never made.
 """
 
 import os
@@ -117,7 +118,7 @@ def _column(field: pa.Field, value: object, count: int) -> pa.Array:
 
 
 def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> None:
-    """This segment is committed so many times after what is there, as far as anybody sees who does not hash its rows."""
+    """Commit this segment so many times after what is there; only hashing its rows would tell."""
     data = data if isinstance(data, bytes) else bytes(segment.to_parquet(data))
     for _ in range(times):
         number = len(list((path / "commits").iterdir()))

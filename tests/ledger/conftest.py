@@ -20,7 +20,8 @@ def nursery() -> Iterator[Nursery]:
 
 @pytest.fixture(scope="module")
 def snapshots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """In `N`, a signed ledger as it was after N of its commits, whose numbers of events are the module's `SIZES`; in `whole`, after all."""
+    """In `N`, a signed ledger as it was after N of its commits, whose numbers of events are the module's `SIZES`; in
+    `whole`, after all."""
     folder = tmp_path_factory.mktemp("snapshots")
     write_ledger(folder / "whole", request.module.SIZES, folder)
     return folder

@@ -1,6 +1,8 @@
-"""Everything that test_crash.py and test_concurrency.py do a part of: `python -m tests.ledger.crash_soak [KILLS] [PAIRS]`.
+"""Everything that test_crash.py and test_concurrency.py do a part of: `python -m tests.ledger.crash_soak [KILLS]
+[PAIRS]`.
 
-Every kind of fault at every call of two appends, each followed by power failures; pairs of faults, the second during the
+Every kind of fault at every call of two appends, each followed by power failures; pairs of faults, the second during
+the
 recovery from the first; processes really killed at every call; KILLS processes (2,000) really killed at random moments,
 two to eight at a time on one ledger. Prints counts and ends with exit code 1 if anything was lost or torn.
 """
@@ -62,7 +64,10 @@ def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -
 
 
 def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, seed: int = 13) -> int:
-    """So many processes are really killed at random moments while they open, recover and append. Returns how many batches were acknowledged."""
+    """So many processes are really killed at random moments while they open, recover and append.
+
+    Returns how many batches were acknowledged.
+    """
     draw = random.Random(seed)
     acknowledged = ledgers = 0
     until = tally.kills + kills
@@ -100,18 +105,21 @@ def soak(folder: Path, kills: int, pairs: int) -> Tally:
 
     single_faults(laboratory, calls)
     say(
-        f"{len(calls)} calls of two appends: {tally.faults:,} faults, {tally.power_failures:,} power failures after them"
+        f"{len(calls)} calls of two appends: {tally.faults:,} faults, {tally.power_failures:,} power failures "
+        "after them"
     )
     pairs_of_faults(laboratory, calls, pairs)
     say(
-        f"{pairs:,} pairs of faults: {tally.faults_in_recovery:,} during the recovery, {tally.power_failures:,} power failures in all"
+        f"{pairs:,} pairs of faults: {tally.faults_in_recovery:,} during the recovery, "
+        f"{tally.power_failures:,} power failures in all"
     )
     with Nursery() as nursery:
         kills_at_calls(laboratory, nursery, calls)
         say(f"{tally.kills:,} processes killed, one at each call")
         acknowledged = kills_at_moments(folder, tally, nursery, kills)
         say(
-            f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} batches acknowledged beside them"
+            f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} batches "
+            "acknowledged beside them"
         )
     return tally
 
@@ -122,8 +130,10 @@ def main(arguments: list[str]) -> int:
     with tempfile.TemporaryDirectory() as folder:
         tally = soak(Path(folder), kills, pairs)
     print(
-        f"injected faults {tally.faults:,}, during recovery {tally.faults_in_recovery:,}, power failures {tally.power_failures:,}, SIGKILLs {tally.kills:,}\n"
-        f"acknowledged events lost: {tally.lost}, torn: {tally.torn}, other complaints: {len(tally.complaints) - tally.lost - tally.torn}"
+        f"injected faults {tally.faults:,}, during recovery {tally.faults_in_recovery:,}, power failures "
+        f"{tally.power_failures:,}, SIGKILLs {tally.kills:,}\n"
+        f"acknowledged events lost: {tally.lost}, torn: {tally.torn}, other complaints: "
+        f"{len(tally.complaints) - tally.lost - tally.torn}"
     )
     for complaint in tally.complaints[:MAX_COMPLAINTS]:
         print(complaint)

@@ -1,4 +1,5 @@
-"""One trial: appends that a fault interrupts, perhaps a recovery that another interrupts, perhaps a power failure; then the judgement."""
+"""One trial: appends that a fault interrupts, perhaps a recovery that another interrupts, perhaps a power failure; then
+the judgement."""
 
 import hashlib
 import re
@@ -81,7 +82,7 @@ def _written(table: pa.Table) -> pa.Buffer:
 
 
 def encode_all() -> None:
-    """No batch is encoded or decoded again in this process, nor in those that it forks."""
+    """Encode and decode every batch once, for this process and those that it forks."""
     for batch in BATCHES:
         _parquet(batch[0].run_id)
     _decoded()
@@ -104,7 +105,10 @@ def _read(path: Path, columns: list[str] | None = None) -> pa.Table:
 
 @contextmanager
 def encoded_once() -> Iterator[None]:
-    """Each batch is encoded once, and its segment decoded once, and for all: that writes nothing, and would take most of the time of a trial."""
+    """Encode each batch and decode its segment only once.
+
+    Both write nothing, and would take most of the time of a trial.
+    """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(segment, "read_table", _read)
         patch.setattr(append, "encode_hashed", lambda runs: _encoded(runs[0].run_id))
@@ -124,7 +128,8 @@ class Session:
 def append_with(
     faulty: FaultyOs, path: Path, commits: int = INTERRUPTED, acknowledge: Callable[[int], None] | None = None
 ) -> Session:
-    """A process opens the ledger and appends what it lacks, and the newest batch once more: it may not have been acknowledged."""
+    """A process opens the ledger and appends what it lacks, and the newest batch once more: it may not have been
+    acknowledged."""
     session = Session()
 
     def acknowledged(count: int) -> None:
@@ -165,7 +170,10 @@ class Laboratory:
         return root / "out" / "ledger"
 
     def judge(self, path: Path, acknowledged: int, where: object) -> str:
-        """Readers find every acknowledged commit, whole, and no half of another. Returns the name of the state the ledger is in."""
+        """Readers find every acknowledged commit, whole, and no half of another.
+
+        Returns the name of the state the ledger is in.
+        """
         state = _state(path)
         commits, complaints = self._judged.get(state) or self._judged.setdefault(state, self._read(path))
         if commits < acknowledged:
@@ -200,7 +208,10 @@ class Laboratory:
         return view.head.commits, complaints
 
     def finish(self, path: Path, state: str, where: object) -> None:
-        """Without faults a writer goes on, and the ledger ends up as if nothing had happened. From each state this is tried once."""
+        """Without faults a writer goes on, and the ledger ends up as if nothing had happened.
+
+        From each state this is tried once.
+        """
         if state not in self._finished:
             self._finished[state] = self._go_on(path)
         if self._finished[state] is not None:
@@ -217,7 +228,8 @@ class Laboratory:
         return f"after going on other bytes are in {', '.join(names)}" if names else None
 
     def trial(self, faults: Sequence[Fault], choices: Sequence[Choice] = ()) -> list[Session]:
-        """Each fault interrupts one process, each process recovering from the one before; then the power fails in each of these ways."""
+        """Each fault interrupts one process, each process recovering from the one before; then the power fails in each
+        of these ways."""
         path = self._fresh()
         root = path.parent.parent
         disk = Disk(root)

@@ -1,4 +1,5 @@
-"""A nursery of processes that append to ledgers and are killed: `python -m tests.ledger.crash_writer` answers each line it is sent with one.
+"""A nursery of processes that append to ledgers and are killed: `python -m tests.ledger.crash_writer` answers each line
+it is sent with one.
 
 It forks its children, so that one costs milliseconds; it has imported everything and started no threads.
 """
@@ -27,7 +28,8 @@ STUCK_AFTER_S = 120
 
 
 class Order(msgspec.Struct, frozen=True):
-    """What the nursery is to do at a path: these writers append so many batches of their own each, while so many readers watch.
+    """What the nursery is to do at a path: these writers append so many batches of their own each, while so many
+    readers watch.
 
     `kill_after_us` has a moment for each writer that is killed, counted from its start. With a fault, one process
     appends the batches of the trials and is killed at that call.
@@ -43,7 +45,8 @@ class Order(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What became of it: batches acknowledged by writer, processes killed, heads that readers saw, conflicts met, and all that was wrong."""
+    """What became of it: batches acknowledged by writer, processes killed, heads that readers saw, conflicts met, and
+    all that was wrong."""
 
     acknowledged: dict[str, int]
     killed: int
@@ -72,7 +75,7 @@ def _child(work: Callable[[Callable[[str, object], None]], None], name: str, pip
 
 
 def obey(order: Order) -> Outcome:
-    """The order was carried out; no child is left."""
+    """Carry out the order; leave no child running."""
     path = Path(order.path)
     listen, pipe = os.pipe()
     stop, stopper = os.pipe()
@@ -123,7 +126,8 @@ def _fail(path: Path, fault: Fault, say: Callable[[str, object], None]) -> None:
 
 
 def _gather(listen: int, writers: list[int], stopper: int, readers: list[int]) -> tuple[bytes, list[int]]:
-    """All that the children said, and the signal that ended each (0: none); readers are told to stop when the writers have ended."""
+    """All that the children said, and the signal that ended each (0: none); readers are told to stop when the writers
+    have ended."""
     said = b""
     waiting = list(writers)
     ends = []

@@ -28,7 +28,10 @@ def own_commits(view: LedgerView, name: str) -> int:
 
 
 def write(path: Path, name: str, batches: int, say: Callable[[str, object], None]) -> None:
-    """All batches of this writer are in the ledger. Each is acknowledged at once; a conflict is answered by opening anew."""
+    """Append all batches of this writer.
+
+    Acknowledges each at once; after a conflict, opens the ledger anew.
+    """
     while True:
         try:
             with Writer(path, ORIGIN) as writer:
@@ -72,7 +75,8 @@ def watch(path: Path, stop: int, say: Callable[[str, object], None]) -> None:
 
 
 def judge(path: Path, acknowledged: Mapping[str, int]) -> list[str]:
-    """What is wrong with the ledger that these writers shared: nothing if every acknowledged batch is there once, whole and in its writer's order."""
+    """What is wrong with the ledger that these writers shared: nothing if every acknowledged batch is there once, whole
+    and in its writer's order."""
     if not (path / MANIFEST).exists():
         return ["lost: the ledger is gone"] if any(acknowledged.values()) else []
     complaints = []

@@ -25,7 +25,7 @@ class Case(NamedTuple):
 
 
 def write_ledger(path: Path, sizes: Sequence[int], snapshots: Path | None = None) -> None:
-    """There is a signed ledger with one run of so many events a commit; in `snapshots/N`, as it was after N commits."""
+    """Write a signed ledger with one run of so many events a commit; `snapshots/N` holds it after N commits."""
     for number, size in enumerate(sizes):
         with Writer(path, ORIGIN, SIGNER) as writer:
             writer.append(stage(path, [made_up_run(f"run-{number:04d}", size, seed=number)]))
@@ -84,7 +84,8 @@ def _names(problem: Problem, place: str) -> bool:
 
 
 def cases(path: Path) -> Iterator[Case]:
-    """Every file of the ledger taken away, emptied, made longer, or made something else, and any two of a kind exchanged."""
+    """Every file of the ledger taken away, emptied, made longer, or made something else, and any two of a kind
+    exchanged."""
     names = files_of(path)
     for name in names:
         yield from _alone(path, name)

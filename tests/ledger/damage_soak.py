@@ -1,7 +1,8 @@
-"""Every single-bit flip and every length of every file of a ledger, and files in each other's place: `python -m tests.ledger.damage_soak`.
+"""Every single-bit flip and every length of every file of a ledger, and files in each other's place: `python -m
+tests.ledger.damage_soak`.
 
-Each damage is made alone, `verify` looks at the whole ledger, and must doubt it and name the file. Segments that are as they were
-are decoded once. Prints counts by kind of file; exit code 1 if any damage is not found or not placed.
+Each damage is made alone, `verify` looks at the whole ledger, and must doubt it and name the file. Segments that are as
+they were are decoded once. Prints counts by kind of file; exit code 1 if any damage is not found or not placed.
 """
 
 import os
@@ -28,7 +29,8 @@ CHUNK = 512
 
 
 class Task(NamedTuple):
-    """A part of one file: its bytes from `first` to before `last` are flipped, or it is cut to each of these lengths."""
+    """A part of one file: its bytes from `first` to before `last` are flipped, or it is cut to each of these
+    lengths."""
 
     name: str
     is_cut: bool
@@ -86,7 +88,8 @@ def _try(path: Path, task: Task) -> Tally:
 
 
 def try_places(folder: Path) -> Iterator[Tally]:
-    """Every file removed, replaced, exchanged, replayed or added; and every tail dropped, with each later checkpoint as anchor."""
+    """Every file removed, replaced, exchanged, replayed or added; and every tail dropped, with each later checkpoint as
+    anchor."""
     path = folder / "swapped" / "ledger"
     write_ledger(path, SWAPPED_SIZES, folder / "snapshots")
     with examined_once(path):
@@ -145,7 +148,8 @@ def main() -> int:
     print("\n".join(missed[:10]))
     total = sum((count for count in counts.values()), Counter())
     print(
-        f"{total['tried']:,} damages of a ledger of {sum(SIZES)} events, {total['found']:,} found, {total['placed']:,} placed; {time.monotonic() - began:.0f} s"
+        f"{total['tried']:,} damages of a ledger of {sum(SIZES)} events, {total['found']:,} found, "
+        f"{total['placed']:,} placed; {time.monotonic() - began:.0f} s"
     )
     return 0 if total["tried"] == total["found"] == total["placed"] > 0 else 1
 

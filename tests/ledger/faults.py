@@ -153,7 +153,10 @@ class FaultyOs:
         raise OSError(code, os.strerror(code))
 
     def _do(self, name: str, arguments: tuple[Any, ...], options: dict[str, Any]) -> Any:
-        """The call happens, and the model learns of it. Nothing is really synced: whether it was is for the model to know."""
+        """The call happens, and the model learns of it.
+
+        Nothing is really synced: whether it was is for the model to know.
+        """
         result = None if name == "fsync" else getattr(os, name)(*arguments, **options)
         match name:
             case "open":
@@ -178,7 +181,7 @@ class FaultyOs:
         return result
 
     def end(self) -> None:
-        """The process is over: what it had open is closed, and with it go its locks."""
+        """End the process: close what it had open, which releases its locks."""
         self._is_dead = True
         self.left_open = len(self._handles)
         for handle in list(self._handles):

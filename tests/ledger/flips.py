@@ -55,7 +55,7 @@ class Answer(NamedTuple):
 
 
 def write_runs(path: Path) -> None:
-    """There is a ledger of three runs of each architecture, those of one in a commit: segments of which most is data, as in a large ledger."""
+    """Write a ledger of three runs of each architecture, one of them a commit: mostly data, as in a large one."""
     with Writer(path, "example.org/flips") as writer:
         for architecture in ARCHITECTURES:
             specs = [RunSpec(7, architecture, "full", scenario, 4, 0) for scenario in SCENARIOS]
@@ -98,8 +98,8 @@ def undamaged(path: Path, out: Path, verbs: Iterable[str] = VERBS) -> dict[str, 
 def outcome(good: Answer, now: Answer) -> str:
     """The same answer, a refusal without an answer, or a wrong answer.
 
-    The newest record names its first and last run, which only a whole look compares with rows: with another letter there it is another head, and the
-    answer is the same but that it says that nobody looked at the rows.
+    The newest record names its first and last run, which only a whole look compares with rows: with another letter
+    there it is another head, and the answer is the same but that it says that nobody looked at the rows.
     """
     if now._replace(out=now.out.replace('"rows_verified": false', '"rows_verified": true')) == good:
         return "same"

@@ -1,6 +1,8 @@
-"""Single bits flipped in all files of a ledger, and then every command that answers from it: `python -m tests.ledger.flips_soak [COUNT]`.
+"""Single bits flipped in all files of a ledger, and then every command that answers from it: `python -m
+tests.ledger.flips_soak [COUNT]`.
 
-An answer must be refused, or be that of the undamaged ledger. Prints counts by kind of file and by command; exit code 1 if any answer is wrong.
+An answer must be refused, or be that of the undamaged ledger. Prints counts by kind of file and by command; exit code 1
+if any answer is wrong.
 """
 
 import os
@@ -64,7 +66,8 @@ def main(count: int) -> int:
                 tally += counted
                 wrong += named
                 print(
-                    f"{sum(tally[kind, outcome] for kind in KINDS for outcome in OUTCOMES):,} answers, {len(wrong):,} wrong",
+                    f"{sum(tally[kind, outcome] for kind in KINDS for outcome in OUTCOMES):,} answers, "
+                    f"{len(wrong):,} wrong",
                     flush=True,
                 )
     for name in (*KINDS, *VERBS):

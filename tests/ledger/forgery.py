@@ -1,4 +1,5 @@
-"""What a forger does to a ledger: records that say something else, chained and hashed again; and a quick way to look at many damaged copies."""
+"""What a forger does to a ledger: records that say something else, chained and hashed again; and a quick way to look at
+many damaged copies."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -25,7 +26,8 @@ def record_of(path: Path, number: int) -> CommitRecord:
 
 
 def forge(path: Path, number: int, /, **changes: object) -> None:
-    """One record says something else, and all records after it are chained to it again: the work of a forger without our tests."""
+    """One record says something else, and all records after it are chained to it again: the work of a forger without
+    our tests."""
     records = [record_of(path, at) for at in range(len(list((path / "commits").iterdir())))]
     for at in range(number, len(records)):
         previous = sha256_hex(commit_path(path, at - 1).read_bytes() if at else (path / "ledger.json").read_bytes())
@@ -68,7 +70,8 @@ class _Watched:
 class Examined:
     """What the segments of a ledger hold, for a quick look at its damaged copies.
 
-    Decoding takes nine tenths of the time of `verify`. The same file, number and fields that `examine` reads of the record give the same facts.
+    Decoding takes nine tenths of the time of `verify`. The same file, number and fields that `examine` reads of the
+    record give the same facts.
     """
 
     def __init__(self, path: Path):
@@ -104,7 +107,10 @@ _examined: dict[tuple[tuple[str, str], ...], Examined] = {}
 
 @contextmanager
 def examined_once(ledger: Path | Examined) -> Iterator[None]:
-    """Inside, `verify` and `recover` decode only segments that differ from those that this ledger holds now; of equal ledgers only the first is decoded."""
+    """Make `verify` and `recover` decode only segments that differ from those that this ledger holds now.
+
+    Of equal ledgers only the first is decoded.
+    """
     if isinstance(ledger, Examined):
         examined = ledger
     else:

@@ -188,7 +188,7 @@ def _zigzag(number: int) -> bytes:
 
 
 def stage_anything(path: Path, runs: Sequence[RunRecord]) -> Staged:
-    """The runs are staged as 0.1.0 staged them: whatever their names and their order."""
+    """Stage the runs as 0.1.0 did: with any names, in any order."""
     return stage_rows(path, runs, *encode_hashed(runs))
 
 
@@ -206,7 +206,8 @@ def append_again(path: Path, runs: Sequence[RunRecord]) -> None:
 
 
 def relabelled(run: RunRecord, name: Callable[[str], str]) -> RunRecord:
-    """The same run with another text in every field that takes any but `parameters` and `observes`; what was the same text is the same text again."""
+    """The same run with another text in every field that takes any but `parameters` and `observes`; what was the same
+    text is the same text again."""
     events = []
     for event in run.events:
         free = [

@@ -1,7 +1,7 @@
 """Keeps a ledger of a release for ever: `python -m tests.ledger.keep_release 0.1.0`, once, when the release is made.
 
-It adds `tests/ledgers/VERSION/`: `ledger/`, which later versions must open; `events.jsonl`, the event types as they are;
-`kept.json`, what the ledger is known to hold. Where event types changed since the release before, it also adds the
+It adds `tests/ledgers/VERSION/`: `ledger/`, which later versions must open; `events.jsonl`, the event types as they
+are; `kept.json`, what the ledger is known to hold. Where event types changed since the release before, it also adds the
 columns to the package. It never writes over anything.
 """
 
@@ -43,7 +43,8 @@ class Kept(msgspec.Struct, frozen=True):
 
 
 def stored_types(layouts: Iterable[StoredType]) -> dict[str, dict[str, str]]:
-    """How these event types are stored: by tag and field the kind, the allowed values and whether NULL is allowed, as text."""
+    """How these event types are stored: by tag and field the kind, the allowed values and whether NULL is allowed, as
+    text."""
     return {
         layout.tag: {field.name: _stored(field) for field in sorted(layout.fields, key=lambda field: field.name)}
         for layout in layouts
@@ -56,7 +57,8 @@ def _stored(field: Field) -> str:
 
 
 def write_ledger(path: Path) -> Kept:
-    """A small ledger is at the path: made-up events of every type, then runs as they are simulated; its notes are signed."""
+    """A small ledger is at the path: made-up events of every type, then runs as they are simulated; its notes are
+    signed."""
     signer = Signer(ORIGIN, SECRET)
     specs = (RunSpec(7, "fsar", "full", "failure-recovery-chain", 4, 0), RunSpec(7, "cfc", "full", "door-relay", 4, 0))
     runs = [run_of_every_type("made-up", seed=1), *(simulate_run(spec, Constants()) for spec in specs)]
@@ -69,7 +71,10 @@ def write_ledger(path: Path) -> Kept:
 
 
 def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None:
-    """The ledger, the event types and, where they are new, the columns of this release are kept. Raises: SystemExit where one would be written over."""
+    """The ledger, the event types and, where they are new, the columns of this release are kept.
+
+    Raises: SystemExit where one would be written over.
+    """
     folder = ledgers / version
     if version != fsar_ledger.__version__:
         raise SystemExit(
@@ -80,7 +85,8 @@ def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None
     text = columns / f"{RELEASE}.txt"
     if text.exists() and text.read_text("utf-8") != described(SCHEMA):
         raise SystemExit(
-            f"{text}: found other columns than today's, expected them unchanged since release {RELEASE}; set RELEASE to {version}"
+            f"{text}: found other columns than today's, expected them unchanged since release {RELEASE}; set "
+            f"RELEASE to {version}"
         )
     kept = write_ledger(folder / "ledger")
     lines = [msgspec.json.encode({tag: fields}) + b"\n" for tag, fields in stored_types(LAYOUTS.values()).items()]

@@ -1,6 +1,8 @@
-"""A made-up later release: a copy of the package in which event types were changed the way docs/changing-events.md says, run in a process of its own.
+"""A made-up later release: a copy of the package in which event types were changed the way docs/changing-events.md
+says, run in a process of its own.
 
-`StepBegan` went through two versions: v2 said `is_own`, v3 says `is_delegated` instead; `RobotJoined` has a new optional field `depot`.
+`StepBegan` went through two versions: v2 said `is_own`, v3 says `is_delegated` instead; `RobotJoined` has a new
+optional field `depot`.
 """
 
 import json
@@ -52,7 +54,8 @@ class StepBeganV2(Event, frozen=True, tag="StepBegan.v2"):
 
 
 def _second(event: StepBeganV1) -> StepBeganV2:
-    return StepBeganV2(event.task_id, event.action_id, event.robot, event.step, event.attempt, event.capability, event.target_role is None, event.target_role)
+    kept = (event.task_id, event.action_id, event.robot, event.step, event.attempt, event.capability)
+    return StepBeganV2(*kept, event.target_role is None, event.target_role)
 
 
 def _third(event: StepBeganV2) -> StepBegan:
@@ -115,7 +118,10 @@ for line in sys.stdin:
             traceback.print_exc()
     print(json.dumps([status, out.getvalue(), err.getvalue()]), flush=True)
 """
-"""Answers each line, some code or None and its arguments, with one. To start a process for each would take most of the time."""
+"""Answers each line, some code or None and its arguments, with one.
+
+To start a process for each would take most of the time.
+"""
 
 
 class Said(NamedTuple):

@@ -37,7 +37,10 @@ _COLLECTORS = ("problems", "_problems", "suspects", "doubts")
 
 
 class Mutant(NamedTuple):
-    """A module without one check. `name` is stable while the check's own line stays: file, function, what was taken out."""
+    """A module without one check.
+
+    `name` is stable while the check's own line stays: file, function, what was taken out.
+    """
 
     name: str
     line: int

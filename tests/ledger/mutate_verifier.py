@@ -1,8 +1,9 @@
-"""Takes each check out of the verifier, once, and demands that a test fails: `python -m tests.ledger.mutate_verifier [PART OF A NAME ...]`.
+"""Takes each check out of the verifier, once, and demands that a test fails: `python -m tests.ledger.mutate_verifier
+[PART OF A NAME ...]`.
 
 Every mutant is tried in a process of its own, forked after the libraries were imported and before the package is:
-first with the quick tests, then, if it survives those, with the slow ones. Exit code 1 if one survives that is not listed
-in `EQUIVALENT`, or if an entry there no longer stands for a mutant that survives.
+first with the quick tests, then, if it survives those, with the slow ones. Exit code 1 if one survives that is not
+listed in `EQUIVALENT`, or if an entry there no longer stands for a mutant that survives.
 """
 
 import ast
@@ -34,10 +35,14 @@ TESTS = tuple(
         "test_weak_keys",
         "test_agreement_structure",
         "test_append",
+        "test_append_refused",
         "test_evolution",
     )
 )
-SLOW = "every_byte or even_where_a_forger or anything_in_a_field or workers_find or any_json or bomb or readers_would or killed or of_two_writers"
+SLOW = (
+    "every_byte or even_where_a_forger or anything_in_a_field or workers_find or any_json or bomb or readers_would "
+    "or killed or of_two_writers"
+)
 PARALLEL = len(os.sched_getaffinity(0))
 LIMIT_S = 600
 
@@ -77,7 +82,10 @@ def main(parts: list[str]) -> int:
         print(f"\n{name}\n    {EQUIVALENT.get(name, 'no test fails without this check')}")
     for name in stale:
         print(f"\n{name}\n    listed as one that no test can tell, but it was found, or is gone: take it off the list")
-    counts = f"{len(names)} checks taken out, {len(names) - len(survivors)} found, {len(survivors)} survived, {len(unlisted)} of them without a reason"
+    counts = (
+        f"{len(names)} checks taken out, {len(names) - len(survivors)} found, {len(survivors)} survived, "
+        f"{len(unlisted)} of them without a reason"
+    )
     print(f"\n{counts}; {time.monotonic() - began:.0f} s")
     return 1 if unlisted or stale else 0
 

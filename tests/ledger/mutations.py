@@ -1,4 +1,5 @@
-"""Structural mutations of a segment: what a forger may write into a footer and the headers of pages who knows Parquet well."""
+"""Structural mutations of a segment: what a forger may write into a footer and the headers of pages who knows Parquet
+well."""
 
 import random
 from collections.abc import Callable

@@ -1,4 +1,5 @@
-"""Ways to say a thing twice in a Parquet file, or to say what nobody reads: each makes one segment into another that a verifier must refuse."""
+"""Ways to say a thing twice in a Parquet file, or to say what nobody reads: each makes one segment into another that a
+verifier must refuse."""
 
 from collections.abc import Callable
 from typing import cast
@@ -90,12 +91,12 @@ def within(number: int, alter: Alter) -> Alter:
 
 
 def without(number: int) -> Alter:
-    """The field is not there."""
+    """Leave the field out."""
     return lambda struct: struct.remove(next(one for one in struct if one.number == number))
 
 
 def again(number: int, *, at_once: bool) -> Alter:
-    """The field is there twice, one after the other or in another place."""
+    """Write the field twice, one after the other or in another place."""
 
     def change(struct: Struct) -> None:
         at, one = next((at, one) for at, one in enumerate(struct) if one.number == number)
@@ -115,7 +116,7 @@ def gap(before: int | None) -> Damage:
 
 
 def one_less(number: int) -> Alter:
-    """The list in this field is shorter."""
+    """Shorten the list in this field."""
 
     def change(struct: Struct) -> None:
         cast(Listed, field(struct, number)).values.pop()

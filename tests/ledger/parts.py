@@ -18,7 +18,10 @@ class Page:
 
 
 class Parts:
-    """A segment: the pages of each column, and the footer. Put together by `bytes`, which fits nothing; `fit` makes the footer fit the pages."""
+    """A segment: the pages of each column, and the footer.
+
+    Put together by `bytes`, which fits nothing; `fit` makes the footer fit the pages.
+    """
 
     def __init__(self, data: bytes):
         length = int.from_bytes(data[-8:-4], "little")
@@ -86,7 +89,8 @@ class Parts:
 
 
 def two_faced(honest: bytes, other: bytes, name: str) -> bytes:
-    """A segment with the honest rows to who reads a column from its first data page, and the other rows to who reads it from its dictionary."""
+    """A segment with the honest rows to who reads a column from its first data page, and the other rows to who reads it
+    from its dictionary."""
     parts, others = Parts(honest), Parts(other)
     number = parts.number_of(name)
     parts.gaps[number + 1] = b"".join(map(bytes, others.pages[number]))

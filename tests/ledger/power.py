@@ -82,7 +82,7 @@ class Disk:
         self._changes.append(Change(tuple(known)))
 
     def opened(self, path: Path, is_created: bool, is_emptied: bool) -> Node | None:
-        """A file was opened, perhaps created or emptied; what it is from now on, whatever its name becomes."""
+        """Record that a file was opened, perhaps created or emptied; return what it is, whatever its name becomes."""
         if is_created and self.find(path) is None:
             self._change((path, File()))
         node = self.find(path)
@@ -91,12 +91,12 @@ class Disk:
         return node
 
     def written(self, node: Node | None, data: bytes) -> None:
-        """The bytes were appended."""
+        """Record that the bytes were appended."""
         if isinstance(node, File):
             node.cached += data
 
     def synced(self, node: Node | None) -> None:
-        """What the file holds, or the folder names, is durable."""
+        """Record that what the file holds, or the folder names, is durable."""
         if isinstance(node, File):
             assert not node.is_doomed, "a file was synced again after that had failed; it must be given up"
             node.durable = node.cached
@@ -104,24 +104,24 @@ class Disk:
             change.is_durable = change.is_durable or any(folder is node for folder, _, _ in change.names)
 
     def sync_failed(self, node: Node | None) -> None:
-        """What was written to the file is lost or not, for good."""
+        """Record that what was written to the file may be lost, for good."""
         if isinstance(node, File) and not node.is_sure:
             node.is_doomed = True
 
     def made(self, path: Path) -> None:
-        """A folder was made."""
+        """Record that a folder was made."""
         self._change((path, Folder()))
 
     def linked(self, source: Path, path: Path) -> None:
-        """The file has a second name."""
+        """Record that the file has a second name."""
         self._change((path, self.find(source)))
 
     def renamed(self, source: Path, path: Path) -> None:
-        """The name is another."""
+        """Record that the file has another name."""
         self._change((path, self.find(source)), (source, None))
 
     def unlinked(self, path: Path) -> None:
-        """The name is gone."""
+        """Record that the name is gone."""
         self._change((path, None))
 
     @property
@@ -130,7 +130,8 @@ class Disk:
         return sum(not change.is_durable for change in self._changes)
 
     def after_power_failure(self, choice: "Choice", path: Path) -> None:
-        """The new folder `path` holds what the root would hold after a power failure now, with this choice of what survives."""
+        """The new folder `path` holds what the root would hold after a power failure now, with this choice of what
+        survives."""
         names = {id(folder): dict(first) for folder, first in self._first}
         for change in self._changes:
             if change.is_durable or choice.keeps_change():

@@ -1,8 +1,10 @@
-"""Mutates the structure of segments, and demands that each is refused or read alike: `python -m tests.ledger.readers_soak [N] [--loose]` (100,000).
+"""Mutates the structure of segments, and demands that each is refused or read alike: `python -m
+tests.ledger.readers_soak [N] [--loose]` (100,000).
 
-What `check_layout` lets pass is read by pyarrow, DuckDB and Polars in a process of its own, which a reader may end. Exit code 1 where two of them read
-other values, or one cannot read what another reads; where none can read it (`unread`) nobody is misled. With `--loose` nothing is checked: then there
-must be such files, or this soak is worth nothing.
+What `check_layout` lets pass is read by pyarrow, DuckDB and Polars in a process of its own, which a reader may end.
+Exit code 1 where two of them read
+other values, or one cannot read what another reads; where none can read it (`unread`) nobody is misled. With `--loose`
+nothing is checked: then there must be such files, or this soak is worth nothing.
 """
 
 import os
@@ -129,7 +131,7 @@ class Readers:
             return f"a reader ended the process ({code})"
 
     def close(self) -> None:
-        """The process is gone."""
+        """End the process."""
         self._pipe.close()
         self._process.join()
 

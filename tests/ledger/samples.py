@@ -66,7 +66,8 @@ def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[Ru
 def append_all(
     path: Path, batches: Sequence[Sequence[RunRecord]], origin: str = ORIGIN, signer: Signer | None = None
 ) -> Head:
-    """The ledger at the path holds these batches, one a commit, after what it held; new commits are signed if there is a signer, whoever signed the others."""
+    """The ledger at the path holds these batches, one a commit, after what it held; new commits are signed if there is
+    a signer, whoever signed the others."""
     with Writer(path, origin, signer, adopts=True) as writer:
         for batch in batches:
             writer.append(stage(path, batch))

@@ -1,4 +1,5 @@
-"""What a segment says twice, and only its rows show as false: both verifiers find it, also where they cannot write the same bytes again."""
+"""What a segment says twice, and only its rows show as false: both verifiers find it, also where they cannot write the
+same bytes again."""
 
 import random
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 
 from fsar_ledger.ledger.store.paths import segment_path
 from tests.ledger.agreement import OTHER_VERSION, VERSION, by_package, judged, plain, tables_of, unchained, write
-from tests.ledger.agreement_damage import forged_segment
+from tests.ledger.agreement_rows import forged_segment
 from tests.ledger.agreement_structure import a_segment_with_two_faces
 from tests.ledger.parquet_damage import DAMAGED, TIME, TYPE, lying, to, within, without
 from tests.ledger.parts import Page, Parts
@@ -38,7 +39,8 @@ def test_both_verifiers_find_two_faces(path: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("page", range(3))
 def test_statistics_of_each_page_are_those_of_its_rows(path: Path, page: int) -> None:
-    """Pages of ten rows, by another version of the library; those of integers say which are their least and greatest."""
+    """Pages of ten rows, by another version of the library; those of integers say which are their least and
+    greatest."""
     data = packed(tables_of(path)[1], data_page_size=1, write_batch_size=10).replace(VERSION, OTHER_VERSION)
     parts = Parts(data)
     assert len(parts.pages[TIME]) == 3

@@ -1,20 +1,13 @@
-import os
 import pickle
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
 import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import (
-    FormatVersionMismatch,
     LedgerCorrupted,
-    NotALedger,
     SequenceConflict,
-    UnknownEventTag,
-    UsageError,
     WriteFailed,
 )
 from fsar_ledger.ledger.log import merkle
@@ -22,12 +15,11 @@ from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import encode_hashed
 from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.paths import commit_path, segment_path
+from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
-from fsar_ledger.ledger.store.record import Manifest, sha256_hex
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed, forge_segment, table_of
-from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
+from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
 BATCHES = made_up_batches(4)
 
@@ -245,178 +237,3 @@ def test_a_closed_writer_appends_nothing(path: Path) -> None:
         staged = stage(path, BATCHES[0])
     with pytest.raises(WriteFailed, match="closed"):
         writer.append(staged)
-
-
-def test_a_staged_file_that_is_gone_or_changed_is_not_committed(path: Path) -> None:
-    damages: tuple[Callable[[Path], object], ...] = (
-        lambda file: file.unlink(),
-        lambda file: file.write_bytes(b"other"),
-    )
-    for damage in damages:
-        with Writer(path, ORIGIN) as writer:
-            staged = stage(path, BATCHES[0])
-            damage(path / "staging" / f"{staged.segment_sha256}.parquet")
-            with pytest.raises(WriteFailed):
-                writer.append(staged)
-    assert open_ledger(path).head == EMPTY_HEAD
-
-
-def test_staging_nothing_is_a_mistake(path: Path) -> None:
-    with pytest.raises(ValueError, match="at least 1"):
-        stage(path, [])
-
-
-def test_staging_into_no_ledger_fails_clearly(tmp_path: Path) -> None:
-    with pytest.raises(WriteFailed, match="No such file or directory"):
-        stage(tmp_path / "nowhere", BATCHES[0])
-
-
-@pytest.mark.parametrize("origin", ["", "two words", "a+b", "line\nfeed"])
-def test_an_origin_that_no_note_can_carry_is_refused(path: Path, origin: str) -> None:
-    with pytest.raises(ValueError, match="expected a printable name"):
-        Writer(path, origin)
-    assert not path.exists()
-
-
-def test_what_is_not_a_ledger_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "photo.jpg").write_text("mine")
-    (tmp_path / "json").mkdir()
-    (tmp_path / "json" / "ledger.json").write_text('{"accounts":[]}')
-    (tmp_path / "almost" / "commits").mkdir(parents=True)
-    (tmp_path / "almost" / "commits" / "000000000000.json").write_text("{}")
-    before = contents(tmp_path)
-    for name in ("file", "full", "json", "almost"):
-        with pytest.raises(NotALedger, match="expected"):
-            Writer(tmp_path / name, ORIGIN)
-    assert contents(tmp_path) == before
-
-
-def test_an_empty_folder_or_a_half_made_ledger_becomes_one(tmp_path: Path) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "half" / "commits").mkdir(parents=True)
-    (tmp_path / "half" / "staging").mkdir()
-    (tmp_path / "half" / "staging" / "ledger.json.17.tmp").write_text("{")
-    for name in ("empty", "half"):
-        append_all(tmp_path / name, BATCHES[:1])
-        assert verify(tmp_path / name).ok
-    assert contents(tmp_path / "empty") == contents(tmp_path / "half")
-
-
-def test_what_an_interrupted_creation_left_is_no_damage(tmp_path: Path) -> None:
-    (tmp_path / "half" / "commits").mkdir(parents=True)
-    for look in (verify, open_ledger):
-        with pytest.raises(NotALedger, match="creation was interrupted before anything was in it"):
-            look(tmp_path / "half")
-
-
-@pytest.mark.parametrize("place", ["another", "commits/another", "tile/0/another"])
-def test_no_ledger_is_created_inside_another(path: Path, place: str) -> None:
-    append_all(path, BATCHES[:1])
-    before = contents(path)
-    with pytest.raises(UsageError, match="found a place inside the ledger"):
-        Writer(path / place, ORIGIN)
-    assert contents(path) == before
-
-
-def test_a_ledger_of_another_origin_is_not_appended_to(path: Path) -> None:
-    append_all(path, BATCHES[:1])
-    with pytest.raises(NotALedger, match=r"found a ledger of origin 'example\.org/fsar-test', expected 'other\.org/x'"):
-        Writer(path, "other.org/x")
-
-
-def test_a_ledger_of_another_format_version_is_not_read(path: Path) -> None:
-    append_all(path, BATCHES[:1])
-    (path / "ledger.json").write_bytes(canonical.document(Manifest("fsar-ledger", ORIGIN, 2)))
-    for opens in (lambda: Writer(path, ORIGIN), lambda: open_ledger(path)):
-        with pytest.raises(FormatVersionMismatch, match="found format version 2, expected 1"):
-            opens()
-
-
-def test_a_path_without_a_ledger_is_not_opened(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("x")
-    for name, found in (("nowhere", "no such path"), ("", r"no ledger\.json"), ("file", "a file")):
-        with pytest.raises(NotALedger, match=found):
-            open_ledger(tmp_path / name)
-
-
-def test_a_missing_or_shortened_segment_is_named(path: Path) -> None:
-    append_all(path, BATCHES)
-    file = path / "segments" / "000000000001.parquet"
-    data = file.read_bytes()
-    file.write_bytes(data[:-1])
-    with pytest.raises(
-        LedgerCorrupted, match=r"000000000001\.parquet: commit 1, field segment_bytes: found \d+ bytes, expected"
-    ):
-        open_ledger(path).segments()
-    file.unlink()
-    for opens in (lambda: list(open_ledger(path).runs()), lambda: Writer(path, ORIGIN)):
-        with pytest.raises(
-            LedgerCorrupted, match=r"000000000001\.parquet: commit 1, field segment_sha256: found no segment"
-        ):
-            opens()
-
-
-def test_a_row_that_cannot_be_read_is_named_with_its_file(path: Path) -> None:
-    append_all(path, BATCHES[:2])
-    file = path / "segments" / "000000000001.parquet"
-    table = segment.read_table(file)
-    changed = table.set_column(4, table.schema.field(4), pa.array(["RobotFlew.v1"] * table.num_rows))
-    data = bytes(segment.to_parquet(changed))
-    file.write_bytes(data)
-    record = msgspec.structs.replace(
-        open_ledger(path).records[1], segment_sha256=sha256_hex(data), segment_bytes=len(data)
-    )
-    commit_path(path, 1).write_bytes(canonical.document(record))
-    with pytest.raises(
-        UnknownEventTag,
-        match=r"000000000001\.parquet: commit 1: run run-0002, seq 0, field type: found 'RobotFlew\.v1'",
-    ):
-        list(open_ledger(path).runs())
-
-
-def test_a_missing_record_or_a_stray_file_among_them_is_named(path: Path) -> None:
-    append_all(path, BATCHES)
-    record = path / "commits" / "000000000001.json"
-    record.rename(path / "aside")
-    with pytest.raises(
-        LedgerCorrupted,
-        match=r"found number 3, expected numbers below 3, without gaps: commits/000000000001\.json is missing",
-    ):
-        open_ledger(path)
-    (path / "aside").rename(record)
-    (path / "commits" / "notes.txt").write_text("x")
-    with pytest.raises(LedgerCorrupted, match=r"commits/notes\.txt: found a stray file"):
-        open_ledger(path)
-
-
-def test_a_record_that_contradicts_the_chain_is_named(path: Path) -> None:
-    append_all(path, BATCHES)
-    record = path / "commits" / "000000000001.json"
-    record.write_bytes(record.read_bytes().replace(b"run-0003", b"run-0009"))
-    with pytest.raises(LedgerCorrupted, match=r"000000000002\.json: commit 2, field previous_sha256"):
-        open_ledger(path)
-
-
-def test_readers_do_not_write(path: Path) -> None:
-    append_all(path, BATCHES[:1])
-    before = {str(file): (file.stat().st_mtime_ns, file.stat().st_ino) for file in path.rglob("*")}
-    list(open_ledger(path).runs())
-    verify(path)
-    assert {str(file): (file.stat().st_mtime_ns, file.stat().st_ino) for file in path.rglob("*")} == before
-
-
-def test_a_lock_does_not_outlive_its_writer(path: Path) -> None:
-    open_handles = len(os.listdir("/proc/self/fd"))
-    for _ in range(3):
-        append_all(path, BATCHES[:1])
-    with pytest.raises(NotALedger):
-        Writer(path, "other.org/x")
-    assert len(os.listdir("/proc/self/fd")) == open_handles
-
-
-def test_one_run_a_commit_and_one_event_a_run_are_enough(path: Path) -> None:
-    head = append_all(path, [[made_up_run("tiny", 1, seed=3)]])
-    assert (head.commits, head.size) == (1, 1)
-    assert verify(path).ok

@@ -1,6 +1,8 @@
-"""Each of thirty bombs, and each command that touches it: a clear error or a right answer, within ten seconds of processor and a gibibyte.
+"""Each of thirty bombs, and each command that touches it: a clear error or a right answer, within ten seconds of
+processor and a gibibyte.
 
-Seconds of processor, for those of the wall depend on what else runs. The small ones are tried with every run of the tests, the rest with the long ones.
+Seconds of processor, for those of the wall depend on what else runs. The small ones are tried with every run of the
+tests, the rest with the long ones.
 """
 
 import shutil
@@ -25,7 +27,7 @@ def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def explode(name: str, intact: Path, place: Path, most: int | None = None) -> None:
-    """The bomb is laid, and its first calls (None: all) are made."""
+    """Lay the bomb and make its first calls (None: all)."""
     shutil.copytree(intact, place / "ledger")
     bomb = BOMBS[name]
     bomb.lay(place / "ledger")

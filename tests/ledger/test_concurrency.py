@@ -39,6 +39,7 @@ def test_what_several_writers_append_at_once_is_there_once_and_readers_see_whole
     )
 
 
+@pytest.mark.slow
 def test_a_writer_killed_among_others_loses_nothing_and_stops_nobody(nursery: Nursery, tmp_path: Path) -> None:
     moments = random.Random(3)
     killed = 0
@@ -103,7 +104,8 @@ def test_a_listing_that_lacks_a_commit_made_meanwhile_is_made_again(
     (path / "commits" / "000000000002.json").rename(tmp_path / "gone")
     with pytest.raises(
         LedgerCorrupted,
-        match=r"000000000003\.json: commit 3: found number 3, expected numbers below 3, without gaps: commits/000000000002.json is missing",
+        match=r"000000000003\.json: commit 3: found number 3, expected numbers below 3, without gaps: "
+        r"commits/000000000002.json is missing",
     ):
         open_ledger(path)
 

@@ -1,4 +1,5 @@
-"""An append that is interrupted at any call, in any way, and the recovery from it; `python -m tests.ledger.crash_soak` tries all."""
+"""An append that is interrupted at any call, in any way, and the recovery from it; `python -m tests.ledger.crash_soak`
+tries all."""
 
 import errno
 import os

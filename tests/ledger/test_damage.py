@@ -18,7 +18,7 @@ FLIPS = 2000
 
 
 def restored(path: Path, snapshots: Path, number: int) -> Path:
-    """The whole ledger is rolled back to what it was after so many commits, all its files with it."""
+    """Roll the whole ledger, with all its files, back to what it was after so many commits."""
     shutil.rmtree(path)
     return Path(shutil.copytree(snapshots / str(number), path))
 
@@ -62,6 +62,7 @@ def test_a_flip_in_every_byte_of_json_and_notes_is_found_and_placed(tmp_path: Pa
         assert verify(path).ok
 
 
+@pytest.mark.slow
 def test_two_thousand_flips_in_segments_and_tiles_are_found_and_placed(path: Path) -> None:
     draw, originals = random.Random(11), contents(path)
     for kind in ("segments", "tile"):
@@ -239,7 +240,7 @@ def test_history_written_again_is_caught_by_an_anchor(snapshots: Path, tmp_path:
 
 
 def restored_from(path: Path, original: Path) -> None:
-    """The files are those of the original again."""
+    """Restore the files of the original."""
     for entry in (path, path.parent / "aside"):
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry)

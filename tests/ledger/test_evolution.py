@@ -1,4 +1,7 @@
-"""A later release opens ledgers of this one, and this one refuses what a later release wrote. See `later_release.py`."""
+"""A later release opens ledgers of this one, and this one refuses what a later release wrote.
+
+See `later_release.py`.
+"""
 
 import re
 import shutil
@@ -29,7 +32,8 @@ from pathlib import Path
 import fsar_ledger
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.store.read import open_ledger
-events = [event for run in open_ledger(Path(sys.argv[1])).runs() for event in run.events if type(event).__name__.startswith("StepBegan")]
+events = [event for run in open_ledger(Path(sys.argv[1])).runs() for event in run.events]
+events = [event for event in events if type(event).__name__.startswith("StepBegan")]
 found = [{**flat(event), "type": type(event).__struct_config__.tag} for event in events]
 print(json.dumps({"package": fsar_ledger.__file__, "events": found}))
 """
@@ -161,7 +165,10 @@ def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed:
 
 def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None:
     found = re.escape(later_release.RELEASE)
-    message = rf"000000000003\.json: commit 3, field release: found '{found}', expected at most {RELEASE}; read it with fsar-ledger {found} or later"
+    message = (
+        rf"000000000003\.json: commit 3, field release: found '{found}', expected at most {RELEASE}; read it with "
+        rf"fsar-ledger {found} or later"
+    )
     with pytest.raises(FormatVersionMismatch, match=message):
         open_ledger(mixed)
     with pytest.raises(FormatVersionMismatch, match=message):
@@ -205,10 +212,14 @@ def test_an_unknown_event_type_is_refused_with_its_place_and_what_to_do(
 ) -> None:
     append_all(tmp_path / "ledger", made_up_batches(2))
     forge_segment(tmp_path / "ledger", 1, changed(table_of(tmp_path / "ledger", 1), "type", 3, "RobotFlew.v1"))
-    place = r"run run-0002, seq 3, field type: found 'RobotFlew\.v1', expected an event type that this version of fsar-ledger knows"
+    place = (
+        r"run run-0002, seq 3, field type: found 'RobotFlew\.v1', expected an event type that this version of "
+        r"fsar-ledger knows"
+    )
     with pytest.raises(
         UnknownEventTag,
-        match=rf"000000000001\.parquet: commit 1: {place}; read it with the version that wrote it, or restore the segment",
+        match=rf"000000000001\.parquet: commit 1: {place}; read it with the version that wrote it, or restore the "
+        r"segment",
     ):
         list(open_ledger(tmp_path / "ledger").runs())
     assert app.run(["verify", str(tmp_path / "ledger")]) == 3

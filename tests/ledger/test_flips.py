@@ -49,6 +49,7 @@ def test_no_flipped_bit_changes_an_answer(ledger: Ledger) -> None:
     assert tiles["same"] >= 2  # no other answer rests on tiles
 
 
+@pytest.mark.slow
 def test_without_the_comparison_of_hashes_wrong_answers_are_found(
     ledger: Ledger, monkeypatch: pytest.MonkeyPatch
 ) -> None:

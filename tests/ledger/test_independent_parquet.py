@@ -134,7 +134,8 @@ def test_the_layout_of_the_package_refuses_the_same(name: str) -> None:
 
 
 def test_the_file_with_two_faces_is_refused_and_has_them(tmp_path: Path) -> None:
-    """Readers that begin at the data and readers that begin at the dictionary see other rows in it, and neither complains."""
+    """Readers that begin at the data and readers that begin at the dictionary see other rows in it, and neither
+    complains."""
     file = tmp_path / "faces.parquet"
     file.write_bytes(FACES)
     assert pq.read_table(file, page_checksum_verification=True).column("type").equals(TABLE.column("type"))

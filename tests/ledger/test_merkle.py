@@ -137,7 +137,8 @@ def node(height: int, number: int) -> bytes:
 
 
 def damaged(proof: Sequence[bytes], draw: random.Random) -> Iterator[tuple[bytes, ...]]:
-    """The proof with each hash altered, left out, doubled, replaced, and changed with the next; and with one hash more."""
+    """The proof with each hash altered, left out, doubled, replaced, and changed with the next; and with one hash
+    more."""
     for at, one in enumerate(proof):
         flipped = (int.from_bytes(one) ^ 1 << draw.randrange(256)).to_bytes(32)
         for instead in ((flipped,), (), (one, one), (bytes(32),), (one[:31],)):

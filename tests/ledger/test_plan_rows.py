@@ -1,4 +1,5 @@
-"""A plan is the only event of its run: both verifiers name the row of one that has company, and neither counts it as a run."""
+"""A plan is the only event of its run: both verifiers name the row of one that has company, and neither counts it as a
+run."""
 
 from pathlib import Path
 

@@ -37,7 +37,8 @@ def test_the_first_segment_that_is_not_as_committed_is_named(path: Path) -> None
         flip(segment_path(path, number))
     with pytest.raises(
         LedgerCorrupted,
-        match=r"segments/000000000001\.parquet: commit 1, field segment_sha256: found SHA-256 [0-9a-f]{64}, expected [0-9a-f]{64}, as commits/",
+        match=r"segments/000000000001\.parquet: commit 1, field segment_sha256: found SHA-256 [0-9a-f]{64}, expected "
+        r"[0-9a-f]{64}, as commits/",
     ):
         open_ledger(path).segments()
 

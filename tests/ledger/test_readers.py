@@ -32,6 +32,7 @@ def test_each_kind_of_mutation_is_refused_or_read_alike() -> None:
         readers.close()
 
 
+@pytest.mark.slow
 def test_readers_who_differ_are_found_where_nothing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("explain_footer", "explain_page"):
         monkeypatch.setattr(layout, name, getattr(layout, name))

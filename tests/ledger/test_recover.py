@@ -1,9 +1,7 @@
-import errno
 import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -15,9 +13,7 @@ from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.store.record import sha256_hex
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.faults import Fault, FaultyOs, Killed, calls_of, in_place_of_os
 from tests.ledger.forgery import examined_once
-from tests.ledger.power import Disk, choices
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
 BATCHES = made_up_batches(4, runs=2, size=60)  # 120 events a commit: the third outgrows the first partial tiles
@@ -68,7 +64,7 @@ def aside(path: Path) -> Files:
 
 
 def assert_nothing_lost(before: Files, path: Path) -> None:
-    """Each file that was there is in the ledger or set aside, or it is a note that a record holds."""
+    """Check that each file that was there is in the ledger or set aside, unless it is a note that a record holds."""
     now = {*contents(path).values(), *aside(path).values()}
     notes = {json.loads(data)["note"].encode() for name, data in contents(path).items() if name.startswith("commits/")}
     assert [name for name, data in before.items() if data not in now | notes] == []
@@ -280,117 +276,6 @@ def test_each_recovery_sets_aside_under_a_number_of_its_own(tmp_path: Path, thre
         (path / "stray").write_bytes(data)
         recover(path)
     assert aside(path) == {"000/stray": b"one", "001/stray": b"two"}
-
-
-# --- interrupted itself, refused by the disk, not alone ---
-
-
-class Stop(BaseException):
-    """The process ends here."""
-
-
-CALLS = ("rename", "replace", "fsync", "mkdir", "rmdir")
-
-
-@contextmanager
-def stopping_at(count: int, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> Iterator[list[int]]:
-    """The call on the disk with this number does not happen, nor any after it; how many there were."""
-    done = [0]
-
-    def stops(call: Callable[..., object]) -> Callable[..., object]:
-        def run(*arguments: object, **options: object) -> object:
-            done[0] += 1
-            if done[0] > count:
-                raise error
-            return call(*arguments, **options)
-
-        return run
-
-    with monkeypatch.context() as patch:
-        for name in CALLS:
-            patch.setattr(os, name, stops(getattr(os, name)))
-        yield done
-
-
-@pytest.fixture(scope="module")
-def one(tmp_path_factory: pytest.TempPathFactory) -> Files:
-    """The files of a ledger with one commit that fills a tile."""
-    path = tmp_path_factory.mktemp("one") / "ledger"
-    append_all(path, made_up_batches(1, runs=1, size=300))
-    return contents(path)
-
-
-def much_to_do(one: Files) -> Files:
-    """What a crash leaves, and damage of all kinds that can be mended."""
-    files = one | {
-        "tile/0/000": b"?" * 32,
-        "stray": b"?",
-        "segments/stray": b"??",
-        "tile/1/000.p/1": b"",
-        "staging/000000000000.json.77.tmp": b"{",
-    }
-    segment = files.pop("segments/000000000000.parquet")
-    del files["ledger.json"], files["checkpoint"]
-    return files | {f"staging/{sha256_hex(segment)}.parquet": segment}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("error", "step"), [(Stop(), 3), (OSError(errno.ENOSPC, "No space left on device"), 7)])
-def test_stopped_at_any_call_recovery_goes_on_when_called_again(
-    tmp_path: Path, one: Files, monkeypatch: pytest.MonkeyPatch, error: BaseException, step: int
-) -> None:
-    before = much_to_do(one)
-    for count in range(0, 300, step):
-        path = write(tmp_path / str(count) / "ledger", before)
-        with stopping_at(count, monkeypatch, error) as done, suppress(Stop, WriteFailed):
-            recover(path)
-        assert_nothing_lost(before, path)
-        recover(path)
-        assert_nothing_lost(before, path)
-        assert contents(path) == one
-        if done[0] <= count:
-            assert count > 30
-            assert verify(path).ok
-            return
-    pytest.fail("recovery never came to its end")
-
-
-@pytest.mark.slow
-def test_a_power_failure_in_recovery_loses_nothing_either(tmp_path: Path, one: Files) -> None:
-    before = much_to_do(one)
-    counting = write(tmp_path / "counting" / "ledger", before)
-    changes = [
-        at
-        for at, name in enumerate(calls_of(counting.parent, lambda: recover(counting)))
-        if name not in ("open", "read", "close")
-    ]
-    assert len(changes) > 30
-    for at in changes[::8]:
-        path = write(tmp_path / str(at) / "ledger", before)
-        disk = Disk(path.parent)
-        with suppress(Killed), in_place_of_os(FaultyOs(path.parent, Fault(at, "killed"), disk)):
-            recover(path)
-        for number, choice in enumerate(choices(at, 1)):
-            after = tmp_path / f"{at}-{number}" / "ledger"
-            disk.after_power_failure(choice, after.parent)
-            assert_nothing_lost(before, after)
-            recover(after)
-            assert_nothing_lost(before, after)
-            assert contents(after) == one
-
-
-def test_a_disk_that_refuses_is_named_with_what_to_do(
-    tmp_path: Path, one: Files, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = write(tmp_path / "ledger", much_to_do(one))
-    with (
-        stopping_at(5, monkeypatch, OSError(errno.EROFS, "Read-only file system")),
-        pytest.raises(WriteFailed, match="mending failed: Read-only file system"),
-    ):
-        recover(path)
-    whole = write(tmp_path / "whole", one)
-    with stopping_at(0, monkeypatch, OSError(errno.EROFS, "Read-only file system")):
-        assert recover(whole).outcome == "whole"
 
 
 def test_a_recovery_beside_a_writer_is_refused(tmp_path: Path, three: Files) -> None:

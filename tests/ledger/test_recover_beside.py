@@ -1,4 +1,5 @@
-"""A recovery beside a writer where ledger.json is lost: the lock is on the ledger's folder, which stays the same one."""
+"""A recovery beside a writer where ledger.json is lost: the lock is on the ledger's folder, which stays the same
+one."""
 
 import shutil
 from pathlib import Path

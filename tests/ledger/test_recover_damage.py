@@ -264,7 +264,8 @@ def damage_at_random(path: Path, draw: random.Random) -> None:
 
 
 def assert_honest(found: Recovery, path: Path, before: dict[str, bytes]) -> None:
-    """A ledger that verifies afterwards holds every file that was there, or has it beside it; a damaged one is as it was."""
+    """A ledger that verifies afterwards holds every file that was there, or has it beside it; a damaged one is as it
+    was."""
     if found.outcome in ("damaged", "continued"):
         assert contents(path) == before
         return

@@ -1,4 +1,5 @@
-"""A recovery that the disk refuses, or that is killed, leaves the ledger as good as it was: the next writer goes on from there by itself."""
+"""A recovery that the disk refuses, or that is killed, leaves the ledger as good as it was: the next writer goes on
+from there by itself."""
 
 import shutil
 from contextlib import suppress
@@ -18,7 +19,8 @@ KINDS = ("disk-full", "no-space", "io-error-after", "killed")
 
 @pytest.fixture
 def crashed(tmp_path: Path) -> Path:
-    """A folder with a ledger whose second commit, which filled a tile, was made, but nothing derived from it before the power failed."""
+    """A folder with a ledger whose second commit, which filled a tile, was made, but nothing derived from it before the
+    power failed."""
     first, place = tmp_path / "first", tmp_path / "crashed"
     append_all(first, BATCHES[:1])
     append_all(place / "ledger", BATCHES[:2])

@@ -1,4 +1,7 @@
-"""Ledgers of every released version open for ever, and event types change only as stored events allow. See `keep_release.py`."""
+"""Ledgers of every released version open for ever, and event types change only as stored events allow.
+
+See `keep_release.py`.
+"""
 
 import shutil
 from collections.abc import Mapping
@@ -140,7 +143,8 @@ def test_sql_answers_about_a_kept_ledger(path: Path, kept: Kept) -> None:
     with connect(path) as database:
         answers = [database.query(name) for name in QUESTIONS]
         [counted] = database.rows(
-            "SELECT count(*) AS events, count(DISTINCT run_id) FILTER (type <> 'ExperimentPlanned.v1') AS runs FROM events"
+            "SELECT count(*) AS events, count(DISTINCT run_id) FILTER (type <> 'ExperimentPlanned.v1') AS runs "
+            "FROM events"
         )
     assert counted == {"events": kept.events, "runs": len(kept.runs)}
     for answer in answers:
@@ -221,7 +225,8 @@ def broken_rules(then: Types, now: Types, retired: Types) -> list[str]:
             changed += [field for field in own if field not in fields and not own[field].endswith(OR_NULL)]
             if changed:
                 found.append(
-                    f"{tag}: {', '.join(sorted(changed))} changed; make it {name}.v{int(version) + 1} and keep {tag} in fsar_ledger/events/retired.py"
+                    f"{tag}: {', '.join(sorted(changed))} changed; make it {name}.v{int(version) + 1} and keep "
+                    f"{tag} in fsar_ledger/events/retired.py"
                 )
     return found
 
@@ -235,7 +240,8 @@ def test_other_event_types_have_another_release() -> None:
     is_kept = RELEASE in VERSIONS
     is_same = kept_types(newest) == stored_types(LAYOUTS.values())
     assert is_same == is_kept, (
-        f"event types differ from release {newest}: set RELEASE in fsar_ledger/ledger/rows/releases.py to the release to come"
+        f"event types differ from release {newest}: set RELEASE in fsar_ledger/ledger/rows/releases.py to the "
+        "release to come"
     )
 
 

@@ -26,7 +26,8 @@ def test_a_name_that_is_not_printed_is_refused_before_anything_is_written(tmp_pa
         ):
             with pytest.raises(
                 ValueError,
-                match=r"run run.*, seq \d+, field \w+: found .*, expected characters that can be printed; give it another name",
+                match=r"run run.*, seq \d+, field \w+: found .*, expected characters that can be printed; give it "
+                r"another name",
             ):
                 stage(tmp_path / "ledger", runs)
         assert contents(tmp_path) == before

@@ -1,4 +1,5 @@
-"""What others publish to be tried: vectors of transparency-dev/merkle, of wycheproof, and the examples that C2SP prints."""
+"""What others publish to be tried: vectors of transparency-dev/merkle, of wycheproof, and the examples that C2SP
+prints."""
 
 import base64
 import json
@@ -38,7 +39,8 @@ def is_grown(vector: Vector) -> bool:
 
 
 NO_HASHES = "additional/sizes-are-equal-one-and-proof-is-empty.json"
-"""The one vector judged otherwise here: its two equal roots are the twelve bytes "don't care 2", which are no hash, so there is no such tree."""
+"""The one vector judged otherwise here: its two equal roots are the twelve bytes "don't care 2", which are no hash, so
+there is no such tree."""
 
 
 def folders(kind: str) -> set[str]:
@@ -91,7 +93,10 @@ def test_what_is_no_hash_of_32_bytes_is_in_no_tree() -> None:
 
 
 def test_from_the_empty_tree_an_empty_proof_will_do_and_its_root_is_that_of_no_leaves() -> None:
-    """0.1.0 took any bytes for the root of the newer tree. The library of these vectors has no proof from size 0 at all; C2SP tlog-witness begins there."""
+    """0.1.0 took any bytes for the root of the newer tree.
+
+    The library of these vectors has no proof from size 0 at all; C2SP tlog-witness begins there.
+    """
     cases = {name: vector for name, vector in vectors("merkle/consistency.json").items() if vector["size1"] == 0}
     assert {(vector["size2"], vector["wantErr"]) for vector in cases.values()} >= {(0, True), (1, True)}
     assert is_consistent(0, EMPTY_ROOT, 1, bytes(32), ())

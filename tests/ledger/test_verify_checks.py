@@ -1,4 +1,5 @@
-"""Checks of the verifier that others would stand in for, each on its own: the place, the words and the number of problems are right."""
+"""Checks of the verifier that others would stand in for, each on its own: the place, the words and the number of
+problems are right."""
 
 import os
 import shutil

@@ -66,7 +66,8 @@ def test_an_unsigned_ledger_says_so_and_is_refused_where_a_signature_is_required
     report = verify(tmp_path / "unsigned")
     assert (report.ok, report.signature, report.signer, report.signed) == (True, "unsigned", None, 0)
     assert the_problem(trusted(tmp_path / "unsigned")) == (
-        f"commits/000000000002.json: commit 2, field note: found no signature, expected one of {KEY.key}, the trusted key"
+        f"commits/000000000002.json: commit 2, field note: found no signature, expected one of {KEY.key}, the "
+        "trusted key"
     )
 
 
@@ -245,7 +246,10 @@ def test_an_anchor_that_is_not_there_is_the_callers_mistake(tmp_path: Path) -> N
 
 
 def test_old_tiles_left_in_a_rewritten_ledger_do_not_deceive_a_quick_look(tmp_path: Path) -> None:
-    """The anchor ends within a tile. Its root comes out of the old leaves there, the new root out of the level above them."""
+    """The anchor ends within a tile.
+
+    Its root comes out of the old leaves there, the new root out of the level above them.
+    """
 
     def batches(seed: int) -> list[list[RunRecord]]:
         return [[made_up_run("a", 256, 1)], [made_up_run("b", 44, seed)], [made_up_run("c", 400, 3)]]
@@ -285,8 +289,8 @@ def test_a_quick_look_one_commit_behind_proves_the_anchor_up_to_there_and_says_s
     report = anchored(behind, note_of(behind, number), is_quick=True, key=SIGNER)
     assert (report.ok, report.anchored, report.remarks[0]) == (True, 24 * (number + 1), BEHIND), report.problems
     assert (
-        f"the recorded roots only grew from the anchor's {24 * (number + 1)} events to 48, those before the newest commit"
-        in report.remarks[1]
+        f"the recorded roots only grew from the anchor's {24 * (number + 1)} events to 48, those before the "
+        "newest commit" in report.remarks[1]
     )
     newest = anchored(behind, note_of(behind, 2), is_quick=True, key=SIGNER)
     assert (newest.ok, newest.anchored) == (True, 72), newest.problems
@@ -344,7 +348,8 @@ def test_verify_changes_nothing(path: Path) -> None:
 
 
 def test_a_ledger_begins_with_each_checkpoint_that_witnesses_show(path: Path, tmp_path: Path, is_quick: bool) -> None:
-    """Beside an anchor or without one; each that does not fit is a problem of its own, and none counts as the anchor."""
+    """Beside an anchor or without one; each that does not fit is a problem of its own, and none counts as the
+    anchor."""
     kept = [Anchor(f"witness w{number}", note_of(path, number)) for number in range(3)]
     false = Anchor("witness liar", Note(Checkpoint(ORIGIN, 30, bytes(32))))
     larger = Anchor("witness ahead", Note(Checkpoint(ORIGIN, 99, bytes(32))))

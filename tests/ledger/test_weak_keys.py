@@ -110,7 +110,8 @@ def test_a_signature_has_no_second_form() -> None:
 
 
 def test_a_point_of_small_order_in_a_signature_helps_nobody_without_the_secret() -> None:
-    """R may be the identity, in its one way of writing, but then S is the secret times the hash: only its holder makes it."""
+    """R may be the identity, in its one way of writing, but then S is the secret times the hash: only its holder makes
+    it."""
     key = SIGNER.verifier
     secret = int.from_bytes(hashlib.sha512(b"s" * 32).digest()[:32], "little") & ~7 & 2**254 - 1 | 2**254
     for name, point in WEAK.items():

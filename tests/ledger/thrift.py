@@ -1,4 +1,5 @@
-"""Thrift's compact protocol, written as well as read: whatever a forger may say, in whatever order, as often as he likes."""
+"""Thrift's compact protocol, written as well as read: whatever a forger may say, in whatever order, as often as he
+likes."""
 
 from typing import NamedTuple, TypeAlias
 

@@ -11,7 +11,8 @@ from fsar_ledger.ledger.log.note import Checkpoint, Signature, Signer
 
 L = 2**252 + 27742317777372353535851937790883648493
 
-SMALL_ORDER = {  # Chalkias, Garillot, Nikolaenko, "Taming the many EdDSAs" (2020), table 6: each point, in the one way to write it
+# Chalkias, Garillot, Nikolaenko, "Taming the many EdDSAs" (2020), table 6: each point, in the one way to write it
+SMALL_ORDER = {
     "order 1": "0100000000000000000000000000000000000000000000000000000000000000",
     "order 2": "ecffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff7f",
     "order 4, even": "0000000000000000000000000000000000000000000000000000000000000000",
@@ -46,7 +47,8 @@ def tries() -> Iterator[tuple[bytes, bytes]]:
 
 
 def forged(public: bytes, text: bytes) -> bytes:
-    """A signature that the library takes for one of this key under this text: with R = S B it is right wherever the order of the key divides the hash."""
+    """A signature that the library takes for one of this key under this text: with R = S B it is right wherever the
+    order of the key divides the hash."""
     verifier = Ed25519PublicKey.from_public_bytes(public)
     for point, scalar in tries():
         try:

@@ -208,7 +208,10 @@ def test_a_refilled_database_answers_of_its_new_rows_alone() -> None:
 
 
 def test_rows_are_those_of_the_table_whatever_their_types() -> None:
-    sql = "SELECT sum(i) AS whole, avg(i) AS mean, list(i) AS many, {'a': max(i)} AS one, NULL AS nothing, 1.50 AS money FROM range(3) AS t(i)"
+    sql = (
+        "SELECT sum(i) AS whole, avg(i) AS mean, list(i) AS many, {'a': max(i)} AS one, NULL AS nothing, 1.50 AS "
+        "money FROM range(3) AS t(i)"
+    )
     with from_rows([]) as database:
         assert repr(database.rows(sql)) == repr(plain_rows(database.table(sql)))
 

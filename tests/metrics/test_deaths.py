@@ -15,7 +15,10 @@ from fsar_ledger.metrics.locked import Limits
 from fsar_ledger.metrics.untrusted import ENVIRONMENT, cause_of_death, run_untrusted
 
 NEVER_ENDS = "SELECT sum(x % 7) FROM range(1000000000000) AS t(x)"
-IN_TIME = "from fsar_ledger.metrics.locked import GRACE_S, Limits, give_up; give_up(Limits(seconds=1 - GRACE_S)); exec('while True: pass')"
+IN_TIME = (
+    "from fsar_ledger.metrics.locked import GRACE_S, Limits, give_up; give_up(Limits(seconds=1 - GRACE_S)); "
+    "exec('while True: pass')"
+)
 NOT_ENOUGH = (
     "from fsar_ledger.metrics.locked import Limits, give_up; give_up(Limits(memory_bytes=1 << 29)); 'x' * (1 << 30)"
 )
@@ -35,7 +38,10 @@ def death_of(code: str) -> str:
         (IN_TIME, "used 65 s of processor time"),
         (NOT_ENOUGH, "ran out of memory, the limit is 4,096 MiB"),
         (
-            "import os, sys; sys.stderr.write(\"terminate called after throwing an instance of 'std::bad_alloc'\"); sys.stderr.flush(); os.abort()",
+            (
+                'import os, sys; sys.stderr.write("terminate called after throwing an instance of '
+                "'std::bad_alloc'\"); sys.stderr.flush(); os.abort()"
+            ),
             "ran out of",
         ),
         ("import os; os.abort()", "was ended by SIGABRT; the last that it wrote: nothing"),

@@ -1,4 +1,5 @@
-"""Every number that the paper prints has its place, its unit and the step of its last digit, and a class that was registered."""
+"""Every number that the paper prints has its place, its unit and the step of its last digit, and a class that was
+registered."""
 
 from collections import Counter
 

@@ -1,4 +1,5 @@
-"""What a whole look found right is remembered: by hashes, for this user, never in the ledger, and never for anything else."""
+"""What a whole look found right is remembered: by hashes, for this user, never in the ledger, and never for anything
+else."""
 
 import os
 import shutil

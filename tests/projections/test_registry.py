@@ -65,7 +65,8 @@ CHANGES = st.one_of(
 @given(st.lists(CHANGES, max_size=40))
 @settings(max_examples=200, deadline=None)
 def test_the_records_are_those_of_a_plain_table(changes: list[Any]) -> None:
-    """The model: one dictionary of what is installed, one of version, availability and deprecation by robot and capability."""
+    """The model: one dictionary of what is installed, one of version, availability and deprecation by robot and
+    capability."""
     state, table = populated(), dict[tuple[str, str], tuple[str, str, bool]]()
     installed = {(robot, capability) for robot in DOMAINS for capability in ("lift", "open")}
     for event in changes:

@@ -38,7 +38,8 @@ def run(*events: Row, run_id: str = "r1", **dimensions: Value) -> list[Row]:
 
 
 def answer(name: str, *runs: Sequence[Row], columns: Sequence[str] = ()) -> list[tuple[Any, ...]]:
-    """The rows of a query over these runs as tuples, with these columns (all: none named), sorted as the query sorts them."""
+    """The rows of a query over these runs as tuples, with these columns (all: none named), sorted as the query sorts
+    them."""
     with from_rows([row for rows in runs for row in rows]) as database:
         return [tuple(row[column] for column in columns or row) for row in database.query(name).to_pylist()]
 

@@ -1,4 +1,5 @@
-"""Audit questions about requests and rights: evaluations, refusals by conjunct, chains, revocations; given rows, expected rows."""
+"""Audit questions about requests and rights: evaluations, refusals by conjunct, chains, revocations; given rows,
+expected rows."""
 
 from typing import Any
 

@@ -1,4 +1,5 @@
-"""Beside each number that hangs on routine operations stands the same number without them, and how much of all they are."""
+"""Beside each number that hangs on routine operations stands the same number without them, and how much of all they
+are."""
 
 import pytest
 

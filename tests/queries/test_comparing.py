@@ -1,4 +1,5 @@
-"""Only runs that met the same world are compared; the others are named, with what differs, and what cannot be compared is said."""
+"""Only runs that met the same world are compared; the others are named, with what differs, and what cannot be compared
+is said."""
 
 from collections.abc import Sequence
 from typing import get_args
@@ -61,8 +62,8 @@ def test_runs_whose_facts_differ_are_no_pair_and_are_named_with_the_first_fact()
     )
     assert {row.n for row in rows} == {1}
     assert (
-        "1 pair of runs is left out: they did not meet the same facts of the world; first under seed 42, door-relay, 4 robots, run 1:"
-        in str(found)
+        "1 pair of runs is left out: they did not meet the same facts of the world; first under seed 42, "
+        "door-relay, 4 robots, run 1:" in str(found)
     )
 
 
@@ -99,9 +100,9 @@ def test_constants_of_a_pair_are_compared_by_value_and_other_ones_are_named() ->
         "simulated, model test, world.b=2",
         "simulated, model test, world.b=3",
     )
-    assert (
-        why
-        == "fsar-cfc: every pair of runs (1) is left out, as said above; simulate both under one world and the same constants"
+    assert why == (
+        "fsar-cfc: every pair of runs (1) is left out, as said above; simulate both under one world and the "
+        "same constants"
     )
 
 
@@ -189,7 +190,10 @@ def test_what_cannot_be_compared_is_said_with_what_it_takes() -> None:
         ([], "found no runs; `fsar-ledger simulate` makes some"),
         (
             [of("fsar", 0)],
-            "fsar-cfc: found 1 run of fsar (full) and none of cfc (full); simulate it with the same seed, scenarios, runs and fleet size",
+            (
+                "fsar-cfc: found 1 run of fsar (full) and none of cfc (full); simulate it with the same seed, "
+                "scenarios, runs and fleet size"
+            ),
         ),
         (
             ablated([0], with_full=False),
@@ -197,7 +201,10 @@ def test_what_cannot_be_compared_is_said_with_what_it_takes() -> None:
         ),
         (
             [of("fsar", 0), of("cfc", 0, seed=7)],
-            "no run of both has the same seed, scenario, fleet size and number: found fsar (full) under seeds 42, 4 robots",
+            (
+                "no run of both has the same seed, scenario, fleet size and number: found fsar (full) under seeds "
+                "42, 4 robots"
+            ),
         ),
         (
             [of("fsar", 0), of("cfc", 0, fleet_size=8)],

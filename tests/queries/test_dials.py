@@ -1,4 +1,5 @@
-"""The dials that the paper leaves open are read from what runs record, and runs that differ in anything else are not alike."""
+"""The dials that the paper leaves open are read from what runs record, and runs that differ in anything else are not
+alike."""
 
 import json
 from typing import Any

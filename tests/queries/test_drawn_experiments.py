@@ -1,4 +1,5 @@
-"""Experiments of the paper's size are drawn from the runs that are there: world by world, scenario by scenario, the same ones each time."""
+"""Experiments of the paper's size are drawn from the runs that are there: world by world, scenario by scenario, the
+same ones each time."""
 
 from typing import Any
 
@@ -134,7 +135,8 @@ def test_an_experiment_is_made_of_the_runs_that_were_drawn_of_each_scenario() ->
         database.hold("run_metrics", held(rows))
         parts = pl.DataFrame(
             database.table(
-                "SELECT draw, avg(value) AS value, count(*) AS scenarios FROM drawn_scenarios GROUP BY draw ORDER BY draw"
+                "SELECT draw, avg(value) AS value, count(*) AS scenarios FROM drawn_scenarios GROUP BY draw "
+                "ORDER BY draw"
             )
         )
         whole = pl.DataFrame(database.table("SELECT draw, value FROM drawn_experiments ORDER BY draw"))

@@ -59,7 +59,10 @@ def test_header_goes_on_over_several_lines() -> None:
 
 @pytest.fixture(scope="module")
 def empty() -> Iterator[Database]:
-    """An empty ledger, one for all queries. What one made stands there for the next: whether each finds all that it reads is asked of DuckDB below."""
+    """An empty ledger, one for all queries.
+
+    What one made stands there for the next: whether each finds all that it reads is asked of DuckDB below.
+    """
     with from_rows([]) as database:
         yield database
 

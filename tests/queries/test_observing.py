@@ -91,7 +91,8 @@ def test_a_judge_rests_on_the_concerns_of_all_events_that_its_query_reads(judge:
 
 
 def variants() -> Iterator[pa.Table]:
-    """One run of each architecture in full, and once for each concern without its events; `run_id` is architecture:concern."""
+    """One run of each architecture in full, and once for each concern without its events; `run_id` is
+    architecture:concern."""
     for architecture in ARCHITECTURES:
         rows = encode([simulate_run(RunSpec(42, architecture, "full", "failure-recovery-chain", 4, 12), Constants())])
         for missing in ("nothing", *CONCERNS):

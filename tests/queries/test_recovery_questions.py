@@ -6,7 +6,10 @@ import pytest
 
 from tests.queries.histories import Row, S, answer, event, run
 
-BUDGETS = '{"structure": {"local_budget_us": 30, "local_attempts": 2, "peer_budget_us": 20, "peer_helpers": 1, "human_budget_us": 90, "human_calls": 2}}'
+BUDGETS = (
+    '{"structure": {"local_budget_us": 30, "local_attempts": 2, "peer_budget_us": 20, "peer_helpers": 1, '
+    '"human_budget_us": 90, "human_calls": 2}}'
+)
 
 
 def failure(name: str, time_us: int, /, **fields: Any) -> Row:

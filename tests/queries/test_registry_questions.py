@@ -1,4 +1,5 @@
-"""Audit questions about the registry: what stood on a surface when, why a robot was no candidate, in which state it was."""
+"""Audit questions about the registry: what stood on a surface when, why a robot was no candidate, in which state it
+was."""
 
 from typing import Any
 

@@ -1,4 +1,5 @@
-"""Runs of different seeds, constants, models, kinds or fleet sizes are never in one row, and the constants that differ are named."""
+"""Runs of different seeds, constants, models, kinds or fleet sizes are never in one row, and the constants that differ
+are named."""
 
 import json
 from collections.abc import Sequence

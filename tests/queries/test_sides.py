@@ -1,4 +1,5 @@
-"""Any two sides in pairs: differences, intervals and tests on given rows, what pairs share, and which sides are meant."""
+"""Any two sides in pairs: differences, intervals and tests on given rows, what pairs share, and which sides are
+meant."""
 
 from collections.abc import Sequence
 from typing import Any

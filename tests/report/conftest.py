@@ -33,7 +33,12 @@ from fsar_ledger.report.findings import SCENARIOS, Findings
 from fsar_ledger.report.gather import gather
 
 A = Robot("robot/A1")
-
+ARRIVED = TaskArrived(
+    task_id="t1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=60_000_000, due_us=60_000_001
+)
+FAILED = ExecutionFailed(
+    subject=Subject("t1", "t1/1"), robot=A, failure=1, cause="obstruction", remaining_us=1_000_000, detected_us=6
+)
 ARCHITECTURES: tuple[Architecture, ...] = ("fsar", "cfc", "dhma")
 PARAMETERS = '{"structure":{"poll_us":1000000},"world":{"message":{"high_s":0.5,"low_s":0.05},"motion_share":0.24}}'
 Make = Callable[..., Path]
@@ -59,17 +64,7 @@ def _events(
             parameters=PARAMETERS,
         ),
     )
-    yield (
-        1,
-        TaskArrived(
-            task_id="t1",
-            robot=A,
-            team=1,
-            steps=("A navigate.indoor",),
-            budget_us=60_000_000,
-            due_us=60_000_001,
-        ),
-    )
+    yield 1, ARRIVED
     yield 2, _decision("t1/1", A, (A,))
     for number in range(bad):
         action = f"t1/{number + 2}"
@@ -83,17 +78,7 @@ def _events(
     for _ in range(bad):
         yield 5, _motion()
     if scenario != "door-relay":  # containment and latency stay undefined there
-        yield (
-            6,
-            ExecutionFailed(
-                subject=Subject("t1", "t1/1"),
-                robot=A,
-                failure=1,
-                cause="obstruction",
-                remaining_us=1_000_000,
-                detected_us=6,
-            ),
-        )
+        yield 6, FAILED
         level: RecoveryLevel = "local" if bad < 2 else "human"
         yield (
             6 + (1 + bad) * 700_000,

@@ -1,4 +1,5 @@
-"""The tables "Ablation" and "Scaling" in the report: which runs they are of, what is judged, and what is a curve instead."""
+"""The tables "Ablation" and "Scaling" in the report: which runs they are of, what is judged, and what is a curve
+instead."""
 
 from collections.abc import Iterator
 from pathlib import Path

@@ -18,7 +18,8 @@ REPORT = """
 import sys
 from pathlib import Path
 from fsar_ledger.report import write_report
-write_report(Path(sys.argv[1]), Path(sys.argv[2]), reads_every_way=sys.argv[3] == "True", numbers_out=Path(sys.argv[2] + ".json"))
+_, ledger, out, every_way = sys.argv
+write_report(Path(ledger), Path(out), reads_every_way=every_way == "True", numbers_out=Path(out + ".json"))
 """
 
 
@@ -44,14 +45,14 @@ def test_another_ledger_gives_another_report(make_ledger: Make, ledger: Path, tm
     assert one.read_bytes() != other.read_bytes()
 
 
-@pytest.mark.parametrize(  # an ablation alone has one architecture and no experiment of the paper; the soaks try what holds more than that
+@pytest.mark.parametrize(
     "contents",
     [
         pytest.param({"architectures": ("fsar",)}, marks=pytest.mark.slow),
         pytest.param(
             {"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1}, marks=pytest.mark.slow
         ),
-        {"architectures": ("fsar",), "configuration": "without-shared-registry"},
+        pytest.param({"architectures": ("fsar",), "configuration": "without-shared-registry"}, marks=pytest.mark.slow),
         pytest.param({"fleet_size": 8}, marks=pytest.mark.slow),
         {"architectures": ()},
     ],
@@ -108,7 +109,7 @@ def test_file_where_a_folder_is_needed_is_refused(tmp_path: Path) -> None:
 
 @contextmanager
 def small_files() -> Iterator[None]:
-    """No file can grow beyond 1,000 bytes: a real refusal by the kernel; Python ignores the signal that comes with it."""
+    """Let no file grow beyond 1,000 bytes: the kernel refuses, and Python ignores the signal that it sends."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
     try:

@@ -99,8 +99,8 @@ def test_a_fit_of_another_model_is_named_once_at_the_answer(tmp_path: Path, find
     ):
         [passage] = said_of_the_fit(tmp_path, found, record)
         assert (
-            "The model has changed since the fit: the constants were fitted to model version 0, and these runs are of version 1."
-            in passage
+            "The model has changed since the fit: the constants were fitted to model version 0, and these runs "
+            "are of version 1." in passage
         )
         assert "So no cell counts as fitted." in passage
 

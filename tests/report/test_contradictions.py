@@ -80,7 +80,8 @@ def test_effect_sizes_of_conflicts_violations_and_audit_imply_a_negative_varianc
 
 
 def test_effect_sizes_of_human_intervention_do_not_follow_from_its_means() -> None:
-    # 0.18 / sqrt((0.1204 + 0.2176) / 2) = 0.4379; 0.05 / sqrt((0.1204 + 0.1539) / 2) = 0.1350; 0.13 / sqrt((0.2176 + 0.1539) / 2) = 0.3016
+    # 0.18 / sqrt((0.1204 + 0.2176) / 2) = 0.4379; 0.05 / sqrt((0.1204 + 0.1539) / 2) = 0.1350; 0.13 / sqrt((0.2176 +
+    # 0.1539) / 2) = 0.3016
     assert [round(fact("binary-effects", f"d_{pair}"), 4) for pair in ("fc", "fd", "cd")] == [0.4379, 0.1350, 0.3016]
     assert [fact("binary-effects", f"printed_{pair}") for pair in ("fc", "fd", "cd")] == [0.42, 0.12, 0.29]
 

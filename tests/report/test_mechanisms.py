@@ -1,4 +1,5 @@
-"""Which mechanism carries which number: pairs with and without one, what the query answers, and what the report says of it."""
+"""Which mechanism carries which number: pairs with and without one, what the query answers, and what the report says of
+it."""
 
 import json
 from collections.abc import Iterator

@@ -1,4 +1,5 @@
-"""Texts that do something where others open a file: in every output they stay text, and the file stays whole and small."""
+"""Texts that do something where others open a file: in every output they stay text, and the file stays whole and
+small."""
 
 import csv
 import io

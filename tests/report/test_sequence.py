@@ -1,4 +1,5 @@
-"""What the drawn story and the drawn recovery show, that nothing is clipped, and that they are the same bytes each time."""
+"""What the drawn story and the drawn recovery show, that nothing is clipped, and that they are the same bytes each
+time."""
 
 from typing import Any
 

@@ -1,4 +1,5 @@
-"""The specification curves show the rows: every combination in the order of FSAR's lead, what each is made of, and where FSAR is the best one."""
+"""The specification curves show the rows: every combination in the order of FSAR's lead, what each is made of, and
+where FSAR is the best one."""
 
 import re
 
@@ -20,7 +21,8 @@ MEANS: dict[Chosen, tuple[float | None, float, float]] = {
 def found(
     means: dict[Chosen, tuple[float | None, float, float]] = MEANS, metric: str = "human_intervention"
 ) -> Multiverse:
-    """One metric of three architectures under these combinations, and once more for another seed, under which FSAR is the worst."""
+    """One metric of three architectures under these combinations, and once more for another seed, under which FSAR is
+    the worst."""
     setting = {
         "configuration": "full",
         "fleet_size": 4,

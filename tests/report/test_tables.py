@@ -157,6 +157,7 @@ def test_every_cell_of_the_coverage_stands_beside_the_papers_and_agrees_or_has_i
     }
 
 
+@pytest.mark.slow
 def test_both_figures_are_drawn_from_the_ledger_of_workflows(findings: Findings, alone: Findings) -> None:
     drawn = document.drawings(findings)
     assert set(drawn) == {f"{name}.svg" for name in printed(findings)["figures"]}

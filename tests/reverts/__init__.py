@@ -1,7 +1,7 @@
 """Fixes that can be taken out again, one a file, each with the test that must then fail.
 
-`about` says what is wrong again. Each `[[change]]` replaces the text `now`, which stands once in its `file`, by `before`.
-`make soak-reverts` takes each fix out alone and runs its test.
+`about` says what is wrong again. Each `[[change]]` replaces the text `now`, which stands once in its `file`, by
+`before`. `make soak-reverts` takes each fix out alone and runs its test.
 """
 
 import tomllib
@@ -21,7 +21,8 @@ class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Revert(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A fix that can be taken out: the line of the work that asked for it, what is wrong without it, and the test that says so."""
+    """A fix that can be taken out: the line of the work that asked for it, what is wrong without it, and the test that
+    says so."""
 
     line: str
     about: str
@@ -39,6 +40,7 @@ def reverted(text: str, change: Change) -> str:
     """Return the text without the fix. Raises: ValueError where the text of the fix does not stand exactly once."""
     if (times := text.count(change.now)) != 1:
         raise ValueError(
-            f"{change.file}: found {times} times {change.now!r:.90}, expected once; follow the fix to where it stands now"
+            f"{change.file}: found {times} times {change.now!r:.90}, expected once; follow the fix to where it "
+            "stands now"
         )
     return text.replace(change.now, change.before)

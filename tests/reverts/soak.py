@@ -1,4 +1,5 @@
-"""Takes each fix out alone and demands that its test fails by its own assertion: `python -m tests.reverts.soak [NAME ...]`.
+"""Takes each fix out alone and demands that its test fails by its own assertion: `python -m tests.reverts.soak [NAME
+...]`.
 
 The tree is copied once a fix, so that nothing here is ever changed. A test that cannot be collected, ends in another
 exception, or passes, is no evidence; the exit code is then 1.
@@ -82,7 +83,8 @@ def main(names: list[str]) -> int:
             silent.append(name)
     tests = len(names or known)
     print(
-        f"{tests} fixes taken out, {tests - len(silent)} tests failed by an assertion, {len(silent)} did not{': ' + ', '.join(silent) if silent else ''}"
+        f"{tests} fixes taken out, {tests - len(silent)} tests failed by an assertion, {len(silent)} did "
+        f"not{': ' + ', '.join(silent) if silent else ''}"
     )
     return 1 if silent else 0
 

@@ -1,7 +1,7 @@
 """A federation that is played from outside: public commands and the world's facts, one step at a time.
 
-The bench is a kernel whose next step is chosen by a test. Beside the live state it keeps a second one, folded from events that went
-through their stored form, so that what is rebuilt can be compared after every step.
+The bench is a kernel whose next step is chosen by a test. Beside the live state it keeps a second one, folded from
+events that went through their stored form, so that what is rebuilt can be compared after every step.
 """
 
 from collections.abc import Sequence
@@ -57,7 +57,7 @@ class Bench(Kernel):
         self._record(fact, self.now_us, 0)
 
     def proceed(self) -> bool:
-        """The next pending command is decided; False when none is pending."""
+        """Decide the next pending command; return False when none is pending."""
         if not self._pending:
             return False
         due_us, _, cause, scheduled = heappop(self._pending)
@@ -87,7 +87,8 @@ class Bench(Kernel):
 def founding(
     fleet: Sequence[tuple[str, int, bool, str, frozenset[str]]], trust: Sequence[tuple[int, int, Any]], has_helper: bool
 ) -> tuple[Event, ...]:
-    """A live fleet of these robots (role, team, has a supervisor, domain, capabilities), with this trust between them by position.
+    """A live fleet of these robots (role, team, has a supervisor, domain, capabilities), with this trust between them
+    by position.
 
     With a helper there is one robot more that can do everything for everybody and that no command names.
     """

@@ -96,7 +96,8 @@ def denied(seq: int) -> RequestDenied:
 
 
 class Forgery(NamedTuple):
-    """A forged run, and what replay must name: seq, field and the last part of the handler (None: nobody decides there)."""
+    """A forged run, and what replay must name: seq, field and the last part of the handler (None: nobody decides
+    there)."""
 
     run: RunRecord
     seq: int

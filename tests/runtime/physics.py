@@ -103,7 +103,8 @@ def robot_of(principal: str | None) -> str | None:
 
 
 def deeds(runs: Played) -> Iterator[tuple[State, int, str, Event]]:
-    """What a robot does or decides: its execution, its decisions, its answers; with the state before it and the time."""
+    """What a robot does or decides: its execution, its decisions, its answers; with the state before it and the
+    time."""
     doing = (ExecutionStarted, ExecutionResumed, ExecutionFinished, ExecutionFailed, ExecutionPaused, RoutinePerformed)
     for state, time_us, event in runs.told():
         robot = event.robot if isinstance(event, doing) else robot_of(flat(event).get("decided_by"))

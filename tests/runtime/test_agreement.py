@@ -1,8 +1,9 @@
-"""Trust, policy, rights, candidates and robots' state: the handlers' projections and the SQL say the same after every event.
+"""Trust, policy, rights, candidates and robots' state: the handlers' projections and the SQL say the same after every
+event.
 
 Both exist on purpose: SQL judges what the handlers did, so it reads the record for itself. Random commands over random
-fleets play a run; each event ends a run of its own, which holds all events up to it, and the questions are asked of all of
-these runs at once.
+fleets play a run; each event ends a run of its own, which holds all events up to it, and the questions are asked of all
+of these runs at once.
 
 `python -m tests.runtime.test_agreement 10000` compares after at least so many events and prints its counts.
 """

@@ -1,4 +1,7 @@
-"""Several requests for one robot, one of them time-critical: H_F's order is kept among all that wait. Paper: sec:prototype:workflows (Workflow 3)."""
+"""Several requests for one robot, one of them time-critical: H_F's order is kept among all that wait.
+
+Paper: sec:prototype:workflows (Workflow 3).
+"""
 
 from itertools import permutations
 

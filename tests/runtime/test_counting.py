@@ -18,19 +18,22 @@ DENIALS_OF_STEPS = """
     FROM (
         SELECT count(*) AS denials
         FROM decisions
-        ASOF JOIN step_began AS steps ON decisions.run_id = steps.run_id AND decisions.task_id = steps.task_id AND decisions.seq > steps.seq
+        ASOF JOIN step_began AS steps
+            ON decisions.run_id = steps.run_id AND decisions.task_id = steps.task_id AND decisions.seq > steps.seq
         WHERE decisions.decision_kind = 'denial' AND (steps.target_role IS NULL OR decisions.decided_by = 'coordinator')
         GROUP BY steps.run_id, steps.task_id, steps.step
     )
 """
 COUNTS = """
-    SELECT count(*) AS decisions, avg(is_local::INTEGER) AS locality, (SELECT count(*) FROM coordination_events) AS records
+    SELECT
+        count(*) AS decisions, avg(is_local::INTEGER) AS locality, (SELECT count(*) FROM coordination_events) AS records
     FROM decisions
 """
 
 
 class Counted(msgspec.Struct, frozen=True):
-    """Over all runs: decisions, their local share, records, denials of steps that nobody asks for again, and the most of one step."""
+    """Over all runs: decisions, their local share, records, denials of steps that nobody asks for again, and the most
+    of one step."""
 
     decisions: int
     locality: float

@@ -87,7 +87,7 @@ class Federation(RuleBasedStateMachine):
         self.play(kind(**data.draw(arguments(self.live.state, kind))))
 
     def play(self, command: Command) -> None:
-        """The command is given; if it is rejected, nothing has changed."""
+        """Give the command; check that a rejection changes nothing."""
         if self.has_helper and isinstance(command, SetTrustThresholds):
             return  # the helper's trust stays
         before = {slot: getattr(self.live.state, slot) for slot in State.__slots__}

@@ -1,4 +1,5 @@
-"""DHMA: each hop between agents of a robot leaves one record in every phase, and a decision's path is the way that its talk went."""
+"""DHMA: each hop between agents of a robot leaves one record in every phase, and a decision's path is the way that its
+talk went."""
 
 import re
 from collections import Counter
@@ -119,7 +120,8 @@ def test_a_handoff_names_no_origin_and_stays_in_one_robot() -> None:
 
 
 def test_every_agent_on_a_path_but_the_last_has_handed_the_work_on() -> None:
-    """Who is on the path of a decision beyond its decider was there because a hop went from it to the next, no later than a microsecond after."""
+    """Who is on the path of a decision beyond its decider was there because a hop went from it to the next, no later
+    than a microsecond after."""
     seen = 0
     for spec in SPECS:
         one, _ = played(spec)

@@ -81,6 +81,7 @@ def test_all_ten_hold_on_every_workflow(seed: int) -> None:
     )
 
 
+@pytest.mark.slow  # tests/queries/test_mutated_handlers.py looks at each on fewer runs
 @pytest.mark.parametrize("configuration", sorted(BROKEN_WITHOUT))
 def test_each_ablation_breaks_what_it_takes_away(configuration: Configuration) -> None:
     found = broken(RunSpec(42, "fsar", configuration, scenario, 4, run) for scenario in SCENARIOS for run in range(12))

@@ -1,4 +1,5 @@
-"""Versions are compared by number; contracts neither contradict themselves nor promise what the module does not keep."""
+"""Versions are compared by number; contracts neither contradict themselves nor promise what the module does not
+keep."""
 
 import pytest
 from hypothesis import given as forall

@@ -1,4 +1,5 @@
-"""How the clock keeps what cannot be done now: nothing that a robot should do while it is off, and no message over a link that is down, is lost or early."""
+"""How the clock keeps what cannot be done now: nothing that a robot should do while it is off, and no message over a
+link that is down, is lost or early."""
 
 from collections.abc import Sequence
 from math import inf
@@ -53,7 +54,8 @@ DELEGATED = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",),
 
 
 def nameless(one: HandlerTable) -> set[type[Command]]:
-    """The commands that the clock may hold and of which nobody knows who does them; those from outside are done by whoever gives them."""
+    """The commands that the clock may hold and of which nobody knows who does them; those from outside are done by
+    whoever gives them."""
     return {command for command in one.decides if not issubclass(command, PublicCommand) and command not in one.actors}
 
 
@@ -65,7 +67,7 @@ def test_every_command_names_its_actor(architecture: Architecture) -> None:
     assert nameless(HandlerTable(whole.decides, whole.reacts, forgetful)) == {StartAction}
 
 
-def test_a_handler_table_that_lacks_what_it_names_is_refused() -> None:
+def test_a_wiring_that_lacks_what_it_names_is_refused() -> None:
     def reacts(_state: State, _event: Event, _now_us: int) -> tuple[Scheduled, ...]:
         return ()
 

@@ -38,7 +38,8 @@ from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.checks import problems_of_fleet, problems_of_scenario
 from fsar_ledger.runtime.world.schedule import schedule
-from tests.runtime.test_replay import committed, restarted
+from tests.runtime.test_replay import committed
+from tests.runtime.test_replay_refused import restarted
 
 ROOT = Path(__file__).resolve().parents[2]
 FLEET = Fleet(
@@ -254,7 +255,8 @@ def test_a_file_stands_alone_and_a_fleet_has_a_name_or_is_a_file(tmp_path: Path)
 
 
 def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path: Path) -> None:
-    """The package is copied with these, and nothing else of it changes; no experiment of the paper is enlarged by them."""
+    """The package is copied with these, and nothing else of it changes; no experiment of the paper is enlarged by
+    them."""
     shutil.copytree(ROOT / "fsar_ledger", tmp_path / "fsar_ledger", ignore=shutil.ignore_patterns("__pycache__"))
     scenario = 'name = "sixth"\n[[tasks]]\nowner = "A"\nsteps = ["A door.open.basic B"]\n'
     (tmp_path / "fsar_ledger/runtime/world/scenarios/sixth.toml").write_text(scenario)
@@ -332,7 +334,7 @@ def designs(draw: st.DrawFn) -> Constants:
 
 
 def plays(folder: Path, own: Constants, teams: int, architecture: str) -> None:
-    """The design is well made, and its run verifies and replays."""
+    """Check that the design is well made, and that its run verifies and replays."""
     assert own.fleet is not None
     assert own.scenario is not None
     assert list(problems_of_fleet(own.fleet)) == []

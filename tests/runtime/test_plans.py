@@ -1,4 +1,5 @@
-"""A plan is on record before its runs; a larger one enlarges the ledger, whatever was interrupted, to the runs that a fresh one has."""
+"""A plan is on record before its runs; a larger one enlarges the ledger, whatever was interrupted, to the runs that a
+fresh one has."""
 
 import shutil
 from collections.abc import Callable
@@ -46,7 +47,7 @@ def stop_after(batches: int) -> Callable[[int, int], None]:
 
 
 def interrupted(path: Path, experiment: Experiment, batches: int) -> None:
-    """The experiment was stopped when so many batches were there."""
+    """Stop the experiment when so many batches are there."""
     with pytest.raises(Stopped):
         simulate(path, experiment, 1, stop_after(batches))
 
@@ -118,7 +119,8 @@ def test_an_enlarged_ledger_has_the_runs_and_metrics_of_a_fresh_one_and_another_
 def test_wherever_an_enlargement_is_interrupted_its_plans_decide_the_bytes(
     tmp_path: Path, of_small: int, of_large: int
 ) -> None:
-    """The small experiment has two batches; the batches of the large one follow from what was there when it was planned."""
+    """The small experiment has two batches; the batches of the large one follow from what was there when it was
+    planned."""
     if of_small < 2:
         interrupted(tmp_path / "stopped", ONE, of_small)
     else:

@@ -1,4 +1,5 @@
-"""Policy rules: who may set which, deny before review before allow, and a mandate never overrides a robot's own denial."""
+"""Policy rules: who may set which, deny before review before allow, and a mandate never overrides a robot's own
+denial."""
 
 import pytest
 from hypothesis import given as for_all

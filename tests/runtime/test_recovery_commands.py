@@ -1,4 +1,7 @@
-"""Commands about recovery from outside: budgets that supervisors set, failures that robots report. Paper: app:foundations."""
+"""Commands about recovery from outside: budgets that supervisors set, failures that robots report.
+
+Paper: app:foundations.
+"""
 
 import pytest
 

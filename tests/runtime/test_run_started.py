@@ -1,4 +1,5 @@
-"""Event 0: what it says of runs that are simulated, live or foreign, and that groups of constants added later change nothing."""
+"""Event 0: what it says of runs that are simulated, live or foreign, and that groups of constants added later change
+nothing."""
 
 from pathlib import Path
 

@@ -1,4 +1,5 @@
-"""Nobody knows that a robot is off before it has not answered, and whether a message was delivered is waited for no longer than is said. Reading: R44."""
+"""Nobody knows that a robot is off before it has not answered, and whether a message was delivered is waited for no
+longer than is said. Reading: R44."""
 
 from functools import cache
 
@@ -218,7 +219,8 @@ def test_where_nobody_else_could_serve_the_robot_is_asked_until_it_is_back(archi
 def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_delivered_in_time(
     architecture: Architecture,
 ) -> None:
-    """Bids and relayed requests take several messages of up to 4.9 s; the time for an answer is for the delivery of one."""
+    """Bids and relayed requests take several messages of up to 4.9 s; the time for an answer is for the delivery of
+    one."""
     slow = msgspec.structs.replace(CALM, message=Range(0.49, 4.9))
     for run in range(3):
         spec, constants = RunSpec(5, architecture, "full", "door-relay", 4, run), Constants(world=slow)
@@ -257,7 +259,8 @@ def test_a_relayed_request_is_two_messages_and_each_has_its_time() -> None:
 
 @EVERY
 def test_a_robot_that_nobody_can_reach_does_not_know_that_a_task_was_given_up(architecture: Architecture) -> None:
-    """Of three robots that are still on their way one is linked, one without a link for long, and one until before it would begin."""
+    """Of three robots that are still on their way one is linked, one without a link for long, and one until before it
+    would begin."""
     short = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=2 * S, due_us=2 * S)
     [(queued_us, queued)] = of(ran(architecture, [(S, short)]), ExecutionQueued)
     assert isinstance(queued, ExecutionQueued)

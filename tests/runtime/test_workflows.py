@@ -1,4 +1,7 @@
-"""The paper's three workflows: each fact that it states follows from the scripted world, whatever the seed. Paper: sec:prototype:workflows."""
+"""The paper's three workflows: each fact that it states follows from the scripted world, whatever the seed.
+
+Paper: sec:prototype:workflows.
+"""
 
 from typing import TypeVar
 

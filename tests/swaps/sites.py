@@ -30,7 +30,8 @@ PRINCIPALS = frozenset({Robot, Supervisor, Service, Agent, Coordinator})
 
 
 class Swap(NamedTuple):
-    """Two arguments of one call that change places: the call is the so-manieth of its file, the arguments count positional ones first."""
+    """Two arguments of one call that change places: the call is the so-manieth of its file, the arguments count
+    positional ones first."""
 
     file: Path
     call: int
@@ -44,7 +45,8 @@ class Swap(NamedTuple):
 
 
 def swaps() -> list[Swap]:
-    """Return every swap of two arguments of the same declared type, or of two principals of any kind; not of equal ones."""
+    """Return every swap of two arguments of the same declared type, or of two principals of any kind; not of equal
+    ones."""
     return [swap for file in sorted(PACKAGE.rglob("*.py")) for swap in _swaps_in(file)]
 
 
@@ -110,5 +112,8 @@ def _swaps_in(file: Path) -> Iterator[Swap]:
 
 
 def _kinds(kind: Any) -> frozenset[Any]:
-    """The types of a field, None aside: `Robot | None` is declared as `Robot` is. Lists of principals are no principals."""
+    """The types of a field, None aside: `Robot | None` is declared as `Robot` is.
+
+    Lists of principals are no principals.
+    """
     return frozenset(get_args(kind) or (kind,)) - {type(None)}

@@ -1,7 +1,10 @@
-"""Swaps every two arguments that could be mistaken for each other, at every place where an event is made: `python -m tests.swaps.soak [PART OF A NAME ...]`.
+"""Swaps every two arguments that could be mistaken for each other, at every place where an event is made: `python -m
+tests.swaps.soak [PART OF A NAME ...]`.
 
-Each mutant must die: by the type checker, by a run that records something else (`tests/swaps/histories.py`, whose digest a test pins), or by the
-tests of handlers. Exit code 1 if one survives that is not listed in `EQUIVALENT`, or if an entry there no longer survives.
+Each mutant must die: by the type checker, by a run that records something else (`tests/swaps/histories.py`, whose
+digest a test pins), or by the
+tests of handlers. Exit code 1 if one survives that is not listed in `EQUIVALENT`, or if an entry there no longer
+survives.
 """
 
 import ast
@@ -163,7 +166,8 @@ def expected(runs: Iterable[History]) -> Expected:
 
 
 def shows(swap: Swap, runs: Expected) -> bool:
-    """Tell whether a run records something else, ends in an error, or does not end, with the mutant in the place of its function."""
+    """Tell whether a run records something else, ends in an error, or does not end, with the mutant in the place of its
+    function."""
     child = os.fork()
     if child == 0:
         code = _BROKEN
@@ -194,7 +198,8 @@ def _differs(runs: Expected) -> int:
 
 
 def replaced(swap: Swap) -> bool:
-    """Put the mutant in the place of every function that its file holds; return whether there was one that it changes."""
+    """Put the mutant in the place of every function that its file holds; return whether there was one that it
+    changes."""
     name = str(swap.file)
     before = _functions(compile(ast.parse(swap.file.read_text()), name, "exec"))
     after = _functions(

@@ -1,4 +1,5 @@
-"""Principals cannot be mistaken for each other: what the types do not show, a run does, and the soak that says so finds what it should."""
+"""Principals cannot be mistaken for each other: what the types do not show, a run does, and the soak that says so finds
+what it should."""
 
 import ast
 import inspect

@@ -1,0 +1,92 @@
+"""Interventions of supervisors in whole runs: the invariants hold, and a start that ignores a rule is caught."""
+
+from typing import Any
+
+from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.policy import PolicyRuleSet
+from fsar_ledger.events.supervision import SupervisionDensitySet
+from fsar_ledger.events.trust import TrustThresholdsSet
+from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.metrics.invariants import audit_rows, invariants
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
+from fsar_ledger.runtime.handlers.commands import StartAction
+from fsar_ledger.runtime.handlers.execution import started as has_started
+from tests.queries.test_rules_and_trust import DOOR, H_B
+from tests.recycled import from_table
+from tests.runtime.governed import H_F, governed, record
+
+GOVERNANCE = (
+    (2, TrustThresholdsSet(2, 1, H_F)),
+    (3, SupervisionDensitySet(robot=None, review_every=2, decided_by=H_F, reason="start-up")),
+    (4, PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)),
+    (
+        5,
+        PolicyRuleSet(
+            scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="deny", decided_by=H_B
+        ),
+    ),
+    (
+        50_000_000,
+        PolicyRuleSet(
+            scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=H_B
+        ),
+    ),
+    (
+        90_000_000,
+        PolicyRuleSet(
+            scope="fleet", robot=Robot("robot/B1"), capability=None, context=None, outcome="deny", decided_by=H_F
+        ),
+    ),
+    (
+        110_000_000,
+        PolicyRuleSet(
+            scope="fleet", robot=Robot("robot/B1"), capability=None, context=None, outcome="allow", decided_by=H_F
+        ),
+    ),
+)
+
+
+def audited(structure: Any = FSAR) -> dict[str, int]:
+    """How often each invariant, and policy, is broken in runs in which supervisors intervene."""
+    records = [
+        record(governed(scenario, *GOVERNANCE, run=4, structure=structure))
+        for scenario in ("door-relay", "mixed-trust-inspection")
+    ]
+    with from_table(encode(records), threads=1) as database:
+        counts = {row.invariant[:2]: row.events for row in audit_rows(database, invariants())}
+        (found,) = database.rows("SELECT sum(numerator)::BIGINT AS violations FROM policy_violations")
+    return {**counts, "violations": found["violations"]}
+
+
+def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
+    """FSAR's handler without its look at policy."""
+    return (
+        (has_started(state, state.execution.actions[command.action_id], command),)
+        if start_as_fsar(state, command)
+        else ()
+    )
+
+
+def silent_denial(state: Any, command: EvaluateRequest) -> tuple[Any, ...]:
+    """FSAR's handler, which tells nobody of a conflict."""
+    return tuple(one for one in evaluate_request(state, command) if type(one).__name__ != "PolicyConflictEscalated")
+
+
+def test_in_runs_with_interventions_the_invariants_of_policy_and_recovery_hold() -> None:
+    counts = audited()
+    assert {name: counts[name] for name in ("i1", "i2", "i3", "i4", "a1", "a2", "a3", "a4", "a5")} == dict.fromkeys(
+        counts.keys() - {"i5", "violations"}, 0
+    )
+
+
+def test_starts_under_a_rule_that_denies_are_caught_by_i3_and_the_violation_metric() -> None:
+    counts, mutated = audited(), audited(HandlerTable({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts))
+    assert mutated["i3"] > counts["i3"] == 0
+    assert mutated["violations"] > counts["violations"]
+
+
+def test_a_conflict_that_nobody_was_told_of_is_caught_by_a3() -> None:
+    assert audited(HandlerTable({**FSAR.decides, EvaluateRequest: silent_denial}, FSAR.reacts))["a3"] > 0

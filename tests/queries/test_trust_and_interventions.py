@@ -1,0 +1,178 @@
+"""Trust by capability and context, interventions of supervisors and their absence: given rows, expected rows."""
+
+from typing import Any
+
+import pytest
+
+from tests.queries.histories import Row, answer, event, run
+from tests.queries.test_rules_and_trust import DOOR, H_B, admitted, asked, broken, reviewed, rule, started
+from tests.runtime.governed import H_F
+
+
+def trust(
+    time_us: int, scope: str, capability: str | None = None, context: str | None = None, by: str | None = None
+) -> Row:
+    return event(
+        "TrustSet",
+        time_us,
+        robot="robot/B1",
+        peer="robot/A1",
+        scope=scope,
+        capability=capability,
+        context=context,
+        decided_by=by,
+        reason="operator",
+    )
+
+
+def test_each_entry_of_trust_holds_until_it_is_set_again() -> None:
+    events = (trust(1, "task"), trust(2, "none", DOOR, by=H_F), trust(3, "session", DOOR))
+    columns = ("capability", "since_us", "until_us", "trust_scope", "set_by")
+    rows = answer("facts/trust_in_force", run(*events), columns=columns)
+    assert rows == [(DOOR, 2, 3, "none", H_F), (DOOR, 3, None, "session", None), (None, 1, None, "task", None)]
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, ["task", "session", "none", "capability"]),
+        ({"capability": DOOR}, ["session"]),
+        ({"capability": "carry.package"}, ["task"]),
+        ({"context": "t1"}, ["none"]),
+        ({"context": "t2"}, ["task"]),
+        ({"capability": DOOR, "context": "t1"}, ["capability"]),
+        ({"capability": DOOR, "context": "t2"}, ["session"]),
+        ({"capability": "carry.package", "context": "t1"}, ["none"]),
+        ({"capability": DOOR, "context": "t1", "at_us": 3}, ["session"]),
+    ],
+)
+def test_of_several_entries_the_most_specific_one_holds(given: dict[str, Any], expected: list[str]) -> None:
+    events = (
+        trust(1, "task"),
+        trust(2, "session", DOOR),
+        trust(3, "none", None, "t1"),
+        trust(4, "capability", DOOR, "t1"),
+    )
+    assert sorted(row[0] for row in asked("trust_at", "trust_scope", *events, **given)) == sorted(expected)
+
+
+@pytest.mark.parametrize(
+    ("given", "outcome"),
+    [
+        ({}, "allow"),
+        ({"capability": DOOR}, "review"),
+        ({"context": "t1"}, "deny"),
+        ({"capability": DOOR, "context": "t1"}, "deny"),
+        ({"context": "t2"}, "allow"),
+    ],
+)
+def test_policy_at_a_time_is_the_strictest_of_what_is_about_the_question(given: dict[str, str], outcome: str) -> None:
+    rules = (rule(1, "review", capability=DOOR), rule(2, context="t1"))
+    assert asked("policy_at", "scope outcome", *rules, robot="robot/B1", at_us=5, **given) == [
+        ("fleet", "allow"),
+        ("local", outcome),
+    ]
+
+
+def test_what_was_told_is_compared_with_the_windows_of_the_world() -> None:
+    told = event("FleetRuleLearned", 2, robot="robot/B1", outcome="allow", as_of_us=1)
+    assert asked("policy_known_at", "known_outcome true_outcome is_wrong", rule(1, scope="fleet"), told) == [
+        ("allow", "allow", False)
+    ]
+
+
+def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
+    interventions = (
+        trust(1, "none", DOOR, "t1", by=H_B),
+        event("TrustThresholdsSet", 2, promote_after=3, downgrade_after=1, decided_by=H_F),
+        rule(3, "review", context="t1"),
+        event("SupervisionDensitySet", 4, robot="robot/B1", review_every=2, decided_by=H_B, reason="night"),
+        event("AuthorityGranted", 5, requested_by="robot/A1", override="emergency-only", decided_by=H_F),
+        event("AuthorityRevoked", 6, requested_by="robot/A1", reason="human override", decided_by=H_F),
+        event("RecoveryBudgetSet", 7, robot="robot/B1", level="local", t_max_us=5, n_max=1, decided_by=H_B),
+        reviewed(8, False),
+        {**reviewed(9, True), "purpose": "ordering", "preferred": "t1/2"},
+    )
+    others = (trust(1, "task"), trust(1, "task", by="service/trust"), admitted(2))
+    assert [
+        row[1:]
+        for row in sorted(asked("supervisor_decisions", "decided_us decided_by decision", *interventions, *others))
+    ] == [
+        (H_B, "robot/A1 none in t1"),
+        (H_F, "promote after 3, downgrade after 1"),
+        (H_B, "local review in t1"),
+        (H_B, "review every 2"),
+        (H_F, "up to emergency-only"),
+        (H_F, "human override"),
+        (H_B, "local 1 in 5 us"),
+        (H_F, "disapproved"),
+        (H_F, "first t1/2"),
+    ]
+    assert len(asked("supervisor_decisions", "seq", *interventions, supervisor=H_B)) == 4
+
+
+@pytest.mark.parametrize(
+    ("supervisor", "left", "count"),
+    [("supervisor/night", "supervisor/night", 0), ("supervisor/night", "supervisor/X1", 1), (None, "supervisor/X1", 1)],
+)
+def test_the_absence_that_excuses_is_that_of_the_robots_own_supervisor(
+    supervisor: str | None, left: str, count: int
+) -> None:
+    joined = event("RobotJoined", robot="robot/X1", role="A", team=1, supervisor=supervisor)
+    alone = event(
+        "RoutinePerformed",
+        3,
+        decided_by="robot/X1",
+        requested_by="robot/X1",
+        executed_by="robot/X1",
+        robot="robot/X1",
+        operation="sensing",
+    )
+    gone = event("SupervisorLeft", 2, supervisor=left)
+    assert len(broken("i5", joined, gone, alone)) == count
+    executed = started(3, robot="robot/X1", requested_by="robot/A1", executed_by="robot/X1")
+    phases = tuple(event(name, 2, action_id="t1/1") for name in ("RequestIssued", "RequestAdmitted", "RequestAccepted"))
+    assert len(broken("a5", joined, *phases, gone, executed)) == count
+
+
+def test_the_entry_of_the_capability_goes_before_that_of_the_context_for_an_execution_too() -> None:
+    events = (trust(1, "session", DOOR), trust(2, "none", None, "t1"))
+    pair = {key: events[0][key] for key in ("robot", "peer")}
+    began = event(
+        "ExecutionStarted",
+        3,
+        task_id="t1",
+        action_id="t1/1",
+        robot=pair["robot"],
+        on_behalf_of=pair["peer"],
+        capability=DOOR,
+        ends_us=9,
+    )
+    assert answer("facts/delegated_trust", run(*events, began), columns=("is_direct",)) == [(True,)]
+    assert answer(
+        "facts/delegated_trust", run(*events, {**began, "capability": "carry.package"}), columns=("is_direct",)
+    ) == [(False,)]
+
+
+@pytest.mark.parametrize(
+    ("about", "is_against"),
+    [
+        ({}, True),
+        ({"capability": DOOR}, True),
+        ({"context": "t1"}, True),
+        ({"capability": "carry.package"}, False),
+        ({"context": "t2"}, False),
+    ],
+)
+def test_a_decision_is_against_a_rule_only_where_the_rule_is_about_it(about: dict[str, str], is_against: bool) -> None:
+    joined = event("RobotJoined", robot="robot/A1", role="A")
+    rule = event("PolicyRuleSet", 1, scope="local", robot="robot/A1", outcome="deny", **about)
+    step = event(
+        "StepBegan", 5_000_000, task_id="t1", action_id="t1/1", robot="robot/A1", capability=DOOR, target_role="B"
+    )
+    admitted = event(
+        "RequestAdmitted", 5_000_001, task_id="t1", action_id="t1/1", decided_by="robot/B1", executed_by="robot/B1"
+    )
+    assert answer("facts/policy_decisions", run(joined, rule, step, admitted), columns=("is_against_requester",)) == [
+        (is_against,)
+    ]
