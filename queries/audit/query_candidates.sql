@@ -21,37 +21,20 @@ WITH filters (filter, meaning) AS (
 
 surfaces AS (
     SELECT
-        run_id,
-        robot,
-        capability,
+        run_id, robot, capability,
         seq AS since_seq,
         lead(seq) OVER (PARTITION BY run_id, robot, capability ORDER BY seq) AS until_seq,
         type = 'CapabilityAdvertised.v1' AS is_shown,
-        visible_to,
-        visibility
+        visible_to, visibility
     FROM registry_events
     WHERE type IN ('CapabilityAdvertised.v1', 'CapabilityWithdrawn.v1', 'CapabilityRemoved.v1')
 ),
 
 considered AS (
     SELECT
-        queries.run_id,
-        queries.seq,
-        queries.time_us,
-        queries.caused_by,
-        queries.task_id,
-        queries.action_id,
-        queries.requested_by,
-        queries.executed_by,
-        queries.supervised_by,
-        queries.capability,
-        queries.candidates,
-        queries.relay,
-        queries.rejected,
-        queries.rejected_by,
-        queries.domain,
-        queries.as_of_us,
-        others.robot,
+        queries.run_id, queries.seq, queries.time_us, queries.caused_by, queries.task_id, queries.action_id,
+        queries.requested_by, queries.executed_by, queries.supervised_by, queries.capability, queries.candidates,
+        queries.relay, queries.rejected, queries.rejected_by, queries.domain, queries.as_of_us, others.robot,
         requesters.role,
         list_extract(queries.rejected_by, list_position(queries.rejected, others.robot)) AS filter,
         any_value(surfaces.visible_to) AS visible_to,
@@ -73,15 +56,11 @@ considered AS (
             AND queries.seq > surfaces.since_seq AND (surfaces.until_seq IS NULL OR queries.seq < surfaces.until_seq)
     LEFT JOIN trust_parties AS trusting
         ON
-            queries.run_id = trusting.run_id
-            AND others.robot = trusting.robot
-            AND trusting.is_trusting
+            queries.run_id = trusting.run_id AND others.robot = trusting.robot AND trusting.is_trusting
             AND queries.seq > trusting.seq
     LEFT JOIN trust_parties AS trusted
         ON
-            trusting.run_id = trusted.run_id
-            AND trusting.seq = trusted.seq
-            AND queries.requested_by = trusted.robot
+            trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND queries.requested_by = trusted.robot
             AND NOT trusted.is_trusting
     LEFT JOIN trust_precedence AS trust
         ON
@@ -93,26 +72,14 @@ considered AS (
 )
 
 SELECT
-    considered.run_id,
-    considered.seq,
-    considered.time_us,
-    considered.caused_by,
-    considered.task_id,
-    considered.action_id,
-    considered.requested_by,
-    considered.executed_by,
-    considered.supervised_by,
-    considered.capability,
-    considered.relay,
-    considered.domain,
-    considered.as_of_us,
-    considered.robot,
+    considered.run_id, considered.seq, considered.time_us, considered.caused_by, considered.task_id,
+    considered.action_id, considered.requested_by, considered.executed_by, considered.supervised_by,
+    considered.capability, considered.relay, considered.domain, considered.as_of_us, considered.robot,
     considered.trust_scope,
     list_contains(considered.candidates, considered.robot) AS is_candidate,
     considered.filter AS rejected_by,
     CASE
-        WHEN
-            list_contains(considered.candidates, considered.robot)
+        WHEN list_contains(considered.candidates, considered.robot)
             THEN 'candidate' || coalesce(' through ' || considered.relay, '')
         WHEN filters.meaning IS NOT NULL THEN filters.meaning
         WHEN considered.filter IS NULL AND NOT considered.is_offered THEN 'does not offer it'
@@ -120,8 +87,7 @@ SELECT
             len(considered.visible_to) > 0
             AND NOT coalesce(list_contains(considered.visible_to, considered.role), FALSE)
             THEN 'not visible to role ' || coalesce(considered.role, 'unknown')
-        WHEN
-            considered.filter = 'visibility'
+        WHEN considered.filter = 'visibility'
             THEN 'not visible outside ' || if(considered.visibility = 'domain', 'its domain', 'its trust')
         WHEN coalesce(considered.trust_scope, 'none') = 'none' THEN 'no trust in the requester'
         WHEN considered.filter = 'trust' THEN 'too little trust in the requester'

@@ -45,9 +45,7 @@ in_hand AS (
 
 held AS (
     SELECT
-        in_hand.run_id,
-        in_hand.robot,
-        in_hand.action_id,
+        in_hand.run_id, in_hand.robot, in_hand.action_id,
         in_hand.last_type = 'ExecutionFailed.v1' OR (outward.action_id IS NOT NULL AND NOT in_hand.is_help) AS is_failed
     FROM in_hand
     LEFT JOIN outward ON in_hand.run_id = outward.run_id AND in_hand.action_id = outward.action_id
@@ -57,16 +55,13 @@ held AS (
 ),
 
 advertised AS (
-    SELECT DISTINCT
-        run_id,
-        robot
+    SELECT DISTINCT run_id, robot
     FROM advertisements
     WHERE availability = 'degraded' AND since_us <= $at_us::BIGINT AND (until_us IS NULL OR until_us > $at_us::BIGINT)
 )
 
 SELECT
-    members.run_id,
-    members.robot,
+    members.run_id, members.robot,
     CASE
         WHEN off.robot IS NOT NULL THEN 'off'
         WHEN held.is_failed THEN 'failed'
@@ -79,9 +74,7 @@ FROM fleet_members AS members
 LEFT JOIN held ON members.run_id = held.run_id AND members.robot = held.robot
 LEFT JOIN outages AS off
     ON
-        members.run_id = off.run_id
-        AND members.robot = off.robot
-        AND off.what = 'off'
+        members.run_id = off.run_id AND members.robot = off.robot AND off.what = 'off'
         AND $at_us BETWEEN off.since_us AND coalesce(off.until_us - 1, $at_us)
 LEFT JOIN outages AS degraded
     ON

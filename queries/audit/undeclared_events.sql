@@ -17,11 +17,7 @@ WITH named AS (
     FROM runs
 )
 
-SELECT
-    events.run_id,
-    events.seq,
-    events.type,
-    event_concerns.concern
+SELECT events.run_id, events.seq, events.type, event_concerns.concern
 FROM event_principals AS events
 INNER JOIN event_concerns ON events.type = event_concerns.type
 INNER JOIN runs ON events.run_id = runs.run_id

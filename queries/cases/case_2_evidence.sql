@@ -12,10 +12,7 @@
 -- escalation after that (R46).
 WITH told AS (
     SELECT
-        failures.run_id,
-        failures.seq,
-        failures.action_id,
-        failures.failure,
+        failures.run_id, failures.seq, failures.action_id, failures.failure,
         failures.cause = 'degradation' AND robots.role = 'D' AS is_worn,
         failures.resolved_level = 'local' AS is_local
     FROM failures
@@ -26,9 +23,7 @@ WITH told AS (
 
 acted AS (
     SELECT
-        run_id,
-        action_id,
-        failure,
+        run_id, action_id, failure,
         first(decided_by ORDER BY seq) FILTER (type <> 'FailureResolved.v1') AS first_by,
         list(DISTINCT decided_by) AS deciders,
         max(seq) FILTER (type = 'RecoveryEscalated.v1') AS escalated_seq
@@ -38,28 +33,21 @@ acted AS (
 
 loops AS (
     SELECT
-        told.run_id,
-        told.seq,
+        told.run_id, told.seq,
         min(recovering.seq) AS claim_seq,
         min(other.seq) AS other_seq
     FROM told
     INNER JOIN acted ON told.run_id = acted.run_id AND told.action_id = acted.action_id AND told.failure = acted.failure
     INNER JOIN claims AS recovering
         ON
-            told.run_id = recovering.run_id
-            AND told.action_id = recovering.action_id
-            AND recovering.dimension = 'override'
-            AND told.seq < recovering.seq
-            AND acted.escalated_seq > recovering.seq
+            told.run_id = recovering.run_id AND told.action_id = recovering.action_id
+            AND recovering.dimension = 'override' AND told.seq < recovering.seq AND acted.escalated_seq > recovering.seq
             AND list_contains(acted.deciders, recovering.claimant)
     INNER JOIN claims AS other
         ON
-            recovering.run_id = other.run_id
-            AND recovering.action_id = other.action_id
-            AND recovering.dimension = other.dimension
-            AND recovering.claimant <> other.claimant
-            AND starts_with(recovering.claimant, 'agent/')
-            AND starts_with(other.claimant, 'agent/')
+            recovering.run_id = other.run_id AND recovering.action_id = other.action_id
+            AND recovering.dimension = other.dimension AND recovering.claimant <> other.claimant
+            AND starts_with(recovering.claimant, 'agent/') AND starts_with(other.claimant, 'agent/')
             AND coalesce(recovering.ended_us > other.began_us, TRUE)
             AND coalesce(recovering.began_us < other.ended_us, TRUE)
     GROUP BY told.run_id, told.seq
@@ -67,8 +55,7 @@ loops AS (
 
 judged AS (
     SELECT
-        told.run_id,
-        told.seq,
+        told.run_id, told.seq,
         coalesce(told.is_worn, FALSE) AS is_worn,
         unnest(['contained locally', 'escalated at once', 'recovery loop']) AS claim,
         unnest([

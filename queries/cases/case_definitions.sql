@@ -91,13 +91,7 @@ claims (position, case_number, claim, is_taken, counted, of_how_many) AS (
 )
 
 SELECT
-    claims.position,
-    claims.case_number,
-    claims.claim,
-    claims.is_taken,
-    claims.counted,
-    claims.of_how_many,
-    cases.scenario,
-    cases.judge
+    claims.position, claims.case_number, claims.claim, claims.is_taken, claims.counted, claims.of_how_many,
+    cases.scenario, cases.judge
 FROM claims
 INNER JOIN cases ON claims.case_number = cases.case_number

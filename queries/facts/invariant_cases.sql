@@ -30,8 +30,7 @@ WITH judged AS (
                 THEN ['a1_local_runtime_self_sufficiency', 'a4_thin_federation_interface']
             WHEN type = 'RequestAdmitted.v1' THEN ['a3_no_silent_policy_override', 'a4_thin_federation_interface']
             WHEN type = 'AssistanceAdmitted.v1' THEN ['a4_thin_federation_interface', 'a5_audit_completeness']
-            WHEN
-                type = 'ExecutionStarted.v1'
+            WHEN type = 'ExecutionStarted.v1'
                 THEN [if(robot = on_behalf_of, 'a1_local_runtime_self_sufficiency', 'i2_local_execution_ownership')]
             WHEN
                 type IN ('RequestAccepted.v1', 'ReplanOrdered.v1')
@@ -89,8 +88,7 @@ WITH judged AS (
 )
 
 SELECT
-    run_id,
-    invariant,
+    run_id, invariant,
     count(*) AS cases
 FROM judged
 WHERE invariant IS NOT NULL

@@ -26,19 +26,8 @@ WITH judges (judges, context, looked_at) AS (
         ['a2_coordination_only_federation'],
         [],
         [
-            'fleet',
-            'registry',
-            'trust',
-            'policy',
-            'task',
-            'request',
-            'authority',
-            'execution',
-            'recovery',
-            'supervision',
-            'knowledge',
-            'message',
-            'world'
+            'fleet', 'registry', 'trust', 'policy', 'task', 'request', 'authority', 'execution', 'recovery',
+            'supervision', 'knowledge', 'message', 'world'
         ]
     ),
     (['a3_no_silent_policy_override'], ['request', 'policy', 'execution', 'supervision', 'knowledge'], ['fleet']),
@@ -47,15 +36,7 @@ WITH judges (judges, context, looked_at) AS (
     (
         ['robots that appear as one principal', 'robots with two or more agents'],
         [
-            'fleet',
-            'registry',
-            'trust',
-            'policy',
-            'request',
-            'authority',
-            'execution',
-            'recovery',
-            'supervision',
+            'fleet', 'registry', 'trust', 'policy', 'request', 'authority', 'execution', 'recovery', 'supervision',
             'message'
         ],
         []
@@ -84,17 +65,8 @@ WITH judges (judges, context, looked_at) AS (
     (
         ['case_4_audit_trail'],
         [
-            'fleet',
-            'registry',
-            'policy',
-            'task',
-            'request',
-            'authority',
-            'execution',
-            'recovery',
-            'supervision',
-            'knowledge',
-            'message'
+            'fleet', 'registry', 'policy', 'task', 'request', 'authority', 'execution', 'recovery', 'supervision',
+            'knowledge', 'message'
         ],
         []
     )
@@ -103,8 +75,7 @@ WITH judges (judges, context, looked_at) AS (
 named AS (
     SELECT
         unnest(judges) AS judge,
-        context,
-        looked_at
+        context, looked_at
     FROM judges
 )
 
@@ -115,7 +86,6 @@ SELECT
 FROM named
 UNION ALL
 SELECT
-    judge,
-    concern,
+    judge, concern,
     TRUE AS is_context
 FROM metric_concerns

@@ -8,9 +8,7 @@
 -- Stored: I3 and A3 both read it
 WITH said AS (
     SELECT
-        run_id,
-        seq,
-        action_id,
+        run_id, seq, action_id,
         CASE type WHEN 'RequestAdmitted.v1' THEN 'admitted' WHEN 'RequestAccepted.v1' THEN 'accepted' ELSE 'denied' END
             AS what,
         outcome
@@ -18,9 +16,7 @@ WITH said AS (
     WHERE type IN ('RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestDenied.v1')
     UNION ALL
     SELECT
-        run_id,
-        seq,
-        action_id,
+        run_id, seq, action_id,
         'approved' AS what,
         NULL AS outcome
     FROM supervisor_responded
@@ -31,13 +27,7 @@ starts AS (
     -- A delegated action was decided when the executor last admitted it (accepted, where nobody admits), anything else
     -- when it starts.
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        events.task_id,
-        events.action_id,
-        events.robot,
+        events.run_id, events.seq, events.time_us, events.type, events.task_id, events.action_id, events.robot,
         events.capability,
         coalesce(
             max(said.seq) FILTER (said.what = 'admitted'), max(said.seq) FILTER (said.what = 'accepted'), events.seq
@@ -49,13 +39,7 @@ starts AS (
     LEFT JOIN said ON events.run_id = said.run_id AND events.action_id = said.action_id AND events.seq > said.seq
     WHERE events.type = 'ExecutionStarted.v1' OR (events.type = 'RoutinePerformed.v1' AND events.operation = 'motion')
     GROUP BY
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        events.task_id,
-        events.action_id,
-        events.robot,
+        events.run_id, events.seq, events.time_us, events.type, events.task_id, events.action_id, events.robot,
         events.capability
 ),
 
@@ -63,8 +47,7 @@ outcomes AS (
     -- The executor's own policy, which it knows as it is until it starts; rules of the fleet are known at once to all,
     -- and count at the decision.
     SELECT
-        starts.run_id,
-        starts.seq,
+        starts.run_id, starts.seq,
         windows.seq AS known_seq,
         windows.outcome
     FROM starts
@@ -87,8 +70,7 @@ outcomes AS (
     UNION ALL
     -- The fleet's rule for its zone, as the executor had last been told at the decision.
     SELECT
-        starts.run_id,
-        starts.seq,
+        starts.run_id, starts.seq,
         rules.seq AS known_seq,
         rules.outcome
     FROM starts
@@ -97,8 +79,7 @@ outcomes AS (
     UNION ALL
     -- The requester's own, and that of a relay, as the request carried it.
     SELECT
-        starts.run_id,
-        starts.seq,
+        starts.run_id, starts.seq,
         requests.seq AS known_seq,
         requests.carried_policy AS outcome
     FROM starts
@@ -108,13 +89,7 @@ outcomes AS (
 )
 
 SELECT
-    starts.run_id,
-    starts.seq,
-    starts.time_us,
-    starts.type,
-    starts.action_id,
-    starts.robot,
-    starts.decision_seq,
+    starts.run_id, starts.seq, starts.time_us, starts.type, starts.action_id, starts.robot, starts.decision_seq,
     CASE
         WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny' WHEN
             bool_or(outcomes.outcome = 'review')
@@ -127,7 +102,6 @@ FROM starts
 -- What a supervisor approves are the reviews that were known by then; a denial stands whatever was approved.
 LEFT JOIN outcomes
     ON
-        starts.run_id = outcomes.run_id
-        AND starts.seq = outcomes.seq
+        starts.run_id = outcomes.run_id AND starts.seq = outcomes.seq
         AND (outcomes.outcome = 'deny' OR starts.approved_seq < outcomes.known_seq)
 GROUP BY ALL

@@ -10,11 +10,7 @@
 -- Example: fsar-ledger query facts/messages LEDGER
 WITH told AS (
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        keyed_events.action_id,
+        events.run_id, events.seq, events.time_us, events.type, keyed_events.action_id,
         MAP {
             'decider': decided_by,
             'requester': requested_by,
@@ -106,12 +102,7 @@ WITH told AS (
 )
 
 SELECT
-    told.run_id,
-    told.seq,
-    words.part,
-    told.time_us,
-    told.type,
-    told.action_id,
+    told.run_id, told.seq, words.part, told.time_us, told.type, told.action_id,
     told.parties[words.sender] AS sender,
     told.parties[words.receiver] AS receiver,
     words.words || coalesce(': ' || told.details[words.detail], '') AS message,

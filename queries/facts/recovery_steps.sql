@@ -10,11 +10,7 @@
 WITH answers AS (
     -- What came of an attempt, or of a question for help, where the record says so.
     SELECT
-        run_id,
-        action_id,
-        failure,
-        number,
-        helper,
+        run_id, action_id, failure, number, helper,
         any_value(
             CASE type
                 WHEN 'AssistanceDeclined.v1' THEN 'busy' WHEN 'AssistanceFailed.v1' THEN 'no help: ' || cause ELSE
@@ -29,48 +25,23 @@ WITH answers AS (
 
 steps AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        action_id,
-        failure,
-        helper,
-        supervisor,
-        decided_by,
-        level,
-        to_level,
-        number,
-        deadline_us,
-        checkpoint,
-        reason
+        run_id, seq, time_us, type, action_id, failure, helper, supervisor, decided_by, level, to_level, number,
+        deadline_us, checkpoint, reason
     FROM recovery_records
     UNION ALL BY NAME
     SELECT
-        run_id,
-        seq,
-        time_us,
+        run_id, seq, time_us,
         'RegistryQueried.v1' AS type,
         action_id,
         'peer' AS level,
-        capability,
-        candidates
+        capability, candidates
     FROM registry_queried
 )
 
 SELECT
-    failures.run_id,
-    failures.action_id,
-    failures.failure,
-    failures.detected_us,
-    steps.seq,
-    steps.type,
-    steps.time_us,
+    failures.run_id, failures.action_id, failures.failure, failures.detected_us, steps.seq, steps.type, steps.time_us,
     lead(steps.time_us) OVER in_order AS until_us,
-    steps.decided_by,
-    steps.level,
-    steps.to_level,
-    steps.deadline_us,
+    steps.decided_by, steps.level, steps.to_level, steps.deadline_us,
     CASE steps.type
         WHEN 'RecoveryAttempted.v1' THEN 'attempt ' || steps.number
         WHEN 'AssistanceRequested.v1' THEN 'asks ' || steps.helper || ' for help'
@@ -99,8 +70,7 @@ SELECT
                         WHEN lead(steps.type) OVER in_order IS NOT NULL THEN 'no help'
                     END
                 )
-        WHEN 'RegistryQueried.v1'
-            THEN if(len(steps.candidates) = 0, 'no peer', array_to_string(steps.candidates, ', '))
+        WHEN 'RegistryQueried.v1' THEN if(len(steps.candidates) = 0, 'no peer', array_to_string(steps.candidates, ', '))
         WHEN 'ReassignmentDecided.v1'
             THEN
                 coalesce(

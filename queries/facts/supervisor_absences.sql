@@ -7,11 +7,7 @@
 -- Example: fsar-ledger query facts/supervisor_absences LEDGER
 WITH shifts AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        supervisor,
+        run_id, seq, time_us, type, supervisor,
         first_value(CASE WHEN type = 'SupervisorReturned.v1' THEN seq END IGNORE NULLS) OVER later AS returned_seq,
         first_value(CASE WHEN type = 'SupervisorReturned.v1' THEN time_us END IGNORE NULLS) OVER later AS returned_us
     FROM supervision_events
@@ -20,8 +16,7 @@ WITH shifts AS (
 )
 
 SELECT
-    run_id,
-    supervisor,
+    run_id, supervisor,
     seq AS left_seq,
     returned_seq,
     time_us AS left_us,

@@ -14,23 +14,8 @@ WITH placed AS (
     -- Every failure begins at the local level; an escalation sets the level from then on, also one that should not have
     -- been.
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        action_id,
-        helper,
-        deadline_us,
-        reason,
-        to_level,
-        level,
-        failure,
-        rank,
-        to_rank,
-        t_max_us,
-        n_max,
-        is_use,
-        is_remedy,
+        run_id, seq, time_us, type, action_id, helper, deadline_us, reason, to_level, level, failure, rank, to_rank,
+        t_max_us, n_max, is_use,
         coalesce(last_value(to_rank IGNORE NULLS) OVER earlier, 1) AS reached,
         last_value(CASE WHEN type IN ('ExecutionFailed.v1', 'RecoveryEscalated.v1') THEN time_us END IGNORE NULLS)
             OVER earlier
@@ -59,12 +44,7 @@ WITH placed AS (
 
 judged AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        action_id,
-        failure,
+        run_id, seq, time_us, type, action_id, failure,
         CASE
             WHEN level = 'local' AND uses > 1 THEN attempts_end_us WHEN level <> 'human' THEN reached_us + t_max_us
         END AS ends_us,
@@ -79,23 +59,17 @@ judged AS (
                     || coalesce(level, 'unknown')
                     || ' while it is at '
                     || list_extract(['local', 'peer', 'fleet', 'human'], reached)
-            WHEN
-                is_use AND uses > n_max
+            WHEN is_use AND uses > n_max
                 THEN 'use ' || uses || ' of level ' || level || ', which has a budget of ' || n_max
-            WHEN
-                type = 'RecoveryAttempted.v1' AND deadline_us > attempts_end_us
+            WHEN type = 'RecoveryAttempted.v1' AND deadline_us > attempts_end_us
                 THEN 'an attempt takes more time for itself than the budget of its level'
-            WHEN
-                type = 'RecoveryAttempted.v1' AND time_us > least(deadline_us, ends_us)
+            WHEN type = 'RecoveryAttempted.v1' AND time_us > least(deadline_us, ends_us)
                 THEN 'an attempt begins after the time budget of its level'
-            WHEN
-                type IN ('AssistanceRequested.v1', 'ReassignmentDecided.v1') AND time_us > ends_us
+            WHEN type IN ('AssistanceRequested.v1', 'ReassignmentDecided.v1') AND time_us > ends_us
                 THEN 'recovery acts after the time budget of its level'
-            WHEN
-                type = 'AssistanceAdmitted.v1' AND NOT is_asked
+            WHEN type = 'AssistanceAdmitted.v1' AND NOT is_asked
                 THEN 'help by ' || coalesce(helper, 'nobody') || ', who had not been asked'
-            WHEN
-                type = 'FailureResolved.v1' AND coalesce(remedy_rank, 0) <> rank
+            WHEN type = 'FailureResolved.v1' AND coalesce(remedy_rank, 0) <> rank
                 THEN 'resolved at level ' || level || ', where nothing was done'
             WHEN type = 'RecoveryEscalated.v1' AND coalesce(to_rank, 0) <> rank + 1
                 THEN
@@ -115,11 +89,7 @@ judged AS (
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    action_id,
+    run_id, seq, time_us, type, action_id,
     'failure ' || coalesce(failure::VARCHAR, 'unknown') || ': ' || found AS found
 FROM judged
 WHERE found IS NOT NULL

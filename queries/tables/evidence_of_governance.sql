@@ -10,7 +10,6 @@
 WITH outsiders AS (
     SELECT
         attempts.run_id,
-        attempts.seq,
         count(done.seq) = 0 AS is_refused
     FROM outsider_request_injected AS attempts
     LEFT JOIN execution_started AS done ON attempts.run_id = done.run_id AND attempts.task_id = done.task_id
@@ -18,20 +17,10 @@ WITH outsiders AS (
 ),
 
 asked AS (
-    SELECT
-        run_id,
-        seq,
-        time_us,
-        task_id,
-        capability
+    SELECT run_id, seq, time_us, task_id, capability
     FROM registry_queried
     UNION ALL
-    SELECT
-        run_id,
-        seq,
-        time_us,
-        task_id,
-        capability
+    SELECT run_id, seq, time_us, task_id, capability
     FROM candidate_matched
 ),
 
@@ -40,7 +29,6 @@ found AS (
     -- peer remembered from a meeting.
     SELECT
         done.run_id,
-        done.seq,
         count(asked.seq) > count(met.seq) AS is_found
     FROM executions AS done
     LEFT JOIN asked
@@ -49,11 +37,8 @@ found AS (
             AND done.seq > asked.seq
     LEFT JOIN peer_remembered AS met
         ON
-            asked.run_id = met.run_id
-            AND done.on_behalf_of = met.robot
-            AND done.robot = met.peer
-            AND asked.seq > met.seq
-            AND asked.time_us <= met.until_us
+            asked.run_id = met.run_id AND done.on_behalf_of = met.robot AND done.robot = met.peer
+            AND asked.seq > met.seq AND asked.time_us <= met.until_us
     WHERE done.robot <> done.on_behalf_of
     GROUP BY done.run_id, done.seq
 ),

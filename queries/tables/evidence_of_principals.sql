@@ -20,7 +20,6 @@ robots AS (
     -- agent/A1/planning is a part of robot/A1.
     SELECT
         fleet_members.run_id,
-        fleet_members.robot,
         count(DISTINCT named.principal) AS parts
     FROM fleet_members
     LEFT JOIN named

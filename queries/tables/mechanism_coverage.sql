@@ -10,8 +10,7 @@
 --   answers workflow-door-relay trust_evaluation: task
 WITH seen AS (
     SELECT
-        runs.run_id,
-        runs.scenario,
+        runs.run_id, runs.scenario,
         count(*) FILTER (events.type = 'RequestIssued.v1') AS requests,
         count(*) FILTER (
             events.type = 'AssistanceRequested.v1'
@@ -24,9 +23,7 @@ WITH seen AS (
             coalesce(
                 events.may_request AND events.may_execute AND events.override = 'none' AND events.is_audited, FALSE
             )
-        ) FILTER (
-            events.type = 'RequestAdmitted.v1' AND events.may_request IS NOT NULL
-        ) AS is_standard,
+        ) FILTER (events.type = 'RequestAdmitted.v1' AND events.may_request IS NOT NULL) AS is_standard,
         bool_or(events.type = 'SupervisorCalled.v1' AND events.purpose IN ('review', 'ordering')) AS is_reviewed,
         bool_or(events.type = 'SupervisorCalled.v1' AND events.purpose = 'ordering') AS is_conflict,
         bool_or(events.type = 'RequestDenied.v1' AND events.reason = 'policy') AS is_denied,
@@ -54,8 +51,7 @@ levels AS (
 
 cells AS (
     SELECT
-        seen.run_id,
-        seen.scenario,
+        seen.run_id, seen.scenario,
         unnest([
             {
                 'mechanism': 'inter_robot_request',
