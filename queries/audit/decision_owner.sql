@@ -15,9 +15,7 @@ WITH RECURSIVE causes AS (
 ),
 
 way_back AS (
-    SELECT
-        causes.run_id, causes.seq, causes.caused_by,
-        0 AS steps
+    SELECT causes.run_id, causes.seq, causes.caused_by, 0 AS steps
     FROM causes
     WHERE causes.seq = $seq::BIGINT
     UNION ALL

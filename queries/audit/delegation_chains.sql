@@ -12,12 +12,7 @@
 --   robot/C1 has none for robot/A1
 -- Parameters: run = all, action = all
 WITH RECURSIVE chains AS (
-    SELECT
-        run_id, seq, time_us,
-        action_id AS chain,
-        action_id,
-        requested_by AS first_requester,
-        1 AS link
+    SELECT run_id, seq, time_us, action_id AS chain, action_id, requested_by AS first_requester, 1 AS link
     FROM request_issued
     WHERE parent IS NULL AND action_id IS NOT NULL AND $run IN ('all', run_id) AND $action IN ('all', action_id)
     UNION ALL

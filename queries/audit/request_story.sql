@@ -22,9 +22,7 @@ own AS (
     FROM known
     WHERE action_id IS NOT NULL AND $action IN ('all', action_id)
     UNION
-    SELECT
-        run_id, action_id, seq,
-        NULL AS caused_by
+    SELECT run_id, action_id, seq, NULL AS caused_by
     FROM competing_calls
     WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
 ),
@@ -38,15 +36,11 @@ steps AS (
 ),
 
 chain AS (
-    SELECT
-        own.run_id, own.action_id, own.seq, own.caused_by,
-        TRUE AS is_tied
+    SELECT own.run_id, own.action_id, own.seq, own.caused_by, TRUE AS is_tied
     FROM own
     UNION
     -- What caused it, and what it caused, as long as the record names no action.
-    SELECT
-        known.run_id, chain.action_id, known.seq, known.caused_by,
-        FALSE AS is_tied
+    SELECT known.run_id, chain.action_id, known.seq, known.caused_by, FALSE AS is_tied
     FROM chain
     INNER JOIN steps ON chain.run_id = steps.run_id AND chain.seq = steps.from_seq
     INNER JOIN known ON steps.run_id = known.run_id AND steps.to_seq = known.seq

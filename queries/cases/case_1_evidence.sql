@@ -8,9 +8,7 @@
 -- Example: fsar-ledger query cases/case_1_evidence LEDGER
 -- Who puts a request to somebody has found whom to ask, whatever the registry was asked.
 WITH injected AS (
-    SELECT
-        outsiders.run_id, outsiders.seq,
-        outsiders.task_id AS action_id
+    SELECT outsiders.run_id, outsiders.seq, outsiders.task_id AS action_id
     FROM outsider_request_injected AS outsiders
     INNER JOIN runs ON outsiders.run_id = runs.run_id
     WHERE runs.scenario = 'mixed-trust-inspection'

@@ -80,8 +80,7 @@ SELECT
     (CASE claim WHEN 'recovery loop' THEN bool_or(is_so) ELSE bool_and(is_so) END)::BIGINT AS counted,
     if(
         claim = 'recovery loop' OR bool_and(is_so),
-        list_sort(list_distinct(flatten(coalesce(list(evidence) FILTER (is_so), [])))),
-        []
+        list_sort(list_distinct(flatten(coalesce(list(evidence) FILTER (is_so), [])))), []
     ) AS evidence
 FROM judged
 INNER JOIN

@@ -22,8 +22,7 @@ cells AS (
     SELECT
         definitions.position, definitions.case_number, definitions.claim, definitions.is_taken, definitions.counted,
         definitions.of_how_many, runs.kind, runs.seed, runs.architecture, runs.configuration, runs.fleet_size,
-        runs.model_version, runs.source, settings.setting, settings.constants, judged.numerator,
-        judged.denominator,
+        runs.model_version, runs.source, settings.setting, settings.constants, judged.numerator, judged.denominator,
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NULL, FALSE) AS is_judged,
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NOT NULL, FALSE) AS is_hidden
     FROM case_definitions AS definitions

@@ -23,9 +23,6 @@ paired AS (
     FROM edges
 )
 
-SELECT
-    run_id, seq, task_id, action_id, dimension, claimant, reason,
-    time_us AS began_us,
-    ended_us
+SELECT run_id, seq, task_id, action_id, dimension, claimant, reason, time_us AS began_us, ended_us
 FROM paired
 WHERE type = 'AuthorityClaimed.v1'

@@ -7,10 +7,7 @@
 --   called
 -- Example: fsar-ledger query facts/competing_calls LEDGER
 WITH calls AS (
-    SELECT
-        run_id, seq,
-        action_id AS called_for,
-        competing AS action_id
+    SELECT run_id, seq, action_id AS called_for, competing AS action_id
     FROM supervisor_called
     WHERE competing IS NOT NULL
 )

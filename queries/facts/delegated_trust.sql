@@ -7,10 +7,7 @@
 --   passed the request on was trusted
 -- Example: fsar-ledger query facts/delegated_trust LEDGER
 WITH delegated AS (
-    SELECT
-        run_id, seq, task_id, action_id, capability,
-        robot AS executor,
-        on_behalf_of AS requester
+    SELECT run_id, seq, task_id, action_id, capability, robot AS executor, on_behalf_of AS requester
     FROM executions
     WHERE robot <> on_behalf_of
 ),

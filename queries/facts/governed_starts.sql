@@ -6,10 +6,7 @@
 -- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else
 -- Example: fsar-ledger query facts/governed_starts LEDGER
 WITH starts AS (
-    SELECT
-        run_id, seq,
-        time_us AS started_us,
-        task_id, action_id, robot, on_behalf_of, capability
+    SELECT run_id, seq, time_us AS started_us, task_id, action_id, robot, on_behalf_of, capability
     FROM execution_events
     WHERE type = 'ExecutionStarted.v1' OR (type = 'RoutinePerformed.v1' AND operation = 'motion')
 ),

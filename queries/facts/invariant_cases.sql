@@ -47,15 +47,11 @@ WITH judged AS (
         OR supervised_by IS NOT NULL
         OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR path IS NOT NULL
     UNION ALL
-    SELECT
-        run_id,
-        'a4_thin_federation_interface' AS invariant
+    SELECT run_id, 'a4_thin_federation_interface' AS invariant
     FROM recovery_attempted
     WHERE level = 'local'
     UNION ALL
-    SELECT
-        run_id,
-        'i2_local_execution_ownership' AS invariant
+    SELECT run_id, 'i2_local_execution_ownership' AS invariant
     FROM rights_at_evaluations
     WHERE verdict = 'admitted'
     UNION ALL
@@ -64,26 +60,18 @@ WITH judged AS (
         unnest(['i3_jointly_composed_policy', 'a3_no_silent_policy_override']) AS invariant
     FROM known_policy
     UNION ALL
-    SELECT
-        run_id,
-        'a3_no_silent_policy_override' AS invariant
+    SELECT run_id, 'a3_no_silent_policy_override' AS invariant
     FROM mandate_conflicts
     UNION ALL
-    SELECT
-        run_id,
-        'i4_outward_recovery' AS invariant
+    SELECT run_id, 'i4_outward_recovery' AS invariant
     FROM recovery_acts
     UNION ALL
-    SELECT
-        events.run_id,
-        'i5_audit_attributability' AS invariant
+    SELECT events.run_id, 'i5_audit_attributability' AS invariant
     FROM event_principals AS events
     INNER JOIN event_classes AS classes ON events.type = classes.type
     WHERE classes.record_kind IS NOT NULL -- each is a row of coordination_events
     UNION ALL
-    SELECT
-        run_id,
-        'a5_audit_completeness' AS invariant
+    SELECT run_id, 'a5_audit_completeness' AS invariant
     FROM cross_robot_records
 )
 

@@ -18,8 +18,7 @@ WITH judges (judges, context, looked_at) AS (
     (['i4_outward_recovery'], ['recovery', 'supervision'], ['fleet']),
     (
         ['i5_audit_attributability'],
-        ['fleet', 'registry', 'request', 'policy', 'execution', 'recovery', 'supervision', 'message'],
-        []
+        ['fleet', 'registry', 'request', 'policy', 'execution', 'recovery', 'supervision', 'message'], []
     ),
     (['a1_local_runtime_self_sufficiency'], ['execution'], []),
     (
@@ -49,8 +48,7 @@ WITH judges (judges, context, looked_at) AS (
     (['decisions on the executor''s policy'], ['request', 'knowledge'], []),
     (
         ['the requester''s policy heeded', 'the fleet''s rule heeded'],
-        ['fleet', 'policy', 'task', 'request', 'supervision'],
-        []
+        ['fleet', 'policy', 'task', 'request', 'supervision'], []
     ),
     (['delegations found beyond the peers that were met'], ['registry', 'request', 'execution', 'knowledge'], []),
     (['inter_robot_request'], ['request', 'recovery'], []),
@@ -85,7 +83,5 @@ SELECT
     list_contains(context, concern) AS is_context
 FROM named
 UNION ALL
-SELECT
-    judge, concern,
-    TRUE AS is_context
+SELECT judge, concern, TRUE AS is_context
 FROM metric_concerns

@@ -15,10 +15,7 @@ WITH said AS (
     FROM request_events
     WHERE type IN ('RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestDenied.v1')
     UNION ALL
-    SELECT
-        run_id, seq, action_id,
-        'approved' AS what,
-        NULL AS outcome
+    SELECT run_id, seq, action_id, 'approved' AS what, NULL AS outcome
     FROM supervisor_responded
     WHERE purpose = 'review' AND coalesce(approves, TRUE)
 ),
@@ -46,10 +43,7 @@ starts AS (
 outcomes AS (
     -- The executor's own policy, which it knows as it is until it starts; rules of the fleet are known at once to all,
     -- and count at the decision.
-    SELECT
-        starts.run_id, starts.seq,
-        windows.seq AS known_seq,
-        windows.outcome
+    SELECT starts.run_id, starts.seq, windows.seq AS known_seq, windows.outcome
     FROM starts
     INNER JOIN policy_windows AS windows
         ON
@@ -69,19 +63,13 @@ outcomes AS (
             AND (windows.context IS NULL OR starts.task_id = windows.context)
     UNION ALL
     -- The fleet's rule for its zone, as the executor had last been told at the decision.
-    SELECT
-        starts.run_id, starts.seq,
-        rules.seq AS known_seq,
-        rules.outcome
+    SELECT starts.run_id, starts.seq, rules.seq AS known_seq, rules.outcome
     FROM starts
     ASOF JOIN fleet_rule_learned AS rules
         ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
     UNION ALL
     -- The requester's own, and that of a relay, as the request carried it.
-    SELECT
-        starts.run_id, starts.seq,
-        requests.seq AS known_seq,
-        requests.carried_policy AS outcome
+    SELECT starts.run_id, starts.seq, requests.seq AS known_seq, requests.carried_policy AS outcome
     FROM starts
     INNER JOIN request_events AS requests
         ON starts.run_id = requests.run_id AND starts.action_id = requests.action_id AND starts.seq > requests.seq

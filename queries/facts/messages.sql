@@ -17,8 +17,7 @@ WITH told AS (
             'executor': executed_by,
             'supervisor': supervised_by,
             'registry': if(
-                regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'),
-                requested_by,
+                regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'), requested_by,
                 'service/registry'
             ),
             'target': if(events.action_id IS NULL AND request_id IS NULL, decided_by, coalesce(relay, executed_by)),
@@ -65,11 +64,8 @@ WITH told AS (
                 WHEN may_request IS NOT NULL
                     THEN
                         format(
-                            'authority ({}, {}, {}, {})',
-                            may_request::INT,
-                            may_execute::INT,
-                            coalesce(nullif(override, 'none'), '0'),
-                            is_audited::INT
+                            'authority ({}, {}, {}, {})', may_request::INT, may_execute::INT,
+                            coalesce(nullif(override, 'none'), '0'), is_audited::INT
                         )
             END,
             CASE WHEN events.type = 'RequestIssued.v1' THEN 'override ' || nullif(override, 'none') END,

@@ -25,10 +25,7 @@ judgements AS (
     FROM request_events
     WHERE type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'RequestDenied.v1')
     UNION ALL
-    SELECT
-        run_id, seq, time_us, task_id, action_id,
-        TRUE AS is_refused,
-        robot AS executor
+    SELECT run_id, seq, time_us, task_id, action_id, TRUE AS is_refused, robot AS executor
     FROM supervisor_called
     WHERE purpose = 'review'
 ),

@@ -44,9 +44,5 @@ SELECT
 FROM founding
 INNER JOIN robots ON founding.run_id = robots.run_id
 UNION ALL
-SELECT
-    run_id, robot, level,
-    seq AS since_seq,
-    t_max_us, n_max,
-    decided_by AS set_by
+SELECT run_id, robot, level, seq AS since_seq, t_max_us, n_max, decided_by AS set_by
 FROM recovery_budget_set

@@ -29,12 +29,7 @@ steps AS (
         deadline_us, checkpoint, reason
     FROM recovery_records
     UNION ALL BY NAME
-    SELECT
-        run_id, seq, time_us,
-        'RegistryQueried.v1' AS type,
-        action_id,
-        'peer' AS level,
-        capability, candidates
+    SELECT run_id, seq, time_us, 'RegistryQueried.v1' AS type, action_id, 'peer' AS level, capability, candidates
     FROM registry_queried
 )
 

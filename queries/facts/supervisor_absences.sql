@@ -15,11 +15,6 @@ WITH shifts AS (
     WINDOW later AS (PARTITION BY run_id, supervisor ORDER BY seq ROWS BETWEEN 1 FOLLOWING AND UNBOUNDED FOLLOWING)
 )
 
-SELECT
-    run_id, supervisor,
-    seq AS left_seq,
-    returned_seq,
-    time_us AS left_us,
-    returned_us
+SELECT run_id, supervisor, seq AS left_seq, returned_seq, time_us AS left_us, returned_us
 FROM shifts
 WHERE type = 'SupervisorLeft.v1'

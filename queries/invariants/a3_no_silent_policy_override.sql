@@ -25,9 +25,7 @@ WITH holds AS (
 ),
 
 said AS (
-    SELECT
-        run_id, seq, action_id, carried_policy,
-        FALSE AS is_approved
+    SELECT run_id, seq, action_id, carried_policy, FALSE AS is_approved
     FROM request_events
     WHERE carried_policy IS NOT NULL
     UNION ALL

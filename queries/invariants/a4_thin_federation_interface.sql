@@ -23,11 +23,7 @@ WITH decided AS (
         -- Waiting that is no denial is no decision; its path is empty.
         OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
     UNION ALL
-    SELECT
-        run_id, seq, time_us,
-        'RecoveryAttempted.v1' AS type,
-        action_id, decided_by,
-        robot AS executor
+    SELECT run_id, seq, time_us, 'RecoveryAttempted.v1' AS type, action_id, decided_by, robot AS executor
     FROM recovery_attempted
     WHERE level = 'local'
 )

@@ -14,14 +14,10 @@ WITH members AS (
 ),
 
 known AS (
-    SELECT
-        run_id,
-        robot AS principal
+    SELECT run_id, robot AS principal
     FROM members
     UNION
-    SELECT
-        run_id,
-        supervisor AS principal
+    SELECT run_id, supervisor AS principal
     FROM members
     UNION
     SELECT

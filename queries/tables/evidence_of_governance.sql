@@ -52,16 +52,14 @@ counted AS (
     UNION ALL
     SELECT
         {
-            'run_id': run_id,
-            'part': unnest(['outsiders refused', 'hidden capabilities kept from outsiders']),
+            'run_id': run_id, 'part': unnest(['outsiders refused', 'hidden capabilities kept from outsiders']),
             'holds': is_refused
         } AS fact
     FROM outsiders
     UNION ALL
     SELECT
         {
-            'run_id': said.run_id,
-            'part': 'decisions on the executor''s policy',
+            'run_id': said.run_id, 'part': 'decisions on the executor''s policy',
             'holds': said.decided_by[:6] IN ('robot/', 'agent/') OR count(copies.seq) > 0
         } AS fact
     FROM request_events AS said

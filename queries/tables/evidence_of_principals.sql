@@ -52,9 +52,7 @@ busiest AS (
 counted AS (
     SELECT
         {
-            'run_id': run_id,
-            'part': 'robots that appear as one principal',
-            'numerator': (parts = 0)::INT,
+            'run_id': run_id, 'part': 'robots that appear as one principal', 'numerator': (parts = 0)::INT,
             'denominator': 1
         } AS fact
     FROM robots
@@ -67,18 +65,14 @@ counted AS (
     UNION ALL
     SELECT
         {
-            'run_id': run_id,
-            'part': 'assignments decided by one principal that is no robot',
-            'numerator': central,
+            'run_id': run_id, 'part': 'assignments decided by one principal that is no robot', 'numerator': central,
             'denominator': decisions
         } AS fact
     FROM busiest
     UNION ALL
     SELECT
         {
-            'run_id': run_id,
-            'part': 'records with origin, executor and supervisor',
-            'numerator': numerator,
+            'run_id': run_id, 'part': 'records with origin, executor and supervisor', 'numerator': numerator,
             'denominator': denominator
         } AS fact
     FROM audit_attributability

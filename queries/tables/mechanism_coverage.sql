@@ -65,8 +65,7 @@ cells AS (
             {
                 'mechanism': 'policy_composition',
                 'cell': if(
-                    requests = 0,
-                    NULL,
+                    requests = 0, NULL,
                     if(is_reviewed, 'review', if(is_denied, 'deny', if(admitted > 0, 'allow', NULL)))
                 )
             },
