@@ -15,15 +15,9 @@ WITH copies AS (
         'coordinator' AS known_by,
         members.robot, scopes.scope,
         CASE
-            WHEN
-                list_contains(
-                    CASE scopes.scope WHEN 'local' THEN copies.local_deny ELSE copies.fleet_deny END, members.robot
-                )
+            WHEN list_contains(if(scopes.scope = 'local', copies.local_deny, copies.fleet_deny), members.robot)
                 THEN 'deny'
-            WHEN
-                list_contains(
-                    CASE scopes.scope WHEN 'local' THEN copies.local_review ELSE copies.fleet_review END, members.robot
-                )
+            WHEN list_contains(if(scopes.scope = 'local', copies.local_review, copies.fleet_review), members.robot)
                 THEN 'review'
             ELSE 'allow'
         END AS outcome,
@@ -65,9 +59,9 @@ judged AS (
     SELECT
         known.run_id, known.known_by, known.robot, known.scope, known.known_outcome, known.learned_us, known.as_of_us,
         CASE
-            WHEN bool_or(windows.outcome = 'deny') THEN 'deny' WHEN
-                bool_or(windows.outcome = 'review')
-                THEN 'review' ELSE 'allow'
+            WHEN bool_or(windows.outcome = 'deny') THEN 'deny'
+            WHEN bool_or(windows.outcome = 'review') THEN 'review'
+            ELSE 'allow'
         END AS true_outcome
     FROM known
     LEFT JOIN policy_windows AS windows

@@ -50,9 +50,9 @@ actions AS (
             arg_max(result, events.seq) FILTER (type IN ('ExecutionFinished.v1', 'RequestClosed.v1')),
             arg_max(
                 CASE
-                    WHEN type = 'RequestDenied.v1' THEN 'denied: ' || reason WHEN
-                        executed_by IS NULL
-                        THEN 'nobody to ask' ELSE 'no answer'
+                    WHEN type = 'RequestDenied.v1' THEN 'denied: ' || reason
+                    WHEN executed_by IS NULL THEN 'nobody to ask'
+                    ELSE 'no answer'
                 END,
                 events.seq
             ) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')),

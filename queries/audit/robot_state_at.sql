@@ -15,9 +15,7 @@ WITH past AS (
 
 outward AS (
     -- Failures that are being recovered by others than the robot.
-    SELECT
-        run_id,
-        coalesce(failed_action, action_id) AS action_id
+    SELECT run_id, coalesce(failed_action, action_id) AS action_id
     FROM past
     WHERE type IN ('RecoveryEscalated.v1', 'FailureResolved.v1')
     GROUP BY run_id, coalesce(failed_action, action_id)
@@ -26,12 +24,10 @@ outward AS (
 
 in_hand AS (
     SELECT
-        run_id,
+        run_id, action_id,
         coalesce(helper, robot) AS robot,
-        action_id,
         helper IS NOT NULL AS is_help, -- beside what it does itself
-        min(seq) AS since_seq,
-        arg_max(type, seq) AS last_type
+        min(seq) AS since_seq, arg_max(type, seq) AS last_type
     FROM past
     WHERE
         starts_with(type, 'Execution')

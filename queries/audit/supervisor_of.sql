@@ -11,7 +11,7 @@ WITH shifts AS (
     SELECT
         run_id, seq, supervisor,
         type = 'SupervisorLeft.v1' AS is_off
-    FROM supervision_events AS events
+    FROM supervision_events
     WHERE type IN ('SupervisorLeft.v1', 'SupervisorReturned.v1')
 ),
 

@@ -32,18 +32,13 @@ WITH judged AS (
             WHEN type = 'AssistanceAdmitted.v1' THEN ['a4_thin_federation_interface', 'a5_audit_completeness']
             WHEN type = 'ExecutionStarted.v1'
                 THEN [if(robot = on_behalf_of, 'a1_local_runtime_self_sufficiency', 'i2_local_execution_ownership')]
-            WHEN
-                type IN ('RequestAccepted.v1', 'ReplanOrdered.v1')
-                OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
+            WHEN type IN ('RequestAccepted.v1', 'ReplanOrdered.v1') OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
                 THEN ['a4_thin_federation_interface']
         END)) AS invariant
     FROM event_principals
     -- Each of these events has a robot or a path, if an empty one; to leave others out costs less than to judge them.
     WHERE
-        robot IS NOT NULL
-        OR decided_by IS NOT NULL
-        OR requested_by IS NOT NULL
-        OR executed_by IS NOT NULL
+        robot IS NOT NULL OR decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL
         OR supervised_by IS NOT NULL
         OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR path IS NOT NULL
     UNION ALL
@@ -55,9 +50,7 @@ WITH judged AS (
     FROM rights_at_evaluations
     WHERE verdict = 'admitted'
     UNION ALL
-    SELECT
-        run_id,
-        unnest(['i3_jointly_composed_policy', 'a3_no_silent_policy_override']) AS invariant
+    SELECT run_id, unnest(['i3_jointly_composed_policy', 'a3_no_silent_policy_override']) AS invariant
     FROM known_policy
     UNION ALL
     SELECT run_id, 'a3_no_silent_policy_override' AS invariant
@@ -75,9 +68,7 @@ WITH judged AS (
     FROM cross_robot_records
 )
 
-SELECT
-    run_id, invariant,
-    count(*) AS cases
+SELECT run_id, invariant, count(*) AS cases
 FROM judged
 WHERE invariant IS NOT NULL
 GROUP BY run_id, invariant
