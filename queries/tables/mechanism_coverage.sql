@@ -15,8 +15,9 @@ WITH seen AS (
         ) AS peer_questions,
         count(*) FILTER (events.type = 'RequestAdmitted.v1') AS admitted,
         string_agg(DISTINCT trust, ', ' ORDER BY trust DESC) FILTER (events.type = 'RequestAdmitted.v1') AS trust,
-        bool_and(coalesce(may_request AND may_execute AND override = 'none' AND is_audited, FALSE))
-            FILTER (events.type = 'RequestAdmitted.v1' AND may_request IS NOT NULL) AS is_standard,
+        bool_and(coalesce(may_request AND may_execute AND override = 'none' AND is_audited, FALSE)) FILTER (
+            events.type = 'RequestAdmitted.v1' AND may_request IS NOT NULL
+        ) AS is_standard,
         bool_or(events.type = 'SupervisorCalled.v1' AND events.purpose IN ('review', 'ordering')) AS is_reviewed,
         bool_or(events.type = 'SupervisorCalled.v1' AND events.purpose = 'ordering') AS is_conflict,
         bool_or(events.type = 'RequestDenied.v1' AND events.reason = 'policy') AS is_denied,
