@@ -174,7 +174,8 @@ def _require_of_today(record: Record, path: Path) -> None:
         )
     if (today := write_constants(Constants())) != record.parameters:
         raise UsageError(
-            f"{path}: found predictions with the constants {_digest(record.parameters)} (SHA-256), expected those of this version, {_digest(today)}; "
+            f"{path}: found predictions with the constants {_digest(record.parameters)} (SHA-256), expected those of "
+            f"this version, {_digest(today)}; "
             "judge them with the version that wrote them, or predict again"
         )
 

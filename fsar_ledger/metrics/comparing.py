@@ -30,17 +30,20 @@ WORLDS = """
         arg_min(
             {
                 'seed': seed, 'scenario': scenario, 'fleet_size': fleet_size, 'run': run,
-                'first_run_id': first_run_id, 'second_run_id': second_run_id, 'first_found': first_found, 'second_found': second_found
+                'first_run_id': first_run_id, 'second_run_id': second_run_id, 'first_found': first_found,
+                    'second_found': second_found
             },
             (seed, scenario, run, first_run_id, second_run_id)
         ) AS first
     FROM differing_worlds
     GROUP BY comparison, configuration, differs
-    ORDER BY differs NOT IN ('facts', 'repeated'), configuration <> 'full', configuration, list_position(['fsar-cfc', 'fsar-dhma'], comparison), comparison
+    ORDER BY differs NOT IN ('facts', 'repeated'), configuration <> 'full', configuration, list_position(['fsar-cfc',
+        'fsar-dhma'], comparison), comparison
 """
 
 KINDS = """
-    SELECT kind, architecture, count(*) AS runs, count(*) FILTER (WHERE seed IS NULL OR scenario IS NULL OR run IS NULL OR fleet_size IS NULL) AS nameless
+    SELECT kind, architecture, count(*) AS runs, count(*)
+        FILTER (WHERE seed IS NULL OR scenario IS NULL OR run IS NULL OR fleet_size IS NULL) AS nameless
     FROM runs
     GROUP BY kind, architecture
     ORDER BY kind, architecture
@@ -56,9 +59,11 @@ GROUNDS = """
 
 UNPAIRED = """
     WITH sides AS (
-        SELECT comparison, configuration, first_architecture AS architecture, first_configuration AS its FROM comparable_runs WHERE pair_count > 0
+        SELECT comparison, configuration, first_architecture AS architecture, first_configuration AS its
+            FROM comparable_runs WHERE pair_count > 0
         UNION ALL
-        SELECT comparison, configuration, second_architecture AS architecture, second_configuration AS its FROM comparable_runs WHERE pair_count > 0
+        SELECT comparison, configuration, second_architecture AS architecture, second_configuration AS its
+            FROM comparable_runs WHERE pair_count > 0
     ),
     partners AS (
         SELECT comparison, configuration, first_run_id AS run_id FROM run_pairs
@@ -68,7 +73,8 @@ UNPAIRED = """
     SELECT sides.comparison, runs.architecture, sides.its AS configuration, runs.seed, count(*) AS runs
     FROM sides
     INNER JOIN compared_runs AS runs ON sides.architecture = runs.architecture AND sides.its = runs.configuration
-    ANTI JOIN partners ON sides.comparison = partners.comparison AND sides.configuration = partners.configuration AND runs.run_id = partners.run_id
+    ANTI JOIN partners ON sides.comparison = partners.comparison AND sides.configuration = partners.configuration
+        AND runs.run_id = partners.run_id
     GROUP BY ALL
     ORDER BY ALL
 """
@@ -77,7 +83,8 @@ IMPUTED = """
     SELECT measured.metric, definitions.published_value, definitions.scale, count(*) AS runs
     FROM run_metrics AS measured
     INNER JOIN metric_definitions AS definitions ON measured.metric = definitions.metric
-    WHERE measured.value IS NULL AND measured.published_convention_value IS NOT NULL AND measured.architecture IN ('fsar', 'cfc', 'dhma')
+    WHERE measured.value IS NULL AND measured.published_convention_value IS NOT NULL
+        AND measured.architecture IN ('fsar', 'cfc', 'dhma')
     GROUP BY ALL
     ORDER BY min(definitions.position)
 """
@@ -126,7 +133,10 @@ class DifferingWorlds(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Ground(msgspec.Struct, frozen=True, kw_only=True):
-    """What the ledger holds of the two sides of a comparison. Units: counts of runs, of worlds (seed, scenario, fleet size, run) and of pairs."""
+    """What the ledger holds of the two sides of a comparison.
+
+    Units: counts of runs, of worlds (seed, scenario, fleet size, run) and of pairs.
+    """
 
     comparison: str
     family: str
@@ -172,8 +182,14 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
                 f"{name} under seeds {_named(seeds)}, {_named(sizes)} robots, {_named(scenarios)}"
                 for name, seeds, sizes, scenarios in sides
             )
-            return f"{self.comparison}: no run of both has the same seed, scenario, fleet size and number: found {held}; simulate one as the other"
-        return f"{self.comparison}: every pair of runs ({self.left_out:,}) is left out, as said above; simulate both under one world and the same constants"
+            return (
+                f"{self.comparison}: no run of both has the same seed, scenario, fleet size and number: found {held}; "
+                "simulate one as the other"
+            )
+        return (
+            f"{self.comparison}: every pair of runs ({self.left_out:,}) is left out, as said above; simulate both "
+            "under one world and the same constants"
+        )
 
 
 def _named(values: Sequence[object] | None) -> str:
@@ -185,12 +201,18 @@ def _named(values: Sequence[object] | None) -> str:
 
 
 def differing_worlds(database: Database) -> list[DifferingWorlds]:
-    """The pairs that are left out since their worlds differ, by comparison and reason, what no experiment does first. Raises: as `Database.rows`."""
+    """The pairs that are left out since their worlds differ, by comparison and reason, what no experiment does first.
+
+    Raises: as `Database.rows`.
+    """
     return typed(database.rows(WORLDS), DifferingWorlds)
 
 
 def not_compared(database: Database) -> list[str]:
-    """Why each comparison that has no pair has none, in words; for a ledger that holds neither side of any, why that is. Raises: as `Database.rows`."""
+    """Why each comparison that has no pair has none, in words.
+
+    For a ledger that holds neither side of any, why that is. Raises: as `Database.rows`.
+    """
     found = typed(database.rows(GROUNDS), Ground)
     if found:
         return [why for one in found if (why := one.why_not())]
@@ -204,7 +226,8 @@ def not_compared(database: Database) -> list[str]:
     held = some(names, "kinds more")
     if all(row["nameless"] == row["runs"] for row in kinds):
         return [
-            f"found {held}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"
+            f"found {held}, all without seed, scenario, fleet size or number; runs that are not known to have met one "
+            "world are no pairs"
         ]
     return [f"found {held}; expected fsar, cfc or dhma, or the configurations of one architecture"]
 
@@ -228,7 +251,8 @@ def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
     """Which of the rows count runs without a value, and as what, in words. Raises: as `Database.rows`."""
     shown = {row.metric for row in rows}
     return [
-        f"{row['metric']}: {counted(row['runs'], 'run')} without a failure {'counts' if row['runs'] == 1 else 'count'} as in the paper, "
+        f"{row['metric']}: {counted(row['runs'], 'run')} without a failure {'counts' if row['runs'] == 1 else 'count'} "
+        "as in the paper, "
         f"as {row['published_value']:g}{' s' if row['scale'] == 'seconds' else ''} (basis published); "
         "`fsar-ledger query statistics/pairwise_tests_defined` leaves such pairs out"
         for row in database.rows(IMPUTED)
@@ -249,7 +273,10 @@ def too_few(rows: Iterable[StatisticRow]) -> list[str]:
 
 
 def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str]:
-    """What the rows do not say: metrics without a pair in which both runs have a value, and comparisons of a single pair."""
+    """What the rows do not say.
+
+    Metrics without a pair in which both runs have a value, and comparisons of a single pair.
+    """
     held: dict[tuple[object, ...], dict[str, int]] = {}
     for row in rows:
         key = (
@@ -267,7 +294,8 @@ def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str
     for (comparison, *_), pairs in held.items():
         if missing := [name for name in metrics if name not in pairs]:
             lines[
-                f"{comparison}: no pair of runs in which both have a value of {', '.join(missing)}: undefined, or not observed"
+                f"{comparison}: no pair of runs in which both have a value of {', '.join(missing)}: undefined, or not "
+                "observed"
             ] = None
         if max(pairs.values()) == 1:
             lines[f"{comparison}: one pair of runs has a difference and no test; simulate more runs"] = None

@@ -24,7 +24,7 @@ from .library import Library, Query, library, values
 
 LOCK = (
     "threads = 1",
-    "temp_directory = ''",  # wherever DuckDB may spill, SQL may read and write, too: by default in `.tmp` of the working folder
+    "temp_directory = ''",  # where DuckDB may spill, SQL may read and write: `.tmp` of the working folder
     "max_temp_directory_size = '0KB'",
     "home_directory = ''",
     "secret_directory = ''",
@@ -84,7 +84,10 @@ class Database:
         """Whether the rows were compared with the root of the head, by a whole look; None where there is no head."""
         self.library = queries or library()
         self.source: str | None = None
-        """What has all columns and rows of `events`, but for those of `changed`, and stands in SQL for less: segments, or rows as they were stored."""
+        """What has all columns and rows of `events`, but for those of `changed`, and stands in SQL for less.
+
+        Segments, or rows as they were stored.
+        """
         self.changed: frozenset[str] = frozenset()
         """Names, without version, of event types that are another in `events` than in `source`."""
         self.absent: frozenset[str] = frozenset()
@@ -93,14 +96,16 @@ class Database:
         self._made: set[str] = set()
         self._given: dict[str, str] = {}  # of these, what was not made of a packaged query, and how it was made
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
-        # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
+        # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the
+        # answer is the same anywhere.
         for setting in (
             f"parquet_metadata_cache = {str(caches_files).lower()}",
             "TimeZone = 'UTC'",
             "enable_progress_bar = false",
         ):
             self._connection.execute(f"SET {setting}")
-        # Who reads a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder. What it does not count is for the process.
+        # Who reads a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder. What it
+        # does not count is for the process.
         self._connection.execute("SET temp_directory = ''")
         if (most := memory.limit()) is not None:
             self._connection.execute(f"SET memory_limit = '{int(most * DUCKDB_SHARE)} bytes'")
@@ -125,7 +130,10 @@ class Database:
         self._given[name] = "held"
 
     def refill(self, events: pa.Table) -> None:
-        """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack; what was stored of others is gone."""
+        """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack.
+
+        What was stored of others is gone.
+        """
         for name, kind in sorted(self._given.items()):
             self.drop(name) if kind == "held" else self._change(f"DROP {kind} {name}")
             self._made.discard(name)
@@ -145,14 +153,20 @@ class Database:
         self._given.pop(name, None)
 
     def direct(self, sql: str) -> list[tuple[Any, ...]]:
-        """The rows of one SELECT over files and what this connection holds; names in it are never those of packaged queries. Raises: as `table`."""
+        """The rows of one SELECT over files and what this connection holds.
+
+        Names in it are never those of packaged queries. Raises: as `table`.
+        """
         try:
             return self._connection.execute(sql).fetchall()  # a relation would plan it twice
         except (duckdb.Error, UnicodeDecodeError) as error:  # what a damaged file holds as text may be none
             raise self._failure(error) from error
 
     def define(self, name: str, sql: str, *, is_stored: bool = False) -> None:
-        """The SELECT, or its rows as they are now, is the relation of this name, whatever packaged query has it. Raises: as `table`."""
+        """The SELECT, or its rows as they are now, is the relation of this name, whatever packaged query has it.
+
+        Raises: as `table`.
+        """
         self._change(f"CREATE {'TABLE' if is_stored else 'VIEW'} {name} AS\n{sql}")
         self._made.add(name)
         self._given[name] = "TABLE" if is_stored else "VIEW"
@@ -220,9 +234,10 @@ class Database:
         return self._execute(f"SELECT * FROM (\n{query.sql}\n) ORDER BY ALL", bound)
 
     def lock(self, seconds: int, memory_bytes: int) -> None:
-        """From now on the connection reaches nothing but what it already holds, and a statement ends after so many seconds or bytes of memory.
+        """Shut the connection off from all but what it holds; limit the seconds and the memory of a statement.
 
-        There is no allow-list: in DuckDB one grants writing too. What DuckDB does not stop (one huge string) is for the operating system to stop.
+        There is no allow-list: in DuckDB one grants writing too. What DuckDB does not stop (one huge string) is for the
+        operating system to stop.
         """
         for setting in LOCK:
             self._connection.execute(f"SET {setting}")
@@ -231,14 +246,18 @@ class Database:
         self._connection.execute("SET lock_configuration = true")
 
     def only_read(self) -> None:
-        """From now on not even the relations of this connection change: not by a step of a SELECT that inserts or deletes, either."""
+        """From now on not even the relations of this connection change.
+
+        Not by a step of a SELECT that inserts or deletes, either.
+        """
         self._connection.execute("BEGIN TRANSACTION READ ONLY")
 
     def check_one_select(self, sql: str) -> None:
         """The text is exactly one statement that only reads, as far as its type says.
 
         Raises:
-            QueryFailed: It is empty, does not parse, holds several statements, or one that is neither SELECT nor EXPLAIN.
+            QueryFailed: It is empty, does not parse, holds several statements, or one that is neither SELECT nor
+                EXPLAIN.
         """
         try:
             statements = self._connection.extract_statements(sql)
@@ -247,18 +266,23 @@ class Database:
         kinds = [statement.type.name for statement in statements]
         if kinds == ["MULTI"]:
             raise QueryFailed(
-                "SQL: found a PIVOT that lists no values, which DuckDB does in two statements; name the values, as in PIVOT ... ON x IN ('a', 'b')"
+                "SQL: found a PIVOT that lists no values, which DuckDB does in two statements; name the values, as in "
+                "PIVOT ... ON x IN ('a', 'b')"
             )
         if len(kinds) != 1 or kinds[0] not in ("SELECT", "EXPLAIN"):
             raise QueryFailed(
-                f"SQL: found {', '.join(kinds[:5]) or 'no statement'}, expected exactly one SELECT or EXPLAIN; a ledger can only be read"
+                f"SQL: found {', '.join(kinds[:5]) or 'no statement'}, expected exactly one SELECT or EXPLAIN; a "
+                "ledger can only be read"
             )
 
     def batches(self, sql: str) -> Iterator[pa.RecordBatch]:
-        """The answer to one SELECT, a batch at a time, the first one perhaps empty; what it mentions must have been prepared.
+        """The answer to one SELECT, a batch at a time, the first one perhaps empty.
+
+        What it mentions must have been prepared.
 
         Raises:
-            QueryFailed, LedgerCorrupted: As `table`; QueryFailed also for two columns of one name, or a type whose values cannot be handed on as they are.
+            QueryFailed, LedgerCorrupted: As `table`; QueryFailed also for two columns of one name, or a type whose
+                values cannot be handed on as they are.
         """
         try:
             relation = self._connection.sql(sql)
@@ -286,7 +310,10 @@ class Database:
             raise self._failure(error) from error
 
     def _failure(self, error: Exception) -> FsarLedgerError:
-        """What failed, for a user: the SQL, or, where the error may come from the data, the first segment that cannot be read."""
+        """What failed, for a user.
+
+        The SQL, or, where the error may come from the data, the first segment that cannot be read.
+        """
         if isinstance(error, OUT_OF_MEMORY) and memory.limit() is not None:
             return LimitReached(memory.exceeded_message())
         damage = None if isinstance(error, FAULTS_OF_SQL) else first_damage(self._segments)
@@ -304,14 +331,18 @@ def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
 
 
 def _check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
-    """Every column of the answer can be told from the others and holds values that arrive as they are. Raises: QueryFailed."""
+    """Every column of the answer can be told from the others and holds values that arrive as they are.
+
+    Raises: QueryFailed.
+    """
     seen: set[str] = set()
     for name, kind in zip(names, kinds, strict=True):
         if name in seen:
             raise QueryFailed(f"SQL: found two columns named {name[:SHOWN]!r}; give one of them another name with AS")
         if found := _UNSHOWABLE.search(_NAME.sub(" ", kind)):
             raise QueryFailed(
-                f"SQL: column {name[:SHOWN]!r} holds {found[0]}, which an answer cannot show as it is; make it text, as in CAST(... AS VARCHAR)"
+                f"SQL: column {name[:SHOWN]!r} holds {found[0]}, which an answer cannot show as it is; make it text, "
+                "as in CAST(... AS VARCHAR)"
             )
         seen.add(name)
 

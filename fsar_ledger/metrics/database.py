@@ -50,7 +50,8 @@ def connect(ledger: Path, threads: int | None = None, demanded: str | None = Non
         demanded: The newest record that a whole look just saw (`required_look`), where no other head will do.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; also LedgerCorrupted for a segment that is not as committed.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; also LedgerCorrupted for a
+            segment that is not as committed.
         SequenceConflict: As `is_verified`.
     """
     view = open_for_answers(ledger)
@@ -79,7 +80,10 @@ def from_table(events: pa.Table, threads: int | None = None) -> Database:
 
 
 def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -> Database:
-    """A database over these rows; columns that a row lacks are NULL. For tests and small questions. Raises: as `table_of`."""
+    """A database over these rows; columns that a row lacks are NULL. For tests and small questions.
+
+    Raises: as `table_of`.
+    """
     return from_table(table_of(rows), threads)
 
 

@@ -1,7 +1,7 @@
 """The metrics, as `reports/metrics.toml` names them: what each is, which events it rests on, and how it is printed.
 
-The file is the one list of metrics. What SQL needs of it becomes relations here (`metric_definitions`, `metric_concerns`,
-`metric_measurements`); the report, the statistics and the pages read the same rows.
+The file is the one list of metrics. What SQL needs of it becomes relations here (`metric_definitions`,
+`metric_concerns`, `metric_measurements`); the report, the statistics and the pages read the same rows.
 """
 
 from collections.abc import Iterable
@@ -13,7 +13,9 @@ import msgspec
 
 
 class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the paper prints a metric: its names in `paper/results.csv`, in `paper/significance.csv`, and in all other tables.
+    """Where the paper prints a metric.
+
+    Its names in `paper/results.csv`, in `paper/significance.csv`, and in all other tables.
 
     `margin` is the half-width within which a difference from a printed number does not matter, in the metric's unit.
     """
@@ -27,11 +29,12 @@ class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One metric, measured by `queries/metrics/NAME.sql`.
 
-    `scale` is what its value is: a share, a count, seconds, or yes-no (0 or 1 for each run). A pooled metric is the sum of its numerators
-    over the sum of its denominators, `numerator_units` of which make one of the value; any other is the mean of the runs' values.
-    `published_value` is what the paper counts for a run in which it is undefined. The printed number is the value times `factor`, with
-    `decimals` decimals; `counted` says what its denominator counts. A metric that counts routine operations has a column
-    `value_without_routine`. `paper` is None for a metric that the paper does not print.
+    `scale` is what its value is: a share, a count, seconds, or yes-no (0 or 1 for each run). A pooled metric is the sum
+    of its numerators over the sum of its denominators, `numerator_units` of which make one of the value; any other is
+    the mean of the runs' values. `published_value` is what the paper counts for a run in which it is undefined. The
+    printed number is the value times `factor`, with `decimals` decimals; `counted` says what its denominator counts. A
+    metric that counts routine operations has a column `value_without_routine`. `paper` is None for a metric that the
+    paper does not print.
     """
 
     name: str

@@ -1,4 +1,6 @@
-"""What SQL does not have, as functions: tail probabilities and quantiles from scipy, a column at a time, and constants by name.
+"""What SQL does not have, as functions.
+
+Tail probabilities and quantiles from scipy, a column at a time, and constants by name.
 
 | function | value |
 |---|---|
@@ -8,8 +10,8 @@
 | `norm_quantile(p)` | the z below which a share p lies |
 | `gamma_quantile(p, shape)` | the quantile of the gamma distribution of scale 1: exact bounds of a Poisson count |
 | `binomial_half_sf2(k, n)` | exact two-sided p of k of n fair coin tosses, k <= n/2 |
-| `constants_of(parameters)` | name and value of each constant in a run's parameters, sorted by name; NULL where they cannot be read |
-| `default_of(name)` | the value of a constant of this version in a run that does not record it; NULL where it has no such constant |
+| `constants_of(parameters)` | name and value of each constant of a run, sorted by name; NULL where unreadable |
+| `default_of(name)` | the value of a constant in a run that does not record it; NULL where there is no such constant |
 
 NULL in, NULL out.
 """

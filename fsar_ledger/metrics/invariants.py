@@ -15,10 +15,11 @@ from .results import typed
 class AuditRow(msgspec.Struct, frozen=True):
     """One invariant over the runs of one architecture and configuration.
 
-    It holds if no event offends it, every run observes what it rests on and there was a case; `not_observed` names what `runs_not_observed` of the runs do not.
-    An offence counts although some of that is not observed, if what is observed suffices to tell it; `holds` None: no offence, but something is not
-    observed, or there was no case. `cases` is how much was looked at. `events` are distinct events, `first_*` the first of them by run and
-    seq. None: there is none, or nothing that could be judged.
+    It holds if no event offends it, every run observes what it rests on and there was a case; `not_observed` names what
+    `runs_not_observed` of the runs do not. An offence counts although some of that is not observed, if what is observed
+    suffices to tell it; `holds` None: no offence, but something is not observed, or there was no case. `cases` is how
+    much was looked at. `events` are distinct events, `first_*` the first of them by run and seq. None: there is none,
+    or nothing that could be judged.
     """
 
     invariant: str
@@ -75,7 +76,8 @@ def audit_rows(database: Database, queries: Sequence[Query], architectures: Sequ
     rows = [row for query in queries for row in database.rows(_counts(query), {"architectures": list(architectures)})]
     if not rows:
         raise UsageError(
-            f"audit: found no runs of {' or '.join(architectures) or 'any architecture'}; `fsar-ledger info` shows what a ledger holds"
+            f"audit: found no runs of {' or '.join(architectures) or 'any architecture'}; `fsar-ledger info` shows "
+            "what a ledger holds"
         )
     return typed(rows, AuditRow)
 
@@ -135,5 +137,6 @@ def _counts(query: Query) -> str:
             CASE WHEN events > 0 OR runs_not_observed < runs THEN coalesce(events, 0) END AS events,
             first_run, first.seq AS first_seq, first.type AS first_type, first.found AS first_found
         FROM counted
-        ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full', configuration
+        ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full',
+            configuration
     """

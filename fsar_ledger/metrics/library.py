@@ -6,8 +6,8 @@ A query file starts with comment lines `-- Name: text`. Title, Paper, Grain, Key
 `Stored: <reason>` keeps its rows, once computed, for as long as a connection lives.
 
 A file in `readings/` is another reading of a relation: it has its columns, reads it, and differs in the one thing that
-`Title` says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves` the metrics that
-hang on it; `Question` is what it answers otherwise than we do, and `Why` on what words of the paper.
+`Title` says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves` the metrics
+that hang on it; `Question` is what it answers otherwise than we do, and `Why` on what words of the paper.
 """
 
 import difflib
@@ -89,7 +89,10 @@ class Query(msgspec.Struct, frozen=True):
         return set(_SOURCE.findall(_TEXT_OR_COMMENT.sub(" ", self.sql)))
 
     def reading_from(self, others: Mapping[str, str]) -> str:
-        """Its SQL, with other relations behind FROM and JOIN under the names that it knows: `FROM others[name] AS name`."""
+        """Its SQL, with other relations behind FROM and JOIN under the names that it knows.
+
+        `FROM others[name] AS name`.
+        """
 
         def renamed(match: re.Match[str]) -> str:
             before, name, alias = match.groups()
@@ -197,7 +200,7 @@ def concerns_query() -> Query:
 
 
 def concern_sql(concern: str, source: str | None = "events") -> str:
-    """Return the SELECT of all that the event types of one concern record, from whatever has all columns of `events`."""
+    """Return the SELECT of what one concern's event types record, from a relation with the columns of `events`."""
     layouts = _layouts(concern)
     fields = {field.name: field for layout in layouts for field in layout.fields}
     ordered = [fields[name] for name in sorted(fields)]
@@ -246,15 +249,24 @@ def world_query() -> Query:
 
 
 def metric_queries() -> list[Query]:
-    """Return the relations that `reports/metrics.toml` makes: what SQL must know of each metric, and what all measure."""
-    undefined = "published_value where the metric is defined for every run; undefined_value where such a run does not count, as with us always"
+    """Return the relations that `reports/metrics.toml` makes.
+
+    What SQL must know of each metric, and what all measure.
+    """
+    undefined = (
+        "published_value where the metric is defined for every run; "
+        "undefined_value where such a run does not count, as with us always"
+    )
     made = {
         "metric_definitions": (
-            "The metrics: their order, their scale, which way is better, how runs are pooled, and whether the paper prints them",
+            "The metrics: their order, their scale, which way is better, how runs are pooled, and whether the paper "
+            "prints them",
             "one row per metric",
             "metric",
-            "numerator_units, how many units of the numerator make one of the value; scale is share, count, seconds, or yes-no "
-            "(0 or 1 for each run); better is higher or lower; undefined_value, what a run counts as in which a metric that is not "
+            "numerator_units, how many units of the numerator make one of the value; scale is share, count, seconds, "
+            "or yes-no "
+            "(0 or 1 for each run); better is higher or lower; undefined_value, what a run counts as in which a metric "
+            "that is not "
             "pooled is undefined, published_value, what it counts as in the paper",
             undefined,
             definitions.definitions_sql(),
@@ -295,7 +307,10 @@ def metric_queries() -> list[Query]:
 
 
 def generated() -> list[Query]:
-    """Return the queries that have no file: a view of each event type, their concerns, the world's facts, and what is said of metrics."""
+    """Return the queries that have no file.
+
+    A view of each event type, their concerns, the world's facts, and what is said of metrics.
+    """
     return [
         *map(staging_query, LAYOUTS),
         *map(concern_query, CONCERNS),
@@ -343,7 +358,8 @@ class Library:
     def needs(self, names: Iterable[str], held: Collection[str] = ()) -> tuple[Query, ...]:
         """The queries that these relations are made of, themselves included, each after what it reads.
 
-        Names that are no relation are left out, and those that are held already, with what only they read. Raises: ValueError if a query reads itself.
+        Names that are no relation are left out, and those that are held already, with what only they read. Raises:
+        ValueError if a query reads itself.
         """
         order: dict[str, Query] = {}
 

@@ -1,8 +1,10 @@
-"""The process that untrusted SQL runs in: it holds one ledger's events, locks everything else, answers one SELECT and ends.
+"""The process that untrusted SQL runs in.
+
+It holds one ledger's events, locks everything else, answers one SELECT and ends.
 
 It is started without the caller's environment. Before it sees the SQL it gives up, for good, what an answer does not
-need: writing to files, starting processes, the caller's working folder, and more memory, time and open files than it was allowed.
-DuckDB's own locks come on top (`Database.lock`).
+need: writing to files, starting processes, the caller's working folder, and more memory, time and open files than
+it was allowed. DuckDB's own locks come on top (`Database.lock`).
 """
 
 import os
@@ -23,26 +25,33 @@ from .database import FAULTS_OF_SQL, OUT_OF_MEMORY, Database
 from .relation import hold_dataset
 
 GRACE_S = 5
-"""Seconds by which the limits inside this process come later than the caller's, so that it is the caller who says what happened."""
+"""Seconds by which this process's limits come later than the caller's, so that the caller says what happened."""
 
 FILES = 64
 """Open files at once; reading 167,000 events of 12 segments takes 11."""
 
 
 SLICE_BYTES, VALUE_BYTES = 1 << 20, 16
-"""What is sent at once, so that the caller holds little: as Python's values it takes some tens of MiB. And what a value counts beside its bytes."""
+"""What is sent at once, so that the caller holds little: as Python's values it takes some tens of MiB.
+
+And what a value counts beside its bytes.
+"""
 
 ROW_BYTES = 64 << 20
 """One row cannot be cut; as Python's values it may take ten times as much."""
 
 OWN_BYTES = 512 << 20
-"""Address space of the process before it answers, with some to spare. DuckDB gets half of the rest: what grows is copied into twice its room."""
+"""Address space of the process before it answers, with some to spare.
+
+DuckDB gets half of the rest: what grows is copied into twice its room.
+"""
 
 
 class Limits(msgspec.Struct, frozen=True):
     """What an answer may cost.
 
-    Units: seconds of wall clock; bytes of address space, of which an idle process takes 0.4 GiB; rows and bytes of the answer; bytes of the SQL.
+    Units: seconds of wall clock; bytes of address space, of which an idle process takes 0.4 GiB; rows and bytes of
+        the answer; bytes of the SQL.
     """
 
     seconds: int = 60
@@ -61,14 +70,20 @@ class Question(msgspec.Struct, frozen=True):
 
 
 class Refusal(msgspec.Struct, frozen=True):
-    """Why there is no answer, and whether the cause may be a damaged segment: this process is too short of everything to tell."""
+    """Why there is no answer, and whether the cause may be a damaged segment.
+
+    This process is too short of everything to tell.
+    """
 
     message: str
     may_be_damage: bool = False
 
 
 def answer(descriptor: int) -> None:
-    """The pipe has had one `Question` read from it and holds one `Refusal`, or null and the answer: an Arrow stream for each slice, then nothing."""
+    """The pipe has had one `Question` read from it and holds one `Refusal`, or null and the answer.
+
+    An Arrow stream for each slice, then nothing.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the caller too, which ends this process
     with Connection(descriptor) as pipe:
         question = msgspec.json.decode(pipe.recv_bytes(), type=Question)
@@ -99,7 +114,7 @@ def _refusal(error: Exception, limits: Limits) -> Refusal:
 
 
 def give_up(limits: Limits) -> None:
-    """Nothing this process does can write to a file, meet one by a relative path or take more than the limits from now on; nothing undoes it."""
+    """Keep this process for good from writing files, finding them by relative paths and exceeding its limits."""
     os.chdir("/")
     most = {
         resource.RLIMIT_CORE: 0,
@@ -145,12 +160,14 @@ def _select(question: Question) -> list[pa.RecordBatch]:
                 raise QueryFailed(f"SQL: found more than {limits.rows:,} rows, the limit; add a LIMIT or aggregate")
             if size > limits.answer_bytes:
                 raise QueryFailed(
-                    f"SQL: found an answer of more than {limits.answer_bytes:,} bytes, the limit; ask for fewer columns or rows"
+                    f"SQL: found an answer of more than {limits.answer_bytes:,} bytes, the limit; ask for fewer "
+                    "columns or rows"
                 )
             for part in slices(batch):
                 if (weighs := weight(part)) > ROW_BYTES:
                     raise QueryFailed(
-                        f"SQL: found a row that takes {weighs:,} bytes, expected at most {ROW_BYTES:,}; ask for fewer columns or shorter values"
+                        f"SQL: found a row that takes {weighs:,} bytes, expected at most {ROW_BYTES:,}; ask for fewer "
+                        "columns or shorter values"
                     )
             batches.append(batch)
         return batches
@@ -183,7 +200,7 @@ def slices(batch: pa.RecordBatch) -> Iterator[pa.RecordBatch]:
 
 
 def weight(batch: pa.RecordBatch) -> int:
-    """About the bytes that these rows take, each value counted as one of Python's, however little Arrow needs for it."""
+    """Estimate the bytes that these rows take as Python's values, however little Arrow needs for them."""
     return int(batch.nbytes) + VALUE_BYTES * sum(_values(column) for column in batch.columns)
 
 

@@ -30,10 +30,13 @@ MODELS = """
 
 
 class Model(msgspec.Struct, frozen=True):
-    """The runs of one kind, source and model version under the same constants, by value; `text` is how the first of them records these.
+    """The runs of one kind, source and model version under the same constants, by value.
 
-    `constants` names those that other runs of the same model have otherwise, None where there are none. Runs that were not simulated may have neither
-    a model nor constants, and as parameters a text that is none: `parameters` is None then.
+    `text` is how the first of them records these.
+
+    `constants` names those that other runs of the same model have otherwise, None where there are none. Runs that were
+    not simulated may have neither a model nor constants, and as parameters a text that is none: `parameters` is None
+    then.
     """
 
     kind: str
@@ -53,7 +56,10 @@ class Model(msgspec.Struct, frozen=True):
 
 
 def models(database: Database) -> tuple[Model, ...]:
-    """All models, in the order of the names of their first runs. Raises: LedgerCorrupted if a simulated run records something else as its parameters."""
+    """All models, in the order of the names of their first runs.
+
+    Raises: LedgerCorrupted if a simulated run records something else as its parameters.
+    """
     return tuple(
         Model(
             kind=row["kind"],
@@ -71,7 +77,10 @@ def models(database: Database) -> tuple[Model, ...]:
 
 
 def lettered(found: Iterable[Model]) -> list[tuple[Model, str | None]]:
-    """The models, those with most runs first, each with the letter by which commands call its constants; None where none are on record."""
+    """The models, those with most runs first, each with the letter by which commands call its constants.
+
+    None where none are on record.
+    """
     letters = _letters()
     return [
         (one, None if one.text is None else next(letters))
@@ -93,5 +102,6 @@ def _read(kind: str, run: str, parameters: str | None) -> dict[str, Any] | None:
         if kind != "simulated":  # 0.1.0 and 0.2.0 stored any text of others
             return None
         raise LedgerCorrupted(
-            f"run {run!r:.300}, seq 0, field parameters: {error}; do not rely on this ledger, run fsar-ledger verify --replay"
+            f"run {run!r:.300}, seq 0, field parameters: {error}; do not rely on this ledger, run fsar-ledger verify "
+            "--replay"
         ) from error

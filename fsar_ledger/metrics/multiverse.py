@@ -1,8 +1,9 @@
-"""Every cell of the results table under every reading of the paper that its text allows, and whether the ranking survives.
+"""Every cell of the results table under every reading that the paper's text allows, and whether the ranking survives.
 
-A reading (`queries/readings/*.sql`) replaces one relation by another with the same columns, so that readings of different
-questions go together, and those of one question exclude each other. The multiverse of a metric is every combination of the
-readings that move it; the one without any is ours. Nothing is simulated again: the ledger is the same, it is read otherwise.
+A reading (`queries/readings/*.sql`) replaces one relation by another with the same columns, so that readings of
+different questions go together, and those of one question exclude each other. The multiverse of a metric is every
+combination of the readings that move it; the one without any is ours. Nothing is simulated again: the ledger is the
+same, it is read otherwise.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -33,12 +34,15 @@ MEANS = """
     WITH measured AS ({measured}), definitions AS ({definitions}), means AS (
         SELECT
             measured.universe,
-            runs.architecture, runs.configuration, runs.fleet_size, {seed} AS seed, runs.kind, runs.source, runs.model_version, settings.constants,
+            runs.architecture, runs.configuration, runs.fleet_size, {seed} AS seed,
+            runs.kind, runs.source, runs.model_version, settings.constants,
             CASE
                 WHEN any_value(definitions.is_pooled)
-                    THEN sum(measured.numerator)::DOUBLE / nullif(sum(measured.denominator)::DOUBLE, 0) / any_value(definitions.numerator_units)
+                    THEN sum(measured.numerator)::DOUBLE / nullif(sum(measured.denominator)::DOUBLE, 0)
+                        / any_value(definitions.numerator_units)
                 WHEN count(measured.value) > 0 -- else nothing happened that could be counted
-                    THEN avg(CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.undefined_value) END ORDER BY measured.run_id)
+                    THEN avg(CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value,
+                        definitions.undefined_value) END ORDER BY measured.run_id)
             END AS mean,
             count(measured.not_observed) AS runs_not_observed
         FROM measured
@@ -52,11 +56,16 @@ MEANS = """
     ORDER BY universe, {order}, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
 """
 MEASURED = "SELECT {universe} AS universe, run_id, numerator, denominator, value, not_observed FROM {metric}"
-DEFINED = "SELECT {universe} AS universe, is_pooled, numerator_units, undefined_value FROM {definitions} WHERE metric = '{name}'"
+DEFINED = (
+    "SELECT {universe} AS universe, is_pooled, numerator_units, undefined_value "
+    "FROM {definitions} WHERE metric = '{name}'"
+)
 
 
 class Reading(msgspec.Struct, frozen=True):
-    """One reading other than ours: what it says, the number of ours, the question that both answer, and on what words of the paper it rests.
+    """One reading other than ours.
+
+    What it says, the number of ours, the question that both answer, and on what words of the paper it rests.
 
     `replaces` is a relation, `moves` are the metrics that hang on it.
     """
@@ -86,7 +95,9 @@ class _OfRuns(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Universe(_OfRuns, frozen=True, kw_only=True):
-    """The mean of one metric for one architecture when these readings replace ours, but for runs whose source does not record what it rests on.
+    """The mean of one metric for one architecture when these readings replace ours.
+
+    Runs whose source does not record what the metric rests on are left out.
 
     None: undefined or not observed.
     """
@@ -97,10 +108,12 @@ class Universe(_OfRuns, frozen=True, kw_only=True):
 
 
 class Cell(_OfRuns, frozen=True, kw_only=True):
-    """The range of one cell over all combinations of readings, and which reading moves it most when it alone replaces ours.
+    """The range of one cell over all combinations of readings, and the reading that moves it most by itself.
 
-    `paper`, `ours`, `lowest`, `highest`, `moved_by` in the metric's unit; of several combinations with the same mean that of fewest readings is named.
-    None: undefined or not observed; `paper` but for whole architectures of four robots; `most_moving` where no reading alone moves the cell.
+    `paper`, `ours`, `lowest`, `highest`, `moved_by` in the metric's unit; of several combinations with the same mean
+    that of fewest readings is named.
+    None: undefined or not observed; `paper` but for whole architectures of four robots; `most_moving` where no
+        reading alone moves the cell.
     """
 
     paper: float | None
@@ -117,10 +130,11 @@ class Cell(_OfRuns, frozen=True, kw_only=True):
 
 
 class Ranking(msgspec.Struct, frozen=True, kw_only=True):
-    """Whether the order of the architectures by one metric is the same under every combination of readings, and whether FSAR is the best one.
+    """How stable the order of the architectures by one metric is under every combination of readings, and FSAR's place.
 
-    `order` is the one under our reading, the best first, `=` between equals; it is that of means, whatever chance has to do with it.
-    `same_order`, `fsar_best` count combinations; `changed_under`, `fsar_not_best_under` name the smallest combinations under which it is not so.
+    `order` is the one under our reading, the best first, `=` between equals; it is that of means, whatever chance has
+    to do with it. `same_order`, `fsar_best` count combinations; `changed_under`, `fsar_not_best_under` name the
+    smallest combinations under which it is not so.
     None: fewer than two architectures have a mean, or FSAR is none of them.
     """
 
@@ -172,7 +186,10 @@ def _reading(query: Query) -> Reading:
 
 
 def combinations(metric: str) -> tuple[Chosen, ...]:
-    """Every combination of the readings that move this metric: at most one of each question; ours first, then those of fewer readings first."""
+    """Every combination of the readings that move this metric: at most one of each question.
+
+    Ours first, then those of fewer readings first.
+    """
     questions: dict[str, list[str]] = {}
     for one in readings():
         if metric in one.moves:
@@ -184,7 +201,9 @@ def combinations(metric: str) -> tuple[Chosen, ...]:
 
 
 class Relations:
-    """The relations of a ledger as they are when some readings replace ours: each is made once, and shared by all combinations that leave it the same.
+    """The relations of a ledger as they are when some readings replace ours.
+
+    Each is made once, and shared by all combinations that leave it the same.
 
     What readings replace or read is stored, what follows from it is not.
     """
@@ -220,7 +239,10 @@ class Relations:
         return self._readings_of[relation]
 
     def _make(self, query: Query, telling: frozenset[str]) -> None:
-        """The relation under these readings, all of which it hangs on: the last one that replaces it reads it under the others."""
+        """The relation under these readings, all of which it hangs on.
+
+        The last one that replaces it reads it under the others.
+        """
         last = max((name for name in telling if self._replaced[name] == query.relation), default=None)
         made_by = query if last is None else self._database.library.relations[last]
         names = {source: self.under(source, telling) for source in made_by.sources() - {query.relation}}
@@ -232,7 +254,10 @@ class Relations:
         self._made[query.relation, telling] = (name, is_stored)
 
     def means(self, metric: str, combined: Sequence[Chosen], *, pools_seeds: bool = False) -> list[Universe]:
-        """The mean of this metric for each architecture and setting under each of these combinations, in their order. Raises: as `Database.rows`."""
+        """The mean of this metric for each architecture and setting under each of these combinations, in their order.
+
+        Raises: as `Database.rows`.
+        """
         under = [
             {name: self.under(name, frozenset(chosen)) for name in (metric, "metric_definitions")}
             for chosen in combined
@@ -261,7 +286,10 @@ class Relations:
 
 
 def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: bool = False) -> Multiverse:
-    """The multiverse of these metrics (all: none named), over the runs of each seed by itself, or of all seeds. Raises: as `Database.rows`."""
+    """The multiverse of these metrics (all: none named), over the runs of each seed by itself, or of all seeds.
+
+    Raises: as `Database.rows`.
+    """
     definitions = database.rows("SELECT metric, better FROM metric_definitions ORDER BY position")
     better = {
         row["metric"]: row["better"]
@@ -274,7 +302,10 @@ def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: 
 
 
 def universes(database: Database, metric: str, *, pools_seeds: bool = False) -> list[Universe]:
-    """The mean of this metric for each architecture and setting under every combination of its readings. Raises: as `Database.rows`."""
+    """The mean of this metric for each architecture and setting under every combination of its readings.
+
+    Raises: as `Database.rows`.
+    """
     relations = Relations(database, [one for one in readings() if metric in one.moves])
     all_of_them = combinations(metric)
     parts = [all_of_them[at : at + AT_ONCE] for at in range(0, len(all_of_them), AT_ONCE)]

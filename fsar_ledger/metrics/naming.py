@@ -1,4 +1,7 @@
-"""The constants of a run by name: the one way in which queries, `info`, the report and replay name those in which runs differ."""
+"""The constants of a run by name.
+
+The one way in which queries, `info`, the report and replay name those in which runs differ.
+"""
 
 import re
 from collections.abc import Iterator
@@ -11,7 +14,10 @@ from fsar_ledger.constants import DESIGNS, Constants, Load, Outages, read_consta
 from fsar_ledger.parameters import BadParameters, read_parameters
 
 MAX_PARAMETERS = 65_536
-"""Characters of parameters that are read constant by constant; those of the model have 2,000. Longer ones are only the same or not."""
+"""Characters of parameters that are read constant by constant; those of the model have 2,000.
+
+Longer ones are only the same or not.
+"""
 
 MAX_SHOWN = 60
 """Characters of a name, or of a value, that are shown; no constant of the model has more."""
@@ -23,9 +29,12 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 def constants_of(parameters: str | None) -> list[dict[str, str]] | None:
-    """The constants by name, `world.message.high_s` or `world.durations["carry.heavy"].low_s`, with their values as JSON; what is null is not there.
+    """Return the constants by name, with their values as JSON; leave out what is null.
 
-    Numbers that are equal are the same text, however they were written; None where the text is no parameters of a run, or too long.
+    Names are `world.message.high_s` or `world.durations["carry.heavy"].low_s`.
+
+    Numbers that are equal are the same text, however they were written; None where the text is no parameters of a run,
+    or too long.
     """
     if parameters is None or len(parameters) > MAX_PARAMETERS:
         return None
@@ -70,12 +79,18 @@ def _json(value: Any) -> str:
 
 
 def default_of(name: str) -> str | None:
-    """The value that a constant of this version has in a run of the model that does not record it; None where there is no such constant."""
+    """The value that a constant of this version has in a run of the model that does not record it.
+
+    None where there is no such constant.
+    """
     return _own().get(name)
 
 
 def unlike_ours(parameters: str) -> list[str]:
-    """The constants of a run of this model that are not this version's, as `NAME=VALUE (here VALUE)`. Raises: BadParameters."""
+    """The constants of a run of this model that are not this version's, as `NAME=VALUE (here VALUE)`.
+
+    Raises: BadParameters.
+    """
     found, own = _whole(read_constants(parameters)), _own()
     return [
         f"{name:.{MAX_SHOWN}}={found.get(name, 'absent'):.{MAX_SHOWN}} (here {own.get(name, 'absent'):.{MAX_SHOWN}})"
@@ -86,7 +101,10 @@ def unlike_ours(parameters: str) -> list[str]:
 
 @cache
 def names_of_constants() -> tuple[str, ...]:
-    """Return the name of every constant of this version that can be set, in order: also of groups that are absent by default."""
+    """Return the name of every constant of this version that can be set, in order.
+
+    Also of groups that are absent by default.
+    """
     return tuple(sorted(_own()))
 
 
@@ -96,7 +114,10 @@ def _own() -> dict[str, str]:
 
 
 def _whole(constants: Constants) -> dict[str, str]:
-    """Every constant by name, also those of groups that may be absent: they are then as by default. A designer's own is its name alone."""
+    """Every constant by name, also those of groups that may be absent: they are then as by default.
+
+    A designer's own is its name alone.
+    """
     absent = {"outages": constants.outages or Outages(), "load": constants.load or Load()}
     groups = msgspec.structs.replace(constants, scenario=None, fleet=None, **absent)
     designs = {name: getattr(constants, name) for name in DESIGNS}

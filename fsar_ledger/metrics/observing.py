@@ -1,4 +1,7 @@
-"""What the runs of a ledger do not observe of the events that a query reads: an empty answer about them says nothing."""
+"""What the runs of a ledger do not observe of the events that a query reads.
+
+An empty answer about them says nothing.
+"""
 
 import re
 from collections.abc import Iterable
@@ -42,7 +45,8 @@ def types_read(library: Library, query: Query) -> frozenset[str] | None:
 def unobserved(database: Database, query: Query, run: str | None = None) -> list[Unobserved]:
     """The concerns that the query rests on and that not all runs observe (or this one does not), by name.
 
-    A judge rests on what `judged_concerns` says, any other query on the concerns of the events that it reads. Raises: as `Database.rows`.
+    A judge rests on what `judged_concerns` says, any other query on the concerns of the events that it reads. Raises:
+    as `Database.rows`.
     """
     types = types_read(database.library, query)
     named = "" if types is None else f"WHERE type IN ({_listed(types)})"

@@ -1,8 +1,11 @@
-"""Could the paper's experiment, run on this model, have printed these numbers? Registered in `reports/registration.toml`, `[verdicts]`.
+"""Whether the paper's experiment, run on this model, could have printed these numbers.
 
-`drawn_experiments` draws experiments of the paper's size from the runs of a ledger. For each cell the share of them that print a number at least
-as far out as the paper's, on either side, is its two-sided p. For the table the smallest p of its cells is compared with the smallest p of each
-drawn table (min-p, Westfall and Young 1993), so cells that go together are not counted twice.
+The rules are registered in `reports/registration.toml`, `[verdicts]`.
+
+`drawn_experiments` draws experiments of the paper's size from the runs of a ledger. For each cell the share of them
+that print a number at least as far out as the paper's, on either side, is its two-sided p. For the table the smallest p
+of its cells is compared with the smallest p of each drawn table (min-p, Westfall and Young 1993), so cells that go
+together are not counted twice.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +29,10 @@ class Printed(NamedTuple):
 
 
 class Odds(NamedTuple, Generic[_Cell]):
-    """The p of each cell, and that of the table as a whole; a cell of which no drawn experiment has a number is left out."""
+    """The p of each cell, and that of the table as a whole.
+
+    A cell of which no drawn experiment has a number is left out.
+    """
 
     cells: dict[_Cell, float]
     table: float
@@ -37,7 +43,8 @@ def odds(
 ) -> Odds[_Cell] | None:
     """Return how likely the printed table is among the drawn ones; None where they share no cell.
 
-    `drawn` holds a number for each drawn experiment, all in one order of the experiments; None where an experiment leaves it undefined.
+    `drawn` holds a number for each drawn experiment, all in one order of the experiments; None where an experiment
+    leaves it undefined.
     """
     cells = [cell for cell in printed if cell in drawn and not np.isnan(_numbers(drawn[cell])).all()]
     if not cells:
@@ -56,7 +63,10 @@ def _numbers(values: Sequence[float | None] | Numbers) -> Numbers:
 
 
 def _two_sided(steps: Numbers, asked: Numbers) -> Numbers:
-    """Twice the smaller share of experiments that print this or less, or this or more; an undefined number is no evidence, and has 1."""
+    """Twice the smaller share of experiments that print this or less, or this or more.
+
+    An undefined number is no evidence, and has 1.
+    """
     defined = np.sort(steps[~np.isnan(steps)])
     below = np.searchsorted(defined, asked, side="right") / len(defined)
     above = 1.0 - np.searchsorted(defined, asked, side="left") / len(defined)

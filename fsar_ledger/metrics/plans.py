@@ -15,13 +15,19 @@ UNPLANNED = "SELECT count(*) AS runs FROM unplanned_runs"
 
 
 class Completeness(msgspec.Struct, frozen=True):
-    """What the plans of a ledger say of its runs: `unfinished` plans lack some, and no larger plan covers them; `unplanned` counts runs that no plan names."""
+    """What the plans of a ledger say of its runs: `unfinished` plans lack some, and no larger plan covers them.
+
+    `unplanned` counts runs that no plan names.
+    """
 
     plans: int
     unfinished: tuple[dict[str, Any], ...]
     unplanned: int
     missing: int | None
-    """How many runs of these plans are missing, each counted once, however many plans name it; None where plans name too much to tell."""
+    """How many runs of these plans are missing, each counted once, however many plans name it.
+
+    None where plans name too much to tell.
+    """
 
     def warning(self) -> str | None:
         """What is missing; None where nothing is, as far as plans say."""
@@ -29,10 +35,16 @@ class Completeness(msgspec.Struct, frozen=True):
             return None
         first, *others = self.unfinished
         more = f"; {len(others):,} more plans lack runs" if others else ""
-        return f"not complete: {first['missing_count']:,} of the {first['planned_count']:,} runs of a plan are missing{more}"
+        return (
+            f"not complete: {first['missing_count']:,} of the {first['planned_count']:,} runs of a plan are "
+            f"missing{more}"
+        )
 
     def answer(self) -> dict[str, object]:
-        """The same for programs: `complete` is None where no plan tells, or some runs are in none; `missing_count` counts each run once."""
+        """The same for programs: `complete` is None where no plan tells, or some runs are in none.
+
+        `missing_count` counts each run once.
+        """
         told = None if not self.plans or self.unplanned else True
         return {"complete": False if self.unfinished else told, "missing_count": self.missing}
 

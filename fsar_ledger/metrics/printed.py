@@ -1,4 +1,7 @@
-"""The numbers that the paper prints, in our unit, each with the step of its last digit. A table is read when it is asked for, and no other."""
+"""The numbers that the paper prints, in our unit, each with the step of its last digit.
+
+A table is read when it is asked for, and no other.
+"""
 
 import csv
 from collections.abc import Iterator
@@ -29,7 +32,10 @@ class Place(NamedTuple):
 
 @cache
 def printed(table: Table) -> dict[Place, Printed]:
-    """The numbers of one table of the paper, in its order, by their place. Paper: tab:results, tab:ablation, sec:evaluation:ablation, tab:scaling."""
+    """The numbers of one table of the paper, in its order, by their place.
+
+    Paper: tab:results, tab:ablation, sec:evaluation:ablation, tab:scaling.
+    """
     rows = list(
         csv.DictReader(files("fsar_ledger.reports").joinpath("paper", f"{table}.csv").read_text("utf-8").splitlines())
     )

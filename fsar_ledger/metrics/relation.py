@@ -1,8 +1,10 @@
-"""The relation `events` over segments of every release: each event once, as its newest version, with the columns of today.
+"""The relation `events` over segments of every release.
 
-Files are read in place, and columns that came after a segment was written are NULL. Rows of a retired type whose next versions only add to it are read
-in place, too, with what was added; others are left out where they are and come from memory, upcast one by one, which costs a ledger that holds some one
-reading of those segments.
+Each event once, as its newest version, with the columns of today.
+
+Files are read in place, and columns that came after a segment was written are NULL. Rows of a retired type whose next
+versions only add to it are read in place, too, with what was added; others are left out where they are and come from
+memory, upcast one by one, which costs a ledger that holds some one reading of those segments.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -45,7 +47,10 @@ def hold_segments(database: Database, segments: Sequence[Path], releases: Sequen
 
 
 def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> None:
-    """The database's `events` are the rows of this Arrow dataset or table over these segments, with the columns of today. Raises: as `_upcast`."""
+    """Make the rows of this Arrow dataset or table over these segments the database's `events`.
+
+    Raises: as `_upcast`.
+    """
     holding = _holding(database, segments, _types(database, segments))
     if not holding:
         database.hold("events", stored)
@@ -57,7 +62,10 @@ def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> N
 def _hold_newest(
     database: Database, parts: Sequence[tuple[str, frozenset[str]]], holding: Mapping[str, Sequence[Path]]
 ) -> None:
-    """The database's `events` are the rows of these relations, which have these columns, those of the retired types that they hold as their newest versions."""
+    """Make the rows of these relations, which have these columns, the database's `events`.
+
+    Bring retired types up to date.
+    """
     others = {tag: paths for tag, paths in holding.items() if RETIRED[tag].cls not in ADDITIONS}
     added = [tag for tag in holding if tag not in others]
     kept = f" WHERE type NOT IN ({_listed(others)})" if others else ""
@@ -66,13 +74,17 @@ def _hold_newest(
         database.hold(_UPCAST, newest)
         selects.append(f"SELECT * FROM {_UPCAST}")
     database.define("events", "\nUNION ALL\n".join(selects))
-    # Most types have no retired rows. Their views need not read a type that is made row by row, of which DuckDB knows nothing before it has read the rest.
+    # Most types have no retired rows. Their views need not read a type that is made row by row, of which DuckDB knows
+    # nothing before it has read the rest.
     database.define(_AS_STORED, "\nUNION ALL\n".join(_select(*part) for part in parts))
     database.source, database.changed = _AS_STORED, frozenset(map(_name, holding))
 
 
 def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> str:
-    """The rows of a relation that has these columns, with all of today's, NULL in others; rows of these retired types with what their way adds."""
+    """The rows of a relation that has these columns, with all of today's, NULL in others.
+
+    Rows of these retired types with what their way adds.
+    """
     values = {
         name: f'"{name}"' if name in present else f"CAST(NULL AS {SQL_TYPES[kind]})" for name, kind in COLUMNS.items()
     }
@@ -81,7 +93,8 @@ def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> 
         for name, value in {**way.added, "type": way.after.__struct_config__.tag}.items():
             # One look at each row: a second one, for these rows alone, would decode the types of all of them once more.
             values[name] = (
-                f"CASE WHEN type = {_literal(tag)} THEN CAST({_literal(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE {values[name]} END"
+                f"CASE WHEN type = {_literal(tag)} THEN CAST({_literal(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE "
+                f"{values[name]} END"
             )
     columns = ", ".join(f'{value} AS "{name}"' for name, value in values.items())
     return f"SELECT {columns} FROM {source}"
@@ -120,13 +133,17 @@ def _types(database: Database, segments: Sequence[Path]) -> frozenset[str] | Non
 def _holding(
     database: Database, segments: Sequence[Path], types: frozenset[str] | None
 ) -> Mapping[str, Sequence[Path]]:
-    """The retired types among these of the segments, and which hold them; all of both where one cannot be read, so that reading it says what is wrong."""
+    """The retired types among these of the segments, and which hold them.
+
+    All of both where one cannot be read, so that reading it says what is wrong.
+    """
     if types is None:
         return dict.fromkeys(RETIRED, segments)
     if types.isdisjoint(RETIRED):
         return {}
     found = database.direct(
-        f"SELECT DISTINCT type, filename FROM {_parquet(segments, 'filename = true')} WHERE type IN ({_listed(RETIRED)})"
+        f"SELECT DISTINCT type, filename FROM {_parquet(segments, 'filename = true')} WHERE type IN "
+        f"({_listed(RETIRED)})"
     )
     held = {tag: [path for path in segments if (tag, str(path)) in found] for tag in RETIRED}
     return {tag: paths for tag, paths in held.items() if paths}

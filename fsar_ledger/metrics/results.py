@@ -10,17 +10,21 @@ from .database import Database
 
 _Row = TypeVar("_Row", bound=msgspec.Struct)
 
-SETTINGS = "configuration <> 'full', configuration, fleet_size, kind <> 'simulated', kind, source, model_version, constants, seed"
+SETTINGS = (
+    "configuration <> 'full', configuration, fleet_size, kind <> 'simulated', kind, source, model_version, constants, "
+    "seed"
+)
 """In which order rows of different settings stand: those of the paper's table first."""
 
 
 class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One metric over the runs of one architecture that were made under the same constants, with one seed unless all are asked for.
+    """One metric over the runs of one architecture under the same constants, with one seed or with all.
 
     `constants` names those that other runs of the same model in this ledger have otherwise, None where there are none.
-    Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs of `seeds` seeds;
-    `denominator` what the metric counts, summed over runs; `mean_without_routine` where it counts routine operations, too; `runs_not_observed`
-    runs whose source does not record what the metric rests on, which nothing else counts. Reading: R42.
+    Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs of
+    `seeds` seeds; `denominator` what the metric counts, summed over runs; `mean_without_routine` where it counts
+    routine operations, too; `runs_not_observed` runs whose source does not record what the metric rests on, which
+    nothing else counts. Reading: R42.
     None: undefined, not observable, what the runs do not have, or `scenario` (`seed`) for all of them together.
     """
 
@@ -47,9 +51,12 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DialledRow(MetricRow, frozen=True, kw_only=True):
-    """A metric's summary with the dials that the paper leaves open: how often two robots meet, in seconds between, and how many teams work.
+    """A metric's summary with the dials that the paper leaves open.
 
-    `setting` as in `run_settings`; `made_alike_but` is the same text for runs of one model that differ in fleet size and these dials alone.
+    How often two robots meet, in seconds between, and how many teams work.
+
+    `setting` as in `run_settings`; `made_alike_but` is the same text for runs of one model that differ in fleet size
+    and these dials alone.
     """
 
     setting: str
@@ -59,12 +66,16 @@ class DialledRow(MetricRow, frozen=True, kw_only=True):
 
 
 class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One comparison of two architectures, or of one with itself without a mechanism, by one metric over paired runs. Paper: tab:significance.
+    """One comparison of two architectures, or of one with itself without a mechanism, by one metric over paired runs.
 
-    `comparison` is `first-second`; differences are first minus second, in the metric's unit. `configuration` is that of both architectures, or the
-    ablated one; `seed` None: all seeds together; `constants` as in `MetricRow`. Holm adjusts the `family_tests` tests of one `family` together.
-    The pooled columns are of the number that the results table prints, a ratio over all pairs (`statistics/pooled_tests`).
-    None: undefined (no variance, fewer than two pairs), McNemar's test of a metric that is not 0/1, or pooled columns of one that is not pooled.
+    Paper: tab:significance.
+
+    `comparison` is `first-second`; differences are first minus second, in the metric's unit. `configuration` is that of
+    both architectures, or the ablated one; `seed` None: all seeds together; `constants` as in `MetricRow`. Holm adjusts
+    the `family_tests` tests of one `family` together. The pooled columns are of the number that the results table
+    prints, a ratio over all pairs (`statistics/pooled_tests`).
+    None: undefined (no variance, fewer than two pairs), McNemar's test of a metric that is not 0/1, or pooled
+        columns of one that is not pooled.
     """
 
     family: str
@@ -111,7 +122,10 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def metric_rows(database: Database, by_scenario: bool = False, *, pools_seeds: bool = False) -> list[MetricRow]:
-    """The summary of every metric, over all scenarios or one row each; of each seed, or of all together. Raises: as `Database.rows`."""
+    """The summary of every metric, over all scenarios or one row each; of each seed, or of all together.
+
+    Raises: as `Database.rows`.
+    """
     rows = database.rows(f"""
         SELECT * EXCLUDE (position)
         FROM {"metric_summary_over_seeds" if pools_seeds else "metric_summary"}
@@ -122,18 +136,25 @@ def metric_rows(database: Database, by_scenario: bool = False, *, pools_seeds: b
 
 
 def dialled_rows(database: Database, *, pools_seeds: bool = False) -> list[DialledRow]:
-    """The summaries over all scenarios and of each, with their dials; of each seed, or of all together. Raises: as `Database.rows`."""
+    """The summaries over all scenarios and of each, with their dials; of each seed, or of all together.
+
+    Raises: as `Database.rows`.
+    """
     rows = database.rows(f"""
         SELECT * EXCLUDE (position, pools_seeds)
         FROM metrics_by_dial
         WHERE {"pools_seeds" if pools_seeds else "NOT pools_seeds"}
-        ORDER BY {SETTINGS}, scenario IS NOT NULL, scenario, position, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
+        ORDER BY {SETTINGS}, scenario IS NOT NULL, scenario, position, list_position(['fsar', 'cfc', 'dhma'],
+            architecture), architecture
     """)
     return typed(rows, DialledRow)
 
 
 def statistic_rows(database: Database, defined_only: bool = False, *, pools_seeds: bool = False) -> list[StatisticRow]:
-    """The pairwise tests with the published convention (n is all pairs), or only of pairs where the metric is defined in both runs; of each seed, or of all.
+    """Return the pairwise tests of each seed, or of all together.
+
+        They follow the published convention (n is all pairs), or take only pairs where the metric is defined in both
+        runs.
 
     Raises: as `Database.rows`.
     """
@@ -149,10 +170,14 @@ def statistic_rows(database: Database, defined_only: bool = False, *, pools_seed
 
 
 def typed(rows: list[dict[str, Any]], kind: type[_Row]) -> list[_Row]:
-    """The rows as structs. Raises: LedgerCorrupted where a value is none that an event as `verify` accepts it leads to."""
+    """The rows as structs.
+
+    Raises: LedgerCorrupted where a value is none that an event as `verify` accepts it leads to.
+    """
     try:
         return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
     except msgspec.ValidationError as error:
         raise LedgerCorrupted(
-            f"the answer: found a row that no events give ({error}), expected what {kind.__name__} holds; run fsar-ledger verify"
+            f"the answer: found a row that no events give ({error}), expected what {kind.__name__} holds; run "
+            "fsar-ledger verify"
         ) from error

@@ -1,9 +1,12 @@
-"""The rows of a segment by DuckDB's own Parquet reader, compared with those that were decoded by pyarrow: a whole look believes neither alone.
+"""The rows of a segment by DuckDB's own Parquet reader, compared with those that were decoded by pyarrow.
 
-Answers come from the one, proofs and replay from the other. `layout` leaves no way known to us in which a file could say two things to them;
-this finds the ways that are not known. A file that is byte for byte what its rows are written as leaves nobody a choice: there the two are
-compared by a digest of each column (its values counted, and its integers together). In any other file every value is compared, since
-whoever can choose what a file says can choose it to fit a digest.
+A whole look believes neither alone.
+
+Answers come from the one, proofs and replay from the other. `layout` leaves no way known to us in which a file could
+say two things to them; this finds the ways that are not known. A file that is byte for byte what its rows are written
+as leaves nobody a choice: there the two are compared by a digest of each column (its values counted, and its integers
+together). In any other file every value is compared, since whoever can choose what a file says can choose it to fit a
+digest.
 """
 
 import os

@@ -1,7 +1,10 @@
-"""Two sides of a comparison: which there are, which are meant, and what their runs, paired, have to say; of one ledger or of two.
+"""Two sides of a comparison: which there are, which are meant, and what their runs, paired, have to say.
 
-A side is an architecture and configuration under one setting (kind, source, model version, constants, fleet size). Runs of two sides are
-paired by seed, scenario and number. What is compared is read from its ledger run by run and held in a database of its own (`paired`).
+Of one ledger or of two.
+
+A side is an architecture and configuration under one setting (kind, source, model version, constants, fleet size). Runs
+of two sides are paired by seed, scenario and number. What is compared is read from its ledger run by run and held in a
+database of its own (`paired`).
 """
 
 from collections.abc import Sequence
@@ -21,16 +24,22 @@ from .results import typed
 SIDES = """
     SELECT *
     FROM sides
-    ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full', configuration, fleet_size, run_count DESC, side
+    ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full',
+        configuration, fleet_size, run_count DESC, side
 """
 RUNS = "SELECT * REPLACE ($name AS side) FROM side_runs WHERE side = $side ORDER BY run_id, metric"
-CONSTANTS = "SELECT name, value FROM constants WHERE model = to_json([$kind, $source, $model_version])::VARCHAR AND parameter_set = $parameter_set"
+CONSTANTS = """
+    SELECT name, value FROM constants
+    WHERE model = to_json([$kind, $source, $model_version])::VARCHAR AND parameter_set = $parameter_set
+"""
 DIFFERING = """
     WITH beside AS (
         SELECT
             coalesce(firsts.name, seconds.name) AS name,
-            coalesce(firsts.value, if($first_simulated, default_of(coalesce(firsts.name, seconds.name)), NULL), 'absent') AS first_value,
-            coalesce(seconds.value, if($second_simulated, default_of(coalesce(firsts.name, seconds.name)), NULL), 'absent') AS second_value
+            coalesce(firsts.value, if($first_simulated, default_of(coalesce(firsts.name, seconds.name)), NULL),
+                'absent') AS first_value,
+            coalesce(seconds.value, if($second_simulated, default_of(coalesce(firsts.name, seconds.name)), NULL),
+                'absent') AS second_value
         FROM first_constants AS firsts
         FULL JOIN second_constants AS seconds ON firsts.name = seconds.name
     )
@@ -42,8 +51,10 @@ COUNTS = """
         count(*) FILTER (WHERE shares = 'draws') AS same_draws,
         count(*) FILTER (WHERE shares = 'seed') AS same_seed,
         count(DISTINCT seed) FILTER (WHERE differs IS NULL) AS seeds,
-        (SELECT count(DISTINCT run_id) FROM side_runs WHERE side = 'first' AND run_id NOT IN (SELECT first_run_id FROM side_pairs)) AS first_alone,
-        (SELECT count(DISTINCT run_id) FROM side_runs WHERE side = 'second' AND run_id NOT IN (SELECT second_run_id FROM side_pairs)) AS second_alone
+        (SELECT count(DISTINCT run_id) FROM side_runs WHERE side = 'first' AND run_id NOT IN (SELECT first_run_id
+            FROM side_pairs)) AS first_alone,
+        (SELECT count(DISTINCT run_id) FROM side_runs WHERE side = 'second'
+            AND run_id NOT IN (SELECT second_run_id FROM side_pairs)) AS second_alone
     FROM side_pairs
 """
 ABSENT = "SELECT metric FROM metric_definitions WHERE metric NOT IN (SELECT metric FROM side_moments) ORDER BY position"
@@ -51,7 +62,8 @@ LEFT_OUT = """
     SELECT
         differs,
         count(*) AS pairs,
-        arg_min({'seed': seed, 'scenario': scenario, 'run': run, 'first': first_run_id, 'second': second_run_id}, (seed, scenario, run, first_run_id)) AS one
+        arg_min({'seed': seed, 'scenario': scenario, 'run': run, 'first': first_run_id, 'second': second_run_id},
+            (seed, scenario, run, first_run_id)) AS one
     FROM side_pairs
     WHERE differs IS NOT NULL
     GROUP BY differs
@@ -60,7 +72,10 @@ LEFT_OUT = """
 
 
 class Side(msgspec.Struct, frozen=True, kw_only=True):
-    """Runs that differ in seed, scenario and number alone; `letter` is that of their constants, as `info` has it, None where none are on record."""
+    """Runs that differ in seed, scenario and number alone.
+
+    `letter` is that of their constants, as `info` has it, None where none are on record.
+    """
 
     side: str
     architecture: str | None
@@ -81,11 +96,16 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def name(self) -> str:
         """Its whole name: `fsar:full@A/4`."""
-        return f"{self.architecture or '-'}:{self.configuration or '-'}@{self.letter or '-'}/{'-' if self.fleet_size is None else self.fleet_size}{self._end}"
+        robots = "-" if self.fleet_size is None else self.fleet_size
+        named = f"{self.architecture or '-'}:{self.configuration or '-'}@{self.letter or '-'}"
+        return f"{named}/{robots}{self._end}"
 
     @property
     def names(self) -> set[str]:
-        """All by which it can be asked for: the configuration `full`, the constants and the fleet size may be left out."""
+        """All by which it can be asked for.
+
+        The configuration `full`, the constants and the fleet size may be left out.
+        """
         heads = {f"{self.architecture or '-'}:{self.configuration or '-'}"} | (
             {self.architecture or "-"} if self.configuration in (FULL, None) else set()
         )
@@ -117,7 +137,10 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
             if self.seeds
             else "no seed"
         )
-        return f"{self}{unnamed} under {seeds}, {printable.some(map(printable.value, self.scenarios or ())) or 'no scenario'}"
+        return (
+            f"{self}{unnamed} under {seeds}, "
+            f"{printable.some(map(printable.value, self.scenarios or ())) or 'no scenario'}"
+        )
 
 
 class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
@@ -129,9 +152,10 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SideRow(msgspec.Struct, frozen=True, kw_only=True):
-    """The paired difference of one metric, first minus second, in the metric's unit, as `statistics/side_differences` has it.
+    """The paired difference of one metric, first minus second, in the metric's unit (`statistics/side_differences`).
 
-    `seed` None: all seeds together; `scenario` None: all scenarios. `differing_pairs` of `n` pairs have runs that differ at all.
+    `seed` None: all seeds together; `scenario` None: all scenarios. `differing_pairs` of `n` pairs have runs that
+    differ at all.
     """
 
     seed: int | None
@@ -160,7 +184,10 @@ class Differing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Paired(msgspec.Struct, frozen=True, kw_only=True):
-    """What two sides have to say of each other: how many pairs share what, which runs have no part in them, and the rows."""
+    """What two sides have to say of each other.
+
+    How many pairs share what, which runs have no part in them, and the rows.
+    """
 
     same_facts: int
     same_draws: int
@@ -223,14 +250,18 @@ def chosen(
         if len(only) != 1:
             found = f"found {counted(len(alike), 'side')} in common" if alike else "found no side in common"
             raise UsageError(
-                f"{found}, expected --first NAME, or one: {places[0]} holds {_listed(firsts)}; {places[1]} holds {_listed(seconds)}"
+                f"{found}, expected --first NAME, or one: {places[0]} holds {_listed(firsts)}; {places[1]} holds "
+                f"{_listed(seconds)}"
             )
         return only[0]
     return first or _like(second, firsts, "--first", places[0]), second or _like(first, seconds, "--second", places[1])
 
 
 def _alike(one: Side | None, held: Sequence[Side]) -> list[Side]:
-    """Those that are this one but for constants, model and kind of runs; where none is, but for the size of the fleet, too."""
+    """Those that are this one but for constants, model and kind of runs.
+
+    Where none is, but for the size of the fleet, too.
+    """
     named = [
         side
         for side in held
@@ -255,7 +286,8 @@ def _named(option: str, asked: str | None, held: Sequence[Side], place: str) -> 
         )
         raise UsageError(f"{option} {shown}: found {len(found):,} such in {place}: {_listed(found)}{more}")
     raise UsageError(
-        f"{option} {shown}: found no such runs in {place}, expected ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: it holds {_listed(held)}"
+        f"{option} {shown}: found no such runs in {place}, expected ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: "
+        f"it holds {_listed(held)}"
     )
 
 

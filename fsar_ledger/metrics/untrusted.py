@@ -30,7 +30,10 @@ from .locked import GRACE_S, Limits, Question, Refusal
 from .verified import is_verified
 
 ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1"}
-"""All that the process finds in its environment: libraries then reserve no address space that they do not use (2.4 GiB become 0.7 GiB)."""
+"""All that the process finds in its environment.
+
+Libraries then reserve no address space that they do not use (2.4 GiB become 0.7 GiB).
+"""
 
 NEEDED = ("LD_LIBRARY_PATH",)
 """What it is given of the caller's environment: some interpreters do not start without it."""
@@ -51,7 +54,7 @@ OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory", "out of m
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """The rows that a SELECT yielded at this head, and whether the rows that it read were compared with the head's root."""
+    """The rows of a SELECT at this head, and whether the rows that it read were compared with the head's root."""
 
     head: Head
     rows_verified: bool
@@ -60,7 +63,10 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 class Stream(NamedTuple):
-    """As `Answer`, but with `parts`: some rows at a time. They raise QueryFailed when the time is over, or for a value that cannot be shown."""
+    """As `Answer`, but with `parts`: some rows at a time.
+
+    They raise QueryFailed when the time is over, or for a value that cannot be shown.
+    """
 
     head: Head
     rows_verified: bool
@@ -78,12 +84,15 @@ def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded
 def stream_untrusted(
     ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None
 ) -> Iterator[Stream]:
-    """The answer of this SELECT over the ledger's present head; with `demanded`, only over the head with that newest record.
+    """The answer of this SELECT over the ledger's present head.
+
+    With `demanded`, only over the head with that newest record.
 
     The limit of time holds until the last part has been taken.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; LedgerCorrupted also for a segment that is not as committed.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; LedgerCorrupted also for a
+            segment that is not as committed.
         SequenceConflict: As `is_verified`.
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
@@ -94,7 +103,10 @@ def stream_untrusted(
 def table_untrusted(
     ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None
 ) -> tuple[pa.Table, Head, bool]:
-    """Return the answer of this SELECT as Arrow has it, its head, and whether the rows it read were compared with the root. Raises: as `stream_untrusted`."""
+    """Return the answer of this SELECT in Arrow, its head, and whether the rows it read were compared with the root.
+
+    Raises: as `stream_untrusted`.
+    """
     with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, first, process):
         tables = [pa.ipc.open_stream(first).read_all()]
         while data := process.receive():
@@ -107,7 +119,7 @@ def table_untrusted(
 def _answering(
     ledger: Path, sql: str, limits: Limits, demanded: str | None
 ) -> Iterator[tuple[Head, bool, bytes, "_Process"]]:
-    """The head, whether its rows were compared with the root, the first part of the answer, without rows, and the process that sends the others."""
+    """Return the head, whether its rows were compared with the root, an empty first part and the sending process."""
     check_text(sql, limits)
     view = open_for_answers(ledger)
     rows_verified = is_verified(view, demanded)
@@ -154,7 +166,10 @@ def check_text(sql: str, limits: Limits) -> None:
 
 
 class _Process:
-    """A process that waits for a `Question`, and the pipe to it; it is ended when its time is over, whatever either side is doing."""
+    """A process that waits for a `Question`, and the pipe to it.
+
+    It is ended when its time is over, whatever either side is doing.
+    """
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
@@ -224,7 +239,10 @@ class _Process:
 
 
 def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
-    """Why a process ended without an answer, and what to do, by its exit code (a signal's number below zero) and the end of what it wrote to stderr."""
+    """Return why a process ended without an answer, and what to do.
+
+    It is told by the exit code (below zero: a signal's number) and by the end of what the process wrote to stderr.
+    """
     last = next((line for line in reversed(said.splitlines()) if line.strip()), "nothing")[:SHOWN]
     memory = (
         f"ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less, or raise it with --memory"
@@ -241,7 +259,10 @@ def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
     if killer == signal.SIGKILL:
         return "was killed from outside (SIGKILL), as a system does that is short of memory; see to that and ask again"
     if killer in (signal.SIGSEGV, signal.SIGBUS):
-        return f"crashed ({signal.Signals(-code).name}): values nest too deep for it, or DuckDB has an error there; ask for it in another way"
+        return (
+            f"crashed ({signal.Signals(-code).name}): values nest too deep for it, or DuckDB has an error there; ask "
+            "for it in another way"
+        )
     return f"was ended by {f'signal {-code}' if killer is None else killer.name}; the last that it wrote: {last}"
 
 

@@ -2,10 +2,11 @@
 
 Both rules were registered before the fit, in `reports/registration.toml`.
 
-- *Does this model give the printed number?* Equivalence by two one-sided tests, with our sampling error alone: `yes` if the 90 % interval of
-  (ours - paper) lies within the metric's margin, `no` if it lies wholly outside, `undecided` otherwise, also where our mean has no SD.
-- *Could the paper's experiment, run on this model, have printed it?* `no` if fewer than one in twenty experiments of the paper's size, drawn from our
-  runs, print a number as far out (`odds.py`), `yes` otherwise.
+- *Does this model give the printed number?* Equivalence by two one-sided tests, with our sampling error alone: `yes`
+  if the 90 % interval of (ours - paper) lies within the metric's margin, `no` if it lies wholly outside, `undecided`
+  otherwise, also where our mean has no SD.
+- *Could the paper's experiment, run on this model, have printed it?* `no` if fewer than one in twenty experiments of
+  the paper's size, drawn from our runs, print a number as far out (`odds.py`), `yes` otherwise.
 """
 
 import math
@@ -32,9 +33,10 @@ MARGINS: dict[str, float] = {one.name: one.printed.margin for one in published_m
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     """One cell judged. Differences are ours minus the paper's, in the metric's unit; None where ours is undefined.
 
-    `low` and `high` are the 90 % interval of the difference, with our error alone; `distance` is the difference in margins. `gives` answers the first
-    question, and `power` is the chance that it is `yes` where the model gives exactly the printed number. `share` is the two-sided share of drawn
-    experiments, and `could` the answer to the second question; None where none were drawn.
+    `low` and `high` are the 90 % interval of the difference, with our error alone; `distance` is the difference in
+    margins. `gives` answers the first question, and `power` is the chance that it is `yes` where the model gives
+    exactly the printed number. `share` is the two-sided share of drawn experiments, and `could` the answer to the
+    second question; None where none were drawn.
     """
 
     metric: str
@@ -56,12 +58,18 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 
 @cache
 def published() -> dict[Cell, Printed]:
-    """The 24 cells of the paper's results table in our unit, by metric and architecture. No other table is read for them. Paper: tab:results."""
+    """The 24 cells of the paper's results table in our unit, by metric and architecture.
+
+    No other table is read for them. Paper: tab:results.
+    """
     return {(place.metric, place.architecture): number for place, number in printed("results").items()}
 
 
 def compare(rows: Iterable[MetricRow], odds: Odds[Cell] | None = None) -> list[Comparison]:
-    """The answers for every row whose metric and architecture the results table prints, in the order given; the second only with odds."""
+    """The answers for every row whose metric and architecture the results table prints, in the order given.
+
+    The second only with odds.
+    """
     found = []
     for row in rows:
         cell = (row.metric, row.architecture or "")
@@ -71,7 +79,10 @@ def compare(rows: Iterable[MetricRow], odds: Odds[Cell] | None = None) -> list[C
 
 
 def judge(row: MetricRow, paper: float, share: float | None) -> Comparison:
-    """A number beside a printed one, of whatever table, by the rules above; `share` of the drawn experiments, None where none were drawn."""
+    """A number beside a printed one, of whatever table, by the rules above.
+
+    `share` of the drawn experiments, None where none were drawn.
+    """
     margin = MARGINS[row.metric]
     difference = None if row.mean is None else row.mean - paper
     low = high = power = None
@@ -116,7 +127,10 @@ def _half_width(sd: float, n: int) -> float:
 
 
 def _power(sd: float, n: int, margin: float) -> float:
-    """The chance of `yes` where the difference is nothing: that the mean lies so near that its interval is within the margin."""
+    """The chance of `yes` where the difference is nothing.
+
+    That the mean lies so near that its interval is within the margin.
+    """
     from scipy.special import stdtr
 
     reach = (margin - _half_width(sd, n)) / (sd / math.sqrt(n))

@@ -1,10 +1,14 @@
-"""The heads whose rows a whole look has compared with their root: remembered beside the user's other caches, never in a ledger.
+"""The heads whose rows a whole look has compared with their root.
 
-A name is all that is remembered: a SHA-256 over the hash of the newest commit record, which vouches for every segment's hash, and the versions of all
-that read the rows. Whoever opens a ledger with that record, and compares its segments with their hashes, has the very bytes that were looked at.
+Remembered beside the user's other caches, never in a ledger.
 
-Exactly that head counts. After a commit more it is another: what the look saw is then a part of the rows, and no answer says which part it came from.
-The memory is of this user on this machine, who could as well change the program; nobody else's is believed, and to lose it costs one more look.
+A name is all that is remembered: a SHA-256 over the hash of the newest commit record, which vouches for every segment's
+hash, and the versions of all that read the rows. Whoever opens a ledger with that record, and compares its segments
+with their hashes, has the very bytes that were looked at.
+
+Exactly that head counts. After a commit more it is another: what the look saw is then a part of the rows, and no answer
+says which part it came from. The memory is of this user on this machine, who could as well change the program; nobody
+else's is believed, and to lose it costs one more look.
 """
 
 import hashlib
@@ -31,7 +35,10 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 def whole_look(
     ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, asked: Asked | None = None
 ) -> VerifyReport:
-    """The report of `verify`; where it read the rows and doubts nothing, the head is remembered. Raises: as `verify`."""
+    """The report of `verify`; where it read the rows and doubts nothing, the head is remembered.
+
+    Raises: as `verify`.
+    """
     asked = asked or Asked()
     if not asked.is_quick:
         from .second_reader import read_again  # DuckDB, which a proof does without
@@ -55,7 +62,8 @@ def required_look(ledger: Path, workers: int = 1, progress: Callable[[int, int],
         first, *others = report.problems
         more = f" ({len(others)} more of these)" if others else ""
         raise LedgerCorrupted(
-            f"{ledger}: {first}{more}; no answer is given from rows that are not those under the root, run fsar-ledger verify"
+            f"{ledger}: {first}{more}; no answer is given from rows that are not those under the root, run fsar-ledger "
+            "verify"
         )
     return report.record_sha256
 
@@ -72,13 +80,14 @@ def is_verified(view: LedgerView, demanded: str | None = None) -> bool:
     """
     if demanded is not None and view.record_sha256 != demanded:
         raise SequenceConflict(
-            f"{view.path}: found another newest commit than a moment ago, when its rows were compared with its root; run it again"
+            f"{view.path}: found another newest commit than a moment ago, when its rows were compared with its root; "
+            "run it again"
         )
     return demanded is not None or not view.records or is_remembered(view.record_sha256)
 
 
 def is_remembered(record_sha256: str) -> bool:
-    """Whether a whole look by this user, with these versions, found nothing in a ledger whose newest record has this hash."""
+    """Return whether this user's `verify`, with these versions, found nothing in a ledger with this newest record."""
     file = _place(record_sha256)
     if file is None or not _is_own(file.parent):
         return False
@@ -109,7 +118,10 @@ def _remember(record_sha256: str) -> None:
 
 
 def _folder() -> Path | None:
-    """The user's cache of this program: `$XDG_CACHE_HOME/fsar-ledger`, else `~/.cache/fsar-ledger`; None where there is no home."""
+    """The user's cache of this program: `$XDG_CACHE_HOME/fsar-ledger`, else `~/.cache/fsar-ledger`.
+
+    None where there is no home.
+    """
     named = os.environ.get("XDG_CACHE_HOME", "")
     if os.path.isabs(named):  # the specification ignores any other
         return Path(named) / "fsar-ledger"
@@ -133,7 +145,10 @@ def _is_safe(status: os.stat_result) -> bool:
 
 
 def _place(record_sha256: str) -> Path | None:
-    """The file by which a head is remembered; None where there is no cache, or nobody knows which versions read the rows."""
+    """The file by which a head is remembered.
+
+    None where there is no cache, or nobody knows which versions read the rows.
+    """
     folder = _folder()
     try:
         read_by = (f"fsar-ledger {__version__}", *(f"{name} {version(name)}" for name in ("pyarrow", "duckdb")))

@@ -75,5 +75,6 @@ def recorded(folder: Traversable | None = None) -> Record | None:
         return msgspec.json.decode(path.read_bytes(), type=Record)
     except msgspec.DecodeError as error:
         raise FsarLedgerError(
-            f"reports/calibration.json: {error}; expected what `fsar-ledger calibrate --out FILE` writes; write it again"
+            f"reports/calibration.json: {error}; expected what `fsar-ledger calibrate --out FILE` writes; write it "
+            "again"
         ) from error

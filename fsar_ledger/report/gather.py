@@ -496,6 +496,7 @@ def _of_main(
         seed = "* REPLACE (NULL::BIGINT AS seed)" if main[2] is None else "*"  # all seeds are asked for together
         narrowed.define(
             "runs",
-            f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)",
+            f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM "
+            "chosen_runs)",
         )
         return grades.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))

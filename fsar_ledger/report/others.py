@@ -60,7 +60,8 @@ def others(ledgers: Mapping[Path, str | None], workflows: Path | None = None, *,
             here = Others(workflows=grades.workflows(ledger, demanded)).over(here)
         if here == Others():
             raise UsageError(
-                f"--with {ledger}: found no run of a workflow, without a mechanism, or of another fleet than of four robots, "
+                f"--with {ledger}: found no run of a workflow, without a mechanism, or of another fleet than of four "
+                "robots, "
                 "expected some of these; `fsar-ledger reproduce` makes such ledgers"
             )
         found = found.over(here)

@@ -38,7 +38,8 @@ def outcomes(findings: Findings, folder: Traversable | None = None) -> list[Row]
         constants = dict(flat("", msgspec.json.decode(record.parameters)))
     except msgspec.DecodeError as error:
         raise FsarLedgerError(
-            f"reports/comparison.json: {error}; expected what `fsar-ledger judge PREDICTIONS --out FILE` writes; write it again"
+            f"reports/comparison.json: {error}; expected what `fsar-ledger judge PREDICTIONS --out FILE` writes; write "
+            "it again"
         ) from error
     if (record.model_version, constants) != (findings.model_version, findings.parameters):
         return []

@@ -9,7 +9,8 @@ from fsar_ledger import constants
 WORDS = {
     "paper": "printed in the paper",
     "fitted": "fitted to the paper's results table; the record of the fit is `reports/calibration.json`",
-    "chosen after fits": "ours, and chosen or kept while the cells of that table were looked at, in the study before the first fit or since; "
+    "chosen after fits": "ours, and chosen or kept while the cells of that table were looked at, in the study before "
+    "the first fit or since; "
     "most move a cell, and none is a prediction",
     "chosen": "ours, and none of the 24 cells hangs on it",
 }

@@ -119,7 +119,8 @@ def read_sensitivity(path: Path, model_version: str, parameters: str) -> Sensiti
             f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
         )
         raise UsageError(
-            f"{path}: found effects around other constants ({named}), expected those of these runs; make them again: {MADE_BY}"
+            f"{path}: found effects around other constants ({named}), expected those of these runs; make them again: "
+            f"{MADE_BY}"
         )
     return found
 
@@ -131,18 +132,22 @@ def section(found: Sensitivity | None, model_version: str | None, digests: Colle
     """
     if found is None:
         return Section(
-            f"How much of each number hangs on each constant was not looked at for this report; {MADE_BY} does it, in most of an hour."
+            f"How much of each number hangs on each constant was not looked at for this report; {MADE_BY} does it, in "
+            "most of an hour."
         )
     about, still = found.about, sum(furthest == 0 for furthest in reach(found).values())
     if about.model_version != model_version:
         return Section(f"The effects that were given are not of these runs: {_of_another_model(about, model_version)}.")
     if sha256(about.parameters.encode()).hexdigest() not in digests:
         return Section(
-            f"The effects that were given are not of these runs: found effects around other constants; make them again: {MADE_BY}."
+            "The effects that were given are not of these runs: found effects around other constants; make them "
+            f"again: {MADE_BY}."
         )
     sentence = (
-        f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were each varied {about.trajectories} times, "
-        f"over {about.evaluations} evaluations of {about.runs} runs per scenario and architecture; {still} of them move nothing."
+        f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were "
+        f"each varied {about.trajectories} times, "
+        f"over {about.evaluations} evaluations of {about.runs} runs per scenario and architecture; {still} of them "
+        "move nothing."
     )
     return Section(sentence, heat_map(found), printing.table("sensitivity", dozen(found)))
 
@@ -176,7 +181,8 @@ def open_effects(path: Path) -> Sensitivity:
         or not set(about.dozen) <= set(about.factors)
     ):
         raise UsageError(
-            f"{path}: found no file of effects (a row for each cell and factor is not there), expected one of `{MADE_BY}`"
+            f"{path}: found no file of effects (a row for each cell and factor is not there), expected one of "
+            f"`{MADE_BY}`"
         )
     return Sensitivity(about, effects)
 

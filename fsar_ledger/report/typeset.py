@@ -27,7 +27,8 @@ def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:
             return _compiled(root)
     except OSError as error:
         raise WriteFailed(
-            f"{tempfile.gettempdir()}: temporary files cannot be written: {error.strerror}. Nothing was changed; free space or set TMPDIR."
+            f"{tempfile.gettempdir()}: temporary files cannot be written: {error.strerror}. Nothing was changed; free "
+            "space or set TMPDIR."
         ) from error
 
 
@@ -61,7 +62,8 @@ def _require_file(path: Path) -> None:
 
 def _unwritten(path: Path, error: OSError) -> WriteFailed:
     return WriteFailed(
-        f"{path}: cannot be written: {error.strerror or error}. Nothing was changed; free space or choose another --out."
+        f"{path}: cannot be written: {error.strerror or error}. Nothing was changed; free space or choose another "
+        "--out."
     )
 
 

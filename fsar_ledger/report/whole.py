@@ -44,7 +44,10 @@ def why_apart(runs: Mapping[str, Held], pairs: Mapping[str, Held]) -> str | None
     if not told:
         return None
     of_each = "; ".join(f"of {some(names)} this ledger has {listed}" for listed, names in told.items())
-    return f"The printed tables are over {len(SCENARIOS)} scenarios with equally many runs of each, but {of_each}. They are therefore shown without a verdict."
+    return (
+        f"The printed tables are over {len(SCENARIOS)} scenarios with equally many runs of each, but {of_each}. They "
+        "are therefore shown without a verdict."
+    )
 
 
 def _listed(of_scenarios: Held, what: str) -> str:

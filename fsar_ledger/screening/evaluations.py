@@ -122,7 +122,8 @@ class Answers:
         try:
             if lines and msgspec.json.decode(lines[0], type=_Header) != header:
                 raise UsageError(
-                    f"{self._path}: found evaluations of another program, expected those of this one; remove the file to begin again"
+                    f"{self._path}: found evaluations of another program, expected those of this one; remove the file "
+                    "to begin again"
                 )
             for line in lines[1:]:
                 one = msgspec.json.decode(line, type=_Line)
@@ -144,7 +145,8 @@ class Answers:
             self._write(_Line(key, values))
         except OSError as error:
             raise WriteFailed(
-                f"{self._path}: cannot be written ({error.strerror}); make room and call it again, which goes on from there"
+                f"{self._path}: cannot be written ({error.strerror}); make room and call it again, which goes on from "
+                "there"
             ) from error
         self.found[key] = values
 

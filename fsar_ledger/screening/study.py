@@ -247,7 +247,8 @@ def _require_place(out: Path) -> None:
         ) from error
     if out.is_dir():
         raise WriteFailed(
-            f"{out}: cannot be written (it is a folder); expected the name of a file, such as {out / 'sensitivity.parquet'}"
+            f"{out}: cannot be written (it is a folder); expected the name of a file, such as "
+            f"{out / 'sensitivity.parquet'}"
         )
 
 
@@ -258,7 +259,8 @@ def _write(out: Path, found: Sensitivity) -> None:
         temporary.replace(out)
     except OSError as error:
         raise WriteFailed(
-            f"{out}: cannot be written ({error.strerror or error}); make room and call it again, which goes on from there"
+            f"{out}: cannot be written ({error.strerror or error}); make room and call it again, which goes on from "
+            "there"
         ) from error
     finally:
         temporary.unlink(missing_ok=True)

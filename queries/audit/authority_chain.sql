@@ -38,34 +38,20 @@ WITH deeds (type, deed) AS (
 ),
 
 tuples AS (
-    SELECT
-        run_id,
-        seq,
-        trust,
-        may_request,
-        may_execute,
-        override,
-        is_audited
+    SELECT run_id, seq, trust, may_request, may_execute, override, is_audited
     FROM request_events
     UNION ALL BY NAME
-    SELECT
-        run_id,
-        seq,
-        override
+    SELECT run_id, seq, override
     FROM authority_granted
 ),
 
 concerned AS (
     -- Rights that bear on an evaluation, and events of the action itself.
-    SELECT DISTINCT
-        rights.run_id,
-        rights.seq,
-        evaluations.action_id
+    SELECT DISTINCT rights.run_id, rights.seq, evaluations.action_id
     FROM authority_events AS rights
     INNER JOIN evaluations
         ON
-            rights.run_id = evaluations.run_id
-            AND rights.seq < evaluations.seq
+            rights.run_id = evaluations.run_id AND rights.seq < evaluations.seq
             AND rights.requested_by = evaluations.requested_by
             AND coalesce(rights.executed_by = evaluations.executed_by, TRUE)
             AND coalesce(rights.capability = evaluations.capability, TRUE)
@@ -73,29 +59,17 @@ concerned AS (
     WHERE rights.type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
     UNION ALL
     SELECT
-        run_id,
-        seq,
+        run_id, seq,
         coalesce(action_id, failed_action) AS action_id
     FROM event_principals
     WHERE coalesce(action_id, failed_action) IS NOT NULL
 )
 
 SELECT
-    events.run_id,
-    concerned.action_id,
-    events.seq,
-    events.time_us,
-    deeds.deed,
+    events.run_id, concerned.action_id, events.seq, events.time_us, deeds.deed,
     CASE WHEN deeds.deed IN ('acted', 'finished') THEN events.executed_by ELSE events.decided_by END AS principal,
-    events.requested_by,
-    events.executed_by,
-    events.supervised_by,
-    events.path,
-    tuples.trust,
-    tuples.may_request,
-    tuples.may_execute,
-    tuples.override,
-    tuples.is_audited
+    events.requested_by, events.executed_by, events.supervised_by, events.path, tuples.trust, tuples.may_request,
+    tuples.may_execute, tuples.override, tuples.is_audited
 FROM concerned
 INNER JOIN event_principals AS events ON concerned.run_id = events.run_id AND concerned.seq = events.seq
 INNER JOIN deeds ON events.type = deeds.type

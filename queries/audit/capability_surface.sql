@@ -26,10 +26,7 @@ trusted AS (
     -- Visible_Gamma: the role, the domain around the requester, and, where it is trust-gated, some trust, which asking
     -- needs at any rate.
     SELECT
-        surfaces.run_id,
-        surfaces.robot,
-        surfaces.capability,
-        surfaces.trust_required,
+        surfaces.run_id, surfaces.robot, surfaces.capability, surfaces.trust_required,
         peers.robot AS peer,
         arg_max(trust.scope, trust.precedence) AS scope
     FROM surfaces
@@ -39,11 +36,8 @@ trusted AS (
         ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND NOT trusted.is_trusting
     INNER JOIN trust_precedence AS trust
         ON
-            trusting.run_id = trust.run_id
-            AND trusting.seq = trust.seq
-            AND trust.context IS NULL
-            AND trust.time_us <= $at_us::BIGINT
-            AND (trust.capability IS NULL OR surfaces.capability = trust.capability)
+            trusting.run_id = trust.run_id AND trusting.seq = trust.seq AND trust.context IS NULL
+            AND trust.time_us <= $at_us::BIGINT AND (trust.capability IS NULL OR surfaces.capability = trust.capability)
     INNER JOIN fleet_members AS peers
         ON trusted.run_id = peers.run_id AND trusted.robot = peers.robot AND peers.joined_us <= $at_us::BIGINT
     INNER JOIN fleet_members AS owners ON surfaces.run_id = owners.run_id AND surfaces.robot = owners.robot
@@ -61,9 +55,7 @@ admissible AS (
     -- Those who may ask at all: what a request states more (version, contract, context), and policy, may still refuse
     -- them.
     SELECT
-        trusted.run_id,
-        trusted.robot,
-        trusted.capability,
+        trusted.run_id, trusted.robot, trusted.capability,
         list(trusted.peer ORDER BY trusted.peer) AS may_ask
     FROM trusted
     INNER JOIN scopes AS given ON trusted.scope = given.scope
@@ -73,27 +65,13 @@ admissible AS (
 )
 
 SELECT
-    surfaces.run_id,
-    surfaces.robot,
-    surfaces.capability,
-    surfaces.since_us,
-    surfaces.version,
-    surfaces.preconditions,
-    surfaces.postconditions,
-    surfaces.resources,
-    surfaces.trust_required,
-    surfaces.policy_required,
-    surfaces.override_allowed,
-    surfaces.availability,
-    surfaces.embodiment,
-    surfaces.visibility,
-    surfaces.visible_to,
-    surfaces.is_deprecated,
-    surfaces.successor,
+    surfaces.run_id, surfaces.robot, surfaces.capability, surfaces.since_us, surfaces.version, surfaces.preconditions,
+    surfaces.postconditions, surfaces.resources, surfaces.trust_required, surfaces.policy_required,
+    surfaces.override_allowed, surfaces.availability, surfaces.embodiment, surfaces.visibility, surfaces.visible_to,
+    surfaces.is_deprecated, surfaces.successor,
     coalesce(admissible.may_ask, []) AS may_ask
 FROM surfaces
 LEFT JOIN admissible
     ON
-        surfaces.run_id = admissible.run_id
-        AND surfaces.robot = admissible.robot
+        surfaces.run_id = admissible.run_id AND surfaces.robot = admissible.robot
         AND surfaces.capability = admissible.capability

@@ -9,27 +9,18 @@
 --   answers for an ExecutionFinished: RequestAccepted, 3 causes back, by robot/C1 alone, so it was local
 -- Parameters: run = all, seq = 0
 WITH RECURSIVE causes AS (
-    SELECT
-        run_id,
-        seq,
-        caused_by
+    SELECT run_id, seq, caused_by
     FROM event_principals
     WHERE $run IN ('all', run_id) AND seq <= $seq::BIGINT
 ),
 
 way_back AS (
-    SELECT
-        causes.run_id,
-        causes.seq,
-        causes.caused_by,
-        0 AS steps
+    SELECT causes.run_id, causes.seq, causes.caused_by, 0 AS steps
     FROM causes
     WHERE causes.seq = $seq::BIGINT
     UNION ALL
     SELECT
-        causes.run_id,
-        causes.seq,
-        causes.caused_by,
+        causes.run_id, causes.seq, causes.caused_by,
         way_back.steps + 1 AS steps
     FROM way_back
     -- A cause comes before what it causes; a forged record that says otherwise ends the way.
@@ -48,17 +39,11 @@ nearest AS (
 )
 
 SELECT
-    asked.run_id,
-    asked.seq,
-    asked.type,
-    nearest.steps,
-    nearest.decision_seq,
+    asked.run_id, asked.seq, asked.type, nearest.steps, nearest.decision_seq,
     decisions.type AS decision_type,
     decisions.decision_kind,
     decisions.time_us AS decided_us,
-    decisions.decided_by,
-    decisions.path,
-    decisions.is_local
+    decisions.decided_by, decisions.path, decisions.is_local
 FROM event_principals AS asked
 LEFT JOIN nearest ON asked.run_id = nearest.run_id
 LEFT JOIN decisions ON nearest.run_id = decisions.run_id AND nearest.decision_seq = decisions.seq

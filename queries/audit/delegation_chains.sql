@@ -12,24 +12,12 @@
 --   robot/C1 has none for robot/A1
 -- Parameters: run = all, action = all
 WITH RECURSIVE chains AS (
-    SELECT
-        run_id,
-        seq,
-        time_us,
-        action_id AS chain,
-        action_id,
-        requested_by AS first_requester,
-        1 AS link
+    SELECT run_id, seq, time_us, action_id AS chain, action_id, requested_by AS first_requester, 1 AS link
     FROM request_issued
     WHERE parent IS NULL AND action_id IS NOT NULL AND $run IN ('all', run_id) AND $action IN ('all', action_id)
     UNION ALL
     SELECT
-        asked.run_id,
-        asked.seq,
-        asked.time_us,
-        chains.chain,
-        asked.action_id,
-        chains.first_requester,
+        asked.run_id, asked.seq, asked.time_us, chains.chain, asked.action_id, chains.first_requester,
         chains.link + 1 AS link
     FROM chains
     -- A request comes after the one that it serves; a forged record that says otherwise is no link.
@@ -50,9 +38,7 @@ judged AS (
 
 ends AS (
     SELECT
-        chains.run_id,
-        chains.chain,
-        chains.seq,
+        chains.run_id, chains.chain, chains.seq,
         arg_max(trust.scope, trust.precedence) AS end_scope
     FROM chains
     INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
@@ -60,9 +46,7 @@ ends AS (
         ON chains.run_id = own.run_id AND asked.executed_by = own.robot AND own.is_trusting AND chains.seq > own.seq
     INNER JOIN trust_parties AS peers
         ON
-            own.run_id = peers.run_id
-            AND own.seq = peers.seq
-            AND chains.first_requester = peers.robot
+            own.run_id = peers.run_id AND own.seq = peers.seq AND chains.first_requester = peers.robot
             AND NOT peers.is_trusting
     INNER JOIN trust_precedence AS trust ON own.run_id = trust.run_id AND own.seq = trust.seq
     WHERE
@@ -72,17 +56,9 @@ ends AS (
 )
 
 SELECT
-    chains.run_id,
-    chains.chain,
-    chains.link,
-    chains.action_id,
+    chains.run_id, chains.chain, chains.link, chains.action_id,
     chains.time_us AS asked_us,
-    asked.requested_by,
-    asked.executed_by,
-    asked.capability,
-    judged.trust,
-    judged.verdict,
-    judged.conjunct,
+    asked.requested_by, asked.executed_by, asked.capability, judged.trust, judged.verdict, judged.conjunct,
     coalesce(
         bool_and(coalesce(judged.verdict = 'admitted', FALSE)) OVER (PARTITION BY chains.run_id, chains.chain), FALSE
     ) AS is_well_formed,

@@ -35,16 +35,8 @@ larger AS (
 )
 
 SELECT
-    plans.plan,
-    plans.seed,
-    plans.fleet_size,
-    plans.architectures,
-    plans.configurations,
-    plans.scenarios,
-    plans.run_count,
-    plans.model_version,
-    plans.parameters_sha256,
-    plans.planned_count,
+    plans.plan, plans.seed, plans.fleet_size, plans.architectures, plans.configurations, plans.scenarios,
+    plans.run_count, plans.model_version, plans.parameters_sha256, plans.planned_count,
     coalesce(there.there_count, 0) AS there_count,
     plans.planned_count - coalesce(there.there_count, 0) AS missing_count,
     coalesce(larger.larger_plans, 0) AS larger_plans

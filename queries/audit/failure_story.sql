@@ -13,21 +13,8 @@
 -- Parameters: run = all, action = all
 WITH steps AS (
     SELECT
-        run_id,
-        action_id,
-        failure,
-        detected_us,
-        seq,
-        type,
-        time_us,
-        until_us,
-        decided_by,
-        level,
-        to_level,
-        deadline_us,
-        what,
-        result,
-        achieved,
+        run_id, action_id, failure, detected_us, seq, time_us, until_us, decided_by, level, to_level, deadline_us, what,
+        result, achieved,
         row_number() OVER in_order AS step,
         -- A step that follows an escalation began with it; the first began with the detection.
         CASE
@@ -42,20 +29,12 @@ WITH steps AS (
 )
 
 SELECT
-    run_id,
-    action_id,
-    failure,
-    step,
-    seq,
+    run_id, action_id, failure, step, seq,
     list_position(['local', 'peer', 'fleet', 'human'], level) AS level_number,
-    level,
-    to_level,
+    level, to_level,
     time_us / 1000000 AS time_s,
     until_us / 1000000 AS until_s,
-    decided_by,
-    what,
-    result,
-    achieved,
+    decided_by, what, result, achieved,
     (deadline_us - detected_us) / 1000000 AS budget_s,
     (
         max(over_us) OVER (PARTITION BY run_id, action_id, failure, level)

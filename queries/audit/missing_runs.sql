@@ -20,13 +20,8 @@ WITH lacking AS (
 
 planned AS (
     SELECT
-        lacking.seed,
-        lacking.fleet_size,
-        lacking.model_version,
-        lacking.parameters_sha256,
-        architectures.architecture,
-        configurations.configuration,
-        scenarios.scenario,
+        lacking.seed, lacking.fleet_size, lacking.model_version, lacking.parameters_sha256, architectures.architecture,
+        configurations.configuration, scenarios.scenario,
         max(lacking.run_count) AS planned_count
     FROM lacking
     CROSS JOIN unnest(lacking.architectures) AS architectures (architecture)
@@ -37,13 +32,8 @@ planned AS (
 
 there AS (
     SELECT
-        lacking.seed,
-        lacking.fleet_size,
-        lacking.model_version,
-        lacking.parameters_sha256,
-        runs.architecture,
-        runs.configuration,
-        runs.scenario,
+        lacking.seed, lacking.fleet_size, lacking.model_version, lacking.parameters_sha256, runs.architecture,
+        runs.configuration, runs.scenario,
         count(DISTINCT runs.run) AS there_count
     FROM lacking
     INNER JOIN planned_runs AS runs ON lacking.plan = runs.plan
@@ -51,14 +41,8 @@ there AS (
 )
 
 SELECT
-    planned.seed,
-    planned.fleet_size,
-    planned.model_version,
-    planned.parameters_sha256,
-    planned.architecture,
-    planned.configuration,
-    planned.scenario,
-    planned.planned_count,
+    planned.seed, planned.fleet_size, planned.model_version, planned.parameters_sha256, planned.architecture,
+    planned.configuration, planned.scenario, planned.planned_count,
     coalesce(there.there_count, 0) AS there_count,
     planned.planned_count - coalesce(there.there_count, 0) AS missing_count
 FROM planned
@@ -66,7 +50,6 @@ LEFT JOIN there
     ON
         planned.seed = there.seed AND planned.fleet_size = there.fleet_size
         AND planned.model_version = there.model_version AND planned.parameters_sha256 = there.parameters_sha256
-        AND planned.architecture = there.architecture
-        AND planned.configuration = there.configuration
+        AND planned.architecture = there.architecture AND planned.configuration = there.configuration
         AND planned.scenario = there.scenario
 WHERE planned.planned_count > coalesce(there.there_count, 0)

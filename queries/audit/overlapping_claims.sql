@@ -8,9 +8,7 @@
 --   answers A1-1/7.1, override: robot/A1 (revocation) and robot/D1 (acceptance) from 51.375 s until 58.486 s
 -- Parameters: run = all, action = all
 SELECT
-    one.run_id,
-    one.action_id,
-    one.dimension,
+    one.run_id, one.action_id, one.dimension,
     one.claimant AS one_claimant,
     one.reason AS one_reason,
     one.seq AS one_seq,
@@ -22,9 +20,7 @@ SELECT
 FROM claims AS one
 INNER JOIN claims AS other
     ON
-        one.run_id = other.run_id
-        AND one.action_id = other.action_id
-        AND one.dimension = other.dimension
+        one.run_id = other.run_id AND one.action_id = other.action_id AND one.dimension = other.dimension
         AND one.claimant < other.claimant
 WHERE
     $run IN ('all', one.run_id)

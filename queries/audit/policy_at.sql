@@ -9,10 +9,7 @@
 --   answers robot/D1: its own policy denies since 24.818 s, the fleet's rule since 31.07 s
 -- Parameters: run = all, robot = all, capability = any, context = any, at_us = 9007199254740991
 WITH subjects AS (
-    SELECT
-        members.run_id,
-        members.robot,
-        scopes.scope
+    SELECT members.run_id, members.robot, scopes.scope
     FROM fleet_members AS members
     CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
     WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot)
@@ -22,14 +19,7 @@ applicable AS (
     -- Without a capability or context, only what is in force for all of them; with one, the strictest of that and of
     -- what is about it.
     SELECT
-        run_id,
-        robot,
-        scope,
-        capability,
-        context,
-        since_us,
-        until_us,
-        outcome,
+        run_id, robot, scope, since_us, until_us,
         CASE outcome WHEN 'deny' THEN 3 WHEN 'review' THEN 2 ELSE 1 END AS strictness
     FROM policy_in_force
     WHERE (capability IS NULL OR capability = $capability) AND (context IS NULL OR context = $context)
@@ -37,9 +27,7 @@ applicable AS (
 
 moments AS (
     SELECT
-        subjects.run_id,
-        subjects.robot,
-        subjects.scope,
+        subjects.run_id, subjects.robot, subjects.scope,
         max(policy.since_us) FILTER (WHERE policy.since_us <= $at_us::BIGINT) AS since_us,
         min(policy.since_us) FILTER (WHERE policy.since_us > $at_us::BIGINT) AS until_us,
         max(policy.strictness) FILTER (
@@ -52,10 +40,7 @@ moments AS (
 )
 
 SELECT
-    run_id,
-    robot,
-    scope,
+    run_id, robot, scope,
     list_extract(['allow', 'review', 'deny'], coalesce(strictness, 1)) AS outcome,
-    since_us,
-    until_us
+    since_us, until_us
 FROM moments

@@ -10,22 +10,14 @@
 WITH copies AS (
     -- A copy tells of every robot; one that it does not name is allowed.
     SELECT
-        copies.run_id,
-        copies.seq,
+        copies.run_id, copies.seq,
         copies.time_us AS learned_us,
         'coordinator' AS known_by,
-        members.robot,
-        scopes.scope,
+        members.robot, scopes.scope,
         CASE
-            WHEN
-                list_contains(
-                    CASE scopes.scope WHEN 'local' THEN copies.local_deny ELSE copies.fleet_deny END, members.robot
-                )
+            WHEN list_contains(if(scopes.scope = 'local', copies.local_deny, copies.fleet_deny), members.robot)
                 THEN 'deny'
-            WHEN
-                list_contains(
-                    CASE scopes.scope WHEN 'local' THEN copies.local_review ELSE copies.fleet_review END, members.robot
-                )
+            WHEN list_contains(if(scopes.scope = 'local', copies.local_review, copies.fleet_review), members.robot)
                 THEN 'review'
             ELSE 'allow'
         END AS outcome,
@@ -38,8 +30,7 @@ WITH copies AS (
 told AS (
     -- Told are the windows of the world; rules are known at once to all, and stand in audit/policy_at.
     SELECT
-        run_id,
-        seq,
+        run_id, seq,
         time_us AS learned_us,
         CASE type WHEN 'FleetRuleLearned.v1' THEN robot ELSE 'agent/' || robot[7:] || '/planning' END AS known_by,
         robot,
@@ -55,10 +46,7 @@ told AS (
 
 known AS (
     SELECT
-        run_id,
-        known_by,
-        robot,
-        scope,
+        run_id, known_by, robot, scope,
         arg_max(outcome, seq) AS known_outcome,
         arg_max(learned_us, seq) AS learned_us,
         arg_max(as_of_us, seq) AS as_of_us
@@ -69,38 +57,22 @@ known AS (
 
 judged AS (
     SELECT
-        known.run_id,
-        known.known_by,
-        known.robot,
-        known.scope,
-        known.known_outcome,
-        known.learned_us,
-        known.as_of_us,
+        known.run_id, known.known_by, known.robot, known.scope, known.known_outcome, known.learned_us, known.as_of_us,
         CASE
-            WHEN bool_or(windows.outcome = 'deny') THEN 'deny' WHEN
-                bool_or(windows.outcome = 'review')
-                THEN 'review' ELSE 'allow'
+            WHEN bool_or(windows.outcome = 'deny') THEN 'deny'
+            WHEN bool_or(windows.outcome = 'review') THEN 'review'
+            ELSE 'allow'
         END AS true_outcome
     FROM known
     LEFT JOIN policy_windows AS windows
         ON
-            known.run_id = windows.run_id
-            AND known.robot = windows.robot
-            AND known.scope = windows.scope
-            AND windows."window" IS NOT NULL
-            AND windows.opened_us <= $at_us::BIGINT
+            known.run_id = windows.run_id AND known.robot = windows.robot AND known.scope = windows.scope
+            AND windows."window" IS NOT NULL AND windows.opened_us <= $at_us::BIGINT
             AND (windows.closed_us IS NULL OR windows.closed_us > $at_us::BIGINT)
     GROUP BY ALL
 )
 
 SELECT
-    run_id,
-    known_by,
-    robot,
-    scope,
-    known_outcome,
-    learned_us,
-    as_of_us,
-    true_outcome,
+    run_id, known_by, robot, scope, known_outcome, learned_us, as_of_us, true_outcome,
     known_outcome <> true_outcome AS is_wrong
 FROM judged

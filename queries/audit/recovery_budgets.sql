@@ -11,13 +11,7 @@
 -- Parameters: run = all, action = all
 WITH stays AS (
     SELECT
-        moves.run_id,
-        moves.action_id,
-        moves.failure,
-        moves.level,
-        moves.rank,
-        moves.seq,
-        failures.robot,
+        moves.run_id, moves.action_id, moves.failure, moves.level, moves.rank, moves.seq, failures.robot,
         lead(moves.seq) OVER by_failure AS next_seq,
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us)
         - CASE moves.move WHEN 1 THEN failures.detected_us ELSE moves.time_us END AS spent_us
@@ -30,14 +24,7 @@ WITH stays AS (
 
 used AS (
     SELECT
-        stays.run_id,
-        stays.action_id,
-        stays.failure,
-        stays.level,
-        stays.rank,
-        stays.seq,
-        stays.robot,
-        stays.next_seq,
+        stays.run_id, stays.action_id, stays.failure, stays.level, stays.rank, stays.seq, stays.robot, stays.next_seq,
         stays.spent_us,
         count(uses.seq) AS used
     FROM stays
@@ -49,21 +36,10 @@ used AS (
 )
 
 SELECT
-    used.run_id,
-    used.action_id,
-    used.failure,
-    used.rank,
-    used.level,
-    used.robot,
-    used.spent_us,
-    allowed.t_max_us,
-    used.used,
-    allowed.n_max,
-    allowed.set_by
+    used.run_id, used.action_id, used.failure, used.rank, used.level, used.robot, used.spent_us, allowed.t_max_us,
+    used.used, allowed.n_max, allowed.set_by
 FROM used
 ASOF LEFT JOIN recovery_allowances AS allowed
     ON
-        used.run_id = allowed.run_id
-        AND used.robot = allowed.robot
-        AND used.level = allowed.level
+        used.run_id = allowed.run_id AND used.robot = allowed.robot AND used.level = allowed.level
         AND used.seq >= allowed.since_seq

@@ -19,13 +19,7 @@ records AS (
     SELECT
         events.run_id,
         coalesce(events.failed_action, events.action_id) AS action_id,
-        events.failure,
-        events.seq,
-        events.time_us,
-        events.type,
-        events.decided_by,
-        events.reason,
-        ranks.level,
+        events.failure, events.seq, events.time_us, events.type, events.decided_by, events.reason, ranks.level,
         ranks.rank,
         before.level AS left_level,
         before.rank AS left_rank
@@ -38,18 +32,7 @@ records AS (
 
 steps AS (
     SELECT
-        run_id,
-        action_id,
-        failure,
-        seq,
-        time_us,
-        type,
-        decided_by,
-        reason,
-        level,
-        rank,
-        left_level,
-        left_rank,
+        run_id, action_id, failure, seq, time_us, type, decided_by, reason, level, rank,
         coalesce(lag(level) OVER failures, left_level) AS from_level,
         coalesce(lag(rank) OVER failures, left_rank) AS from_rank
     FROM records
@@ -57,18 +40,8 @@ steps AS (
 )
 
 SELECT
-    run_id,
-    action_id,
-    failure,
+    run_id, action_id, failure,
     row_number() OVER (PARTITION BY run_id, action_id, failure ORDER BY seq) AS move,
-    seq,
-    time_us,
-    type,
-    decided_by,
-    from_level,
-    from_rank,
-    level,
-    rank,
-    reason
+    seq, time_us, type, decided_by, from_level, from_rank, level, rank, reason
 FROM steps
 WHERE from_level IS NULL OR from_level <> level

@@ -12,12 +12,7 @@
 -- Parameters: run = all, action = all
 WITH stays AS (
     SELECT
-        moves.run_id,
-        moves.action_id,
-        moves.failure,
-        moves.move,
-        moves.level,
-        moves.seq,
+        moves.run_id, moves.action_id, moves.failure, moves.move, moves.level, moves.seq,
         CASE moves.move WHEN 1 THEN coalesce(failures.detected_us, moves.time_us) ELSE moves.time_us END AS entered_us,
         lead(moves.seq) OVER by_failure AS next_seq,
         lead(moves.reason) OVER by_failure AS left_because,
@@ -31,23 +26,13 @@ WITH stays AS (
 )
 
 SELECT
-    stays.run_id,
-    stays.action_id,
-    stays.failure,
-    stays.move,
-    stays.level,
-    stays.entered_us,
-    stays.left_us,
+    stays.run_id, stays.action_id, stays.failure, stays.move, stays.level, stays.entered_us, stays.left_us,
     stays.left_us - stays.entered_us AS spent_us,
     count(attempts.seq) AS attempts,
-    stays.is_resolved_here,
-    stays.left_because
+    stays.is_resolved_here, stays.left_because
 FROM stays
 LEFT JOIN recovery_attempted AS attempts
     ON
-        stays.run_id = attempts.run_id
-        AND stays.action_id = attempts.failed_action
-        AND stays.failure = attempts.failure
-        AND stays.seq <= attempts.seq
-        AND attempts.seq < coalesce(stays.next_seq, attempts.seq + 1)
+        stays.run_id = attempts.run_id AND stays.action_id = attempts.failed_action AND stays.failure = attempts.failure
+        AND stays.seq <= attempts.seq AND attempts.seq < coalesce(stays.next_seq, attempts.seq + 1)
 GROUP BY ALL

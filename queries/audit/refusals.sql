@@ -26,21 +26,16 @@ WITH conjuncts (reason, conjunct) AS (
 ),
 
 offered AS (
-    SELECT DISTINCT
-        run_id,
-        action_id
+    SELECT DISTINCT run_id, action_id
     FROM registry_queried
     WHERE len(candidates) > 0
 ),
 
 refused AS (
     SELECT
-        events.run_id,
-        events.time_us,
-        events.type,
+        events.run_id, events.time_us, events.type,
         CASE events.type
-            WHEN
-                'RequestUnanswered.v1'
+            WHEN 'RequestUnanswered.v1'
                 THEN if(events.executed_by IS NULL AND offered.action_id IS NULL, 'no candidate', 'no answer')
             WHEN 'AssistanceDeclined.v1' THEN 'helper busy'
             WHEN 'RequestCountered.v1' THEN 'override'
@@ -61,11 +56,7 @@ refused AS (
 )
 
 SELECT
-    refused.run_id,
-    refused.type,
-    refused.reason,
-    conjuncts.conjunct,
-    refused.decided_by,
+    refused.run_id, refused.type, refused.reason, conjuncts.conjunct, refused.decided_by,
     count(*) AS refusals,
     min(refused.time_us) AS first_us,
     max(refused.time_us) AS last_us

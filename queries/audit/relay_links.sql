@@ -11,14 +11,10 @@
 WITH chains AS (
     -- The relay's record is the first after the request.
     SELECT
-        asked.run_id,
-        asked.action_id,
+        asked.run_id, asked.action_id,
         asked.seq AS asked_seq,
         asked.time_us AS asked_us,
-        asked.requested_by,
-        asked.relay,
-        asked.executed_by,
-        asked.capability,
+        asked.requested_by, asked.relay, asked.executed_by, asked.capability,
         asked.task_id AS context,
         min(relayed.seq) AS relayed_seq,
         min(relayed.time_us) AS relayed_us
@@ -31,18 +27,8 @@ WITH chains AS (
 
 links AS (
     SELECT
-        chains.run_id,
-        chains.action_id,
-        chains.asked_seq,
-        chains.asked_us,
-        chains.requested_by,
-        chains.relay,
-        chains.executed_by,
-        chains.capability,
-        chains.context,
-        chains.relayed_seq,
-        chains.relayed_us,
-        numbers.link,
+        chains.run_id, chains.action_id, chains.asked_seq, chains.asked_us, chains.requested_by, chains.relay,
+        chains.executed_by, chains.capability, chains.context, chains.relayed_seq, chains.relayed_us, numbers.link,
         CASE numbers.link WHEN 1 THEN chains.asked_seq ELSE chains.relayed_seq END AS seq,
         CASE numbers.link WHEN 1 THEN chains.asked_us ELSE chains.relayed_us END AS passed_us,
         CASE numbers.link WHEN 1 THEN chains.requested_by ELSE chains.relay END AS sender,
@@ -54,22 +40,9 @@ links AS (
 judged AS (
     -- Each link between its own two ends, and the ends of the whole chain beside it.
     SELECT
-        links.run_id,
-        links.action_id,
-        links.asked_seq,
-        links.asked_us,
-        links.requested_by,
-        links.relay,
-        links.executed_by,
-        links.capability,
-        links.context,
-        links.relayed_seq,
-        links.relayed_us,
-        links.link,
-        links.seq,
-        links.passed_us,
-        links.sender,
-        links.receiver,
+        links.run_id, links.action_id, links.asked_seq, links.asked_us, links.requested_by, links.relay,
+        links.executed_by, links.capability, links.context, links.relayed_seq, links.relayed_us, links.link, links.seq,
+        links.passed_us, links.sender, links.receiver,
         arg_max(scopes.scope, scopes.precedence) FILTER (
             WHERE links.receiver = trusting.robot AND links.sender = trusted.robot
         ) AS link_scope,
@@ -79,8 +52,7 @@ judged AS (
     FROM links
     LEFT JOIN trust_parties AS trusting
         ON
-            links.run_id = trusting.run_id
-            AND trusting.is_trusting
+            links.run_id = trusting.run_id AND trusting.is_trusting
             AND coalesce(links.seq, links.asked_seq) > trusting.seq
             AND trusting.robot IN (links.receiver, links.executed_by)
     LEFT JOIN trust_parties AS trusted
@@ -96,15 +68,7 @@ judged AS (
 )
 
 SELECT
-    run_id,
-    action_id,
-    asked_seq,
-    link,
-    seq,
-    passed_us,
-    sender,
-    receiver,
-    link_scope,
+    run_id, action_id, asked_seq, link, seq, passed_us, sender, receiver, link_scope,
     coalesce(link_scope, 'none') <> 'none' AS is_trusted,
     direct_scope
 FROM judged

@@ -11,25 +11,18 @@
 --   supervisor/B1: success
 -- Parameters: run = all, action = all
 WITH told AS (
-    SELECT
-        run_id,
-        seq,
-        action_id
+    SELECT run_id, seq, action_id
     FROM keyed_events
     WHERE action_id IS NOT NULL AND $run IN ('all', run_id) AND $action IN ('all', action_id)
     UNION ALL
-    SELECT
-        run_id,
-        seq,
-        action_id
+    SELECT run_id, seq, action_id
     FROM competing_calls
     WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
 ),
 
 actions AS (
     SELECT
-        told.run_id,
-        told.action_id,
+        told.run_id, told.action_id,
         min(time_us) AS began_us,
         arg_min(capability, events.seq) AS capability,
         coalesce(
@@ -57,9 +50,9 @@ actions AS (
             arg_max(result, events.seq) FILTER (type IN ('ExecutionFinished.v1', 'RequestClosed.v1')),
             arg_max(
                 CASE
-                    WHEN type = 'RequestDenied.v1' THEN 'denied: ' || reason WHEN
-                        executed_by IS NULL
-                        THEN 'nobody to ask' ELSE 'no answer'
+                    WHEN type = 'RequestDenied.v1' THEN 'denied: ' || reason
+                    WHEN executed_by IS NULL THEN 'nobody to ask'
+                    ELSE 'no answer'
                 END,
                 events.seq
             ) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')),
@@ -78,13 +71,7 @@ actions AS (
 SELECT
     run_id,
     began_us / 1000000 AS began_s,
-    action_id,
-    capability,
-    asked_by,
-    allowed_by,
-    executed_by,
-    supervised_by,
-    failures,
+    action_id, capability, asked_by, allowed_by, executed_by, supervised_by, failures,
     if(result = 'nobody to ask' AND is_offered, 'no answer', result) AS result,
     ended_us / 1000000 AS ended_s
 FROM actions

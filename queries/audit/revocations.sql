@@ -11,9 +11,7 @@
 -- Parameters: run = all
 WITH claimed AS (
     SELECT
-        claims.run_id,
-        claims.seq,
-        claims.action_id,
+        claims.run_id, claims.seq, claims.action_id,
         claims.claimant AS revoked_by,
         arg_max(held.claimant, held.seq) AS revoked_from,
         claims.began_us AS revoked_us,
@@ -27,8 +25,7 @@ WITH claimed AS (
     LEFT JOIN authority_released AS releases
         ON
             claims.run_id = releases.run_id AND claims.action_id = releases.action_id AND claims.seq < releases.seq
-            AND claims.dimension = releases.dimension
-            AND claims.claimant = releases.claimant
+            AND claims.dimension = releases.dimension AND claims.claimant = releases.claimant
             AND claims.reason = releases.reason
     WHERE claims.reason = 'revocation'
     GROUP BY claims.run_id, claims.seq, claims.action_id, claims.claimant, claims.began_us, claims.ended_us
@@ -37,37 +34,26 @@ WITH claimed AS (
 ended AS (
     -- The boundary is what happened to the action just before the release, apart from other claims and releases.
     SELECT
-        claimed.run_id,
-        claimed.seq,
-        claimed.action_id,
-        claimed.revoked_by,
-        claimed.revoked_from,
-        claimed.revoked_us,
+        claimed.run_id, claimed.seq, claimed.action_id, claimed.revoked_by, claimed.revoked_from, claimed.revoked_us,
         claimed.effective_us,
         'context changed' AS reason,
         arg_max(events.type, events.seq) AS boundary
     FROM claimed
     LEFT JOIN event_principals AS events
         ON
-            claimed.run_id = events.run_id
-            AND claimed.action_id = events.action_id
-            AND claimed.seq < events.seq
-            AND claimed.release_seq > events.seq
-            AND events.type NOT IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
+            claimed.run_id = events.run_id AND claimed.action_id = events.action_id AND claimed.seq < events.seq
+            AND claimed.release_seq > events.seq AND events.type NOT IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
     GROUP BY ALL
 ),
 
 withdrawn AS (
     -- A right is withdrawn at the first request that is denied for it, while it is the last word on that right.
     SELECT
-        revoked.run_id,
-        revoked.seq,
+        revoked.run_id, revoked.seq,
         arg_min(denials.action_id, denials.seq) AS action_id,
         revoked.decided_by AS revoked_by,
         revoked.requested_by AS revoked_from,
-        revoked.reason,
-        revoked.capability,
-        revoked.context,
+        revoked.reason, revoked.capability, revoked.context,
         revoked.time_us AS revoked_us,
         min(denials.time_us) AS effective_us,
         arg_min(denials.type, denials.seq) AS boundary
@@ -84,17 +70,7 @@ every AS (
 )
 
 SELECT
-    run_id,
-    seq,
-    action_id,
-    revoked_by,
-    revoked_from,
-    revoked_us,
-    effective_us,
-    reason,
-    boundary,
-    capability,
-    context,
+    run_id, seq, action_id, revoked_by, revoked_from, revoked_us, effective_us, reason, boundary, capability, context,
     effective_us - revoked_us AS waited_us
 FROM every
 WHERE $run IN ('all', run_id)

@@ -40,12 +40,9 @@ latest AS (
 )
 
 SELECT
-    members.run_id,
-    members.robot,
+    members.run_id, members.robot,
     coalesce(latest.doing, 'idle') AS doing,
-    latest.action_id,
-    latest.on_behalf_of,
-    latest.since_us
+    latest.action_id, latest.on_behalf_of, latest.since_us
 FROM fleet_members AS members
 LEFT JOIN latest ON members.run_id = latest.run_id AND members.robot = latest.robot AND latest.doing <> 'done'
 WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.joined_us <= $at_us::BIGINT

@@ -15,9 +15,7 @@ WITH past AS (
 
 outward AS (
     -- Failures that are being recovered by others than the robot.
-    SELECT
-        run_id,
-        coalesce(failed_action, action_id) AS action_id
+    SELECT run_id, coalesce(failed_action, action_id) AS action_id
     FROM past
     WHERE type IN ('RecoveryEscalated.v1', 'FailureResolved.v1')
     GROUP BY run_id, coalesce(failed_action, action_id)
@@ -26,12 +24,10 @@ outward AS (
 
 in_hand AS (
     SELECT
-        run_id,
+        run_id, action_id,
         coalesce(helper, robot) AS robot,
-        action_id,
         helper IS NOT NULL AS is_help, -- beside what it does itself
-        min(seq) AS since_seq,
-        arg_max(type, seq) AS last_type
+        min(seq) AS since_seq, arg_max(type, seq) AS last_type
     FROM past
     WHERE
         starts_with(type, 'Execution')
@@ -45,9 +41,7 @@ in_hand AS (
 
 held AS (
     SELECT
-        in_hand.run_id,
-        in_hand.robot,
-        in_hand.action_id,
+        in_hand.run_id, in_hand.robot, in_hand.action_id,
         in_hand.last_type = 'ExecutionFailed.v1' OR (outward.action_id IS NOT NULL AND NOT in_hand.is_help) AS is_failed
     FROM in_hand
     LEFT JOIN outward ON in_hand.run_id = outward.run_id AND in_hand.action_id = outward.action_id
@@ -57,16 +51,13 @@ held AS (
 ),
 
 advertised AS (
-    SELECT DISTINCT
-        run_id,
-        robot
+    SELECT DISTINCT run_id, robot
     FROM advertisements
     WHERE availability = 'degraded' AND since_us <= $at_us::BIGINT AND (until_us IS NULL OR until_us > $at_us::BIGINT)
 )
 
 SELECT
-    members.run_id,
-    members.robot,
+    members.run_id, members.robot,
     CASE
         WHEN off.robot IS NOT NULL THEN 'off'
         WHEN held.is_failed THEN 'failed'
@@ -79,9 +70,7 @@ FROM fleet_members AS members
 LEFT JOIN held ON members.run_id = held.run_id AND members.robot = held.robot
 LEFT JOIN outages AS off
     ON
-        members.run_id = off.run_id
-        AND members.robot = off.robot
-        AND off.what = 'off'
+        members.run_id = off.run_id AND members.robot = off.robot AND off.what = 'off'
         AND $at_us BETWEEN off.since_us AND coalesce(off.until_us - 1, $at_us)
 LEFT JOIN outages AS degraded
     ON

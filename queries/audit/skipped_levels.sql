@@ -9,14 +9,7 @@
 --   answers A1-1/8.2: from local to human, left out peer and fleet, decided by agent/A1/execution
 -- Parameters: run = all
 SELECT
-    run_id,
-    action_id,
-    failure,
-    seq,
-    time_us,
-    type,
-    decided_by,
-    from_level,
+    run_id, action_id, failure, seq, time_us, type, decided_by, from_level,
     level AS to_level,
     list_slice(['local', 'peer', 'fleet', 'human'], coalesce(from_rank, 0) + 1, rank - 1) AS skipped,
     coalesce(rank < from_rank, FALSE) AS is_backwards,

@@ -11,25 +11,16 @@
 -- Parameters: run = all, supervisor = all
 WITH decided AS (
     SELECT
-        run_id,
-        seq,
+        run_id, seq,
         time_us AS decided_us,
-        type,
-        decided_by,
-        action_id,
-        requested_by,
-        executed_by,
-        robot,
-        capability,
+        type, decided_by, action_id, requested_by, executed_by, robot, capability,
         CASE WHEN type = 'SupervisorResponded.v1' THEN purpose END AS purpose,
         CASE type
-            WHEN
-                'SupervisorResponded.v1'
+            WHEN 'SupervisorResponded.v1'
                 THEN CASE WHEN approves = FALSE THEN 'disapproved' ELSE coalesce('first ' || preferred, 'approved') END
             WHEN 'RoleTrustSet.v1' THEN role || ' to ' || peer_role || ' ' || scope || coalesce(' in ' || context, '')
             WHEN 'TrustSet.v1' THEN peer || ' ' || scope || coalesce(' in ' || context, '')
-            WHEN
-                'TrustThresholdsSet.v1'
+            WHEN 'TrustThresholdsSet.v1'
                 THEN 'promote after ' || promote_after || ', downgrade after ' || downgrade_after
             WHEN 'PolicyRuleSet.v1' THEN scope || ' ' || outcome || coalesce(' in ' || context, '')
             WHEN 'RolePolicyRuleSet.v1'
@@ -49,48 +40,24 @@ WITH decided AS (
     FROM events
     WHERE
         (type = 'SupervisorResponded.v1' OR starts_with(decided_by, 'supervisor/'))
-        AND $run IN ('all', run_id)
-        AND $supervisor IN ('all', decided_by)
+        AND $run IN ('all', run_id) AND $supervisor IN ('all', decided_by)
 ),
 
 answered AS (
     SELECT
-        decided.run_id,
-        decided.seq,
-        decided.decided_us,
-        decided.type,
-        decided.decided_by,
-        decided.action_id,
-        decided.requested_by,
-        decided.executed_by,
-        decided.robot,
-        decided.capability,
-        decided.purpose,
-        decided.decision,
+        decided.run_id, decided.seq, decided.decided_us, decided.type, decided.decided_by, decided.action_id,
+        decided.requested_by, decided.executed_by, decided.robot, decided.capability, decided.purpose, decided.decision,
         max(calls.time_us) AS called_us
     FROM decided
     LEFT JOIN supervisor_called AS calls
         ON
-            decided.run_id = calls.run_id
-            AND decided.action_id = calls.action_id
-            AND decided.purpose = calls.purpose
+            decided.run_id = calls.run_id AND decided.action_id = calls.action_id AND decided.purpose = calls.purpose
             AND decided.seq > calls.seq
     GROUP BY ALL
 )
 
 SELECT
-    run_id,
-    seq,
-    type,
-    decided_by,
-    purpose,
-    decision,
-    action_id,
-    robot,
-    capability,
-    requested_by,
-    executed_by,
-    called_us,
-    decided_us,
+    run_id, seq, type, decided_by, purpose, decision, action_id, robot, capability, requested_by, executed_by,
+    called_us, decided_us,
     decided_us - called_us AS waited_us
 FROM answered

@@ -9,21 +9,15 @@
 -- Parameters: run = all, action = all
 WITH shifts AS (
     SELECT
-        run_id,
-        seq,
-        supervisor,
+        run_id, seq, supervisor,
         type = 'SupervisorLeft.v1' AS is_off
-    FROM supervision_events AS events
+    FROM supervision_events
     WHERE type IN ('SupervisorLeft.v1', 'SupervisorReturned.v1')
 ),
 
 records AS (
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.action_id,
-        events.supervised_by,
+        events.run_id, events.time_us, events.action_id, events.supervised_by,
         coalesce(arg_max(shifts.is_off, shifts.seq), FALSE) AS is_off
     FROM coordination_events AS events
     LEFT JOIN shifts
@@ -33,9 +27,7 @@ records AS (
 )
 
 SELECT
-    run_id,
-    action_id,
-    supervised_by,
+    run_id, action_id, supervised_by,
     min(time_us) AS first_us,
     max(time_us) AS last_us,
     count(*) AS records,

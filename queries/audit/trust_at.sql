@@ -15,20 +15,9 @@
 -- Parameters: run = all, robot = all, peer = all, capability = all, context = all, at_us = 9007199254740991
 WITH entries AS (
     SELECT
-        found.run_id,
-        found.role,
-        found.peer_role,
-        found.domain,
-        found.capability,
-        found.context,
+        found.run_id, found.role, found.peer_role, found.domain, found.capability, found.context,
         greatest(found.since_us, trusting.joined_us, trusted.joined_us) AS since_us,
-        found.until_us,
-        found.trust_scope,
-        found.set_by,
-        found.reason,
-        found.precedence,
-        found.seq,
-        trusting.robot,
+        found.until_us, found.trust_scope, found.set_by, found.reason, found.precedence, trusting.robot,
         trusted.robot AS peer,
         $capability = 'all' AND $context = 'all' AS is_listed
     FROM trust_in_force AS found
@@ -37,28 +26,14 @@ WITH entries AS (
     INNER JOIN trust_parties AS trusted
         ON found.run_id = trusted.run_id AND found.seq = trusted.seq AND NOT trusted.is_trusting
     WHERE
-        $run IN ('all', found.run_id)
-        AND $robot IN ('all', trusting.robot)
-        AND $peer IN ('all', trusted.robot)
+        $run IN ('all', found.run_id) AND $robot IN ('all', trusting.robot) AND $peer IN ('all', trusted.robot)
         AND trusting.robot <> trusted.robot
         AND greatest(found.since_us, trusting.joined_us, trusted.joined_us) <= $at_us::BIGINT
         AND (found.until_us IS NULL OR found.until_us > $at_us::BIGINT)
 )
 
 SELECT
-    run_id,
-    robot,
-    peer,
-    role,
-    peer_role,
-    domain,
-    capability,
-    context,
-    trust_scope,
-    since_us,
-    until_us,
-    set_by,
-    reason
+    run_id, robot, peer, role, peer_role, domain, capability, context, trust_scope, since_us, until_us, set_by, reason
 FROM entries
 WHERE is_listed OR ((capability IS NULL OR capability = $capability) AND (context IS NULL OR context = $context))
 QUALIFY is_listed OR row_number() OVER (PARTITION BY run_id, robot, peer ORDER BY precedence DESC) = 1

@@ -8,19 +8,12 @@
 --   answers A1-1/4.1 by robot/B1 for robot/A1 at 31.013 s, and nobody had been asked
 -- Parameters: run = all
 SELECT
-    starts.run_id,
-    starts.seq,
-    starts.started_us,
-    starts.action_id,
-    starts.robot,
-    starts.on_behalf_of,
+    starts.run_id, starts.seq, starts.started_us, starts.action_id, starts.robot, starts.on_behalf_of,
     min(calls.time_us) AS called_us
 FROM governed_starts AS starts
 LEFT JOIN supervisor_called AS calls
     ON
-        starts.run_id = calls.run_id
-        AND starts.action_id = calls.action_id
-        AND starts.seq > calls.seq
+        starts.run_id = calls.run_id AND starts.action_id = calls.action_id AND starts.seq > calls.seq
         AND calls.purpose = 'review'
 WHERE starts.outcome = 'review' AND NOT starts.is_approved AND $run IN ('all', starts.run_id)
 GROUP BY ALL

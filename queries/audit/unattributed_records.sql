@@ -8,8 +8,7 @@
 --   answers handoff: 92 of 92 records; 92 lack the requester, none the executor, 5 the supervisor
 -- Parameters: run = all, kind = all
 SELECT
-    run_id,
-    record_kind,
+    run_id, record_kind,
     count(*) AS records,
     count_if(NOT is_attributable) AS unattributed,
     count_if(NOT has_origin) AS without_origin,

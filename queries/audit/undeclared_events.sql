@@ -17,21 +17,13 @@ WITH named AS (
     FROM runs
 )
 
-SELECT
-    events.run_id,
-    events.seq,
-    events.type,
-    event_concerns.concern
+SELECT events.run_id, events.seq, events.type, event_concerns.concern
 FROM event_principals AS events
 INNER JOIN event_concerns ON events.type = event_concerns.type
 INNER JOIN runs ON events.run_id = runs.run_id
 WHERE NOT list_contains(coalesce(runs.observes, []), event_concerns.concern)
 UNION ALL
-SELECT
-    named.run_id,
-    NULL AS seq,
-    NULL AS type,
-    named.concern
+SELECT named.run_id, NULL AS seq, NULL AS type, named.concern
 FROM named
 LEFT JOIN event_concerns ON named.concern = event_concerns.concern
 WHERE event_concerns.concern IS NULL

@@ -9,16 +9,8 @@
 -- Live runs are never planned; ledgers from before plans were recorded have none. Whether such runs are all that was
 -- meant, nothing in a ledger says.
 SELECT
-    runs.run_id,
-    runs.kind,
-    runs.seed,
-    runs.fleet_size,
-    runs.architecture,
-    runs.configuration,
-    runs.scenario,
-    runs.run,
-    runs.model_version,
-    runs.parameters_sha256
+    runs.run_id, runs.kind, runs.seed, runs.fleet_size, runs.architecture, runs.configuration, runs.scenario, runs.run,
+    runs.model_version, runs.parameters_sha256
 FROM runs
 LEFT JOIN planned_runs ON runs.run_id = planned_runs.run_id
 WHERE planned_runs.run_id IS NULL

@@ -8,10 +8,7 @@
 -- Example: fsar-ledger query cases/case_1_evidence LEDGER
 -- Who puts a request to somebody has found whom to ask, whatever the registry was asked.
 WITH injected AS (
-    SELECT
-        outsiders.run_id,
-        outsiders.seq,
-        outsiders.task_id AS action_id
+    SELECT outsiders.run_id, outsiders.seq, outsiders.task_id AS action_id
     FROM outsider_request_injected AS outsiders
     INNER JOIN runs ON outsiders.run_id = runs.run_id
     WHERE runs.scenario = 'mixed-trust-inspection'
@@ -19,9 +16,7 @@ WITH injected AS (
 
 followed AS (
     SELECT
-        injected.run_id,
-        injected.seq,
-        injected.action_id,
+        injected.run_id, injected.seq,
         min(events.seq) FILTER (
             events.type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'CommandIssued.v1', 'ExecutionStarted.v1')
             OR len(queries.candidates) > 0
@@ -48,17 +43,14 @@ followed AS (
 
 judged AS (
     SELECT
-        run_id,
-        seq,
+        run_id, seq,
         unnest(['discovered', 'attempted', 'executed']) AS claim,
         unnest([discovered_seq, attempted_seq, executed_seq]) AS evidence_seq
     FROM followed
 )
 
 SELECT
-    run_id,
-    claim,
-    seq,
+    run_id, claim, seq,
     (evidence_seq IS NOT NULL)::BIGINT AS counted,
     list_filter([evidence_seq], LAMBDA one: one IS NOT NULL) AS evidence
 FROM judged

@@ -1,5 +1,4 @@
--- Title: Case 2, run by run: whether the robot contains its failures by itself, gives them to the coordinator at once,
---   or disputes who recovers
+-- Title: Case 2, run by run: whether the robot contains its failures, hands them over at once or disputes who recovers
 -- Paper: sec:evaluation:qualitative (case 2), sec:model:recovery
 -- Grain: one row per claim and run of the scenario with a failure; the claims on degradation look only at failures of
 --   worn actuators of robots of role D
@@ -8,15 +7,11 @@
 --   escalation: positions in the run
 -- NULL: never
 -- Example: fsar-ledger query cases/case_2_evidence LEDGER
--- A loop needs claims of two agents at once to override the failed action, one of an agent that recovers it, and an
--- escalation after that (R46).
+-- A loop: two agents claim at once to override the failed action, one of them recovers it, then it escalates (R46).
 WITH told AS (
     SELECT
-        failures.run_id,
-        failures.seq,
-        failures.action_id,
-        failures.failure,
-        failures.cause = 'degradation' AND robots.role = 'D' AS is_worn,
+        failures.run_id, failures.seq, failures.action_id, failures.failure,
+        coalesce(failures.cause = 'degradation' AND robots.role = 'D', FALSE) AS is_worn,
         failures.resolved_level = 'local' AS is_local
     FROM failures
     INNER JOIN runs ON failures.run_id = runs.run_id
@@ -26,40 +21,29 @@ WITH told AS (
 
 acted AS (
     SELECT
-        run_id,
-        action_id,
-        failure,
+        run_id, action_id, failure,
         first(decided_by ORDER BY seq) FILTER (type <> 'FailureResolved.v1') AS first_by,
         list(DISTINCT decided_by) AS deciders,
+        coalesce(bool_and(regexp_matches(decided_by, '^(robot|agent)/')), TRUE) AS is_by_the_robot,
         max(seq) FILTER (type = 'RecoveryEscalated.v1') AS escalated_seq
     FROM recovery_steps
     GROUP BY run_id, action_id, failure
 ),
 
 loops AS (
-    SELECT
-        told.run_id,
-        told.seq,
-        min(recovering.seq) AS claim_seq,
-        min(other.seq) AS other_seq
+    SELECT told.run_id, told.seq, min(recovering.seq) AS claim_seq, min(other.seq) AS other_seq
     FROM told
     INNER JOIN acted ON told.run_id = acted.run_id AND told.action_id = acted.action_id AND told.failure = acted.failure
     INNER JOIN claims AS recovering
         ON
-            told.run_id = recovering.run_id
-            AND told.action_id = recovering.action_id
-            AND recovering.dimension = 'override'
-            AND told.seq < recovering.seq
-            AND acted.escalated_seq > recovering.seq
+            told.run_id = recovering.run_id AND told.action_id = recovering.action_id
+            AND recovering.dimension = 'override' AND told.seq < recovering.seq AND acted.escalated_seq > recovering.seq
             AND list_contains(acted.deciders, recovering.claimant)
     INNER JOIN claims AS other
         ON
-            recovering.run_id = other.run_id
-            AND recovering.action_id = other.action_id
-            AND recovering.dimension = other.dimension
-            AND recovering.claimant <> other.claimant
-            AND starts_with(recovering.claimant, 'agent/')
-            AND starts_with(other.claimant, 'agent/')
+            recovering.run_id = other.run_id AND recovering.action_id = other.action_id
+            AND recovering.dimension = other.dimension AND recovering.claimant <> other.claimant
+            AND starts_with(recovering.claimant, 'agent/') AND starts_with(other.claimant, 'agent/')
             AND coalesce(recovering.ended_us > other.began_us, TRUE)
             AND coalesce(recovering.began_us < other.ended_us, TRUE)
     GROUP BY told.run_id, told.seq
@@ -67,16 +51,10 @@ loops AS (
 
 judged AS (
     SELECT
-        told.run_id,
-        told.seq,
-        coalesce(told.is_worn, FALSE) AS is_worn,
+        told.run_id, told.seq, told.is_worn,
         unnest(['contained locally', 'escalated at once', 'recovery loop']) AS claim,
         unnest([
-            coalesce(
-                told.is_local
-                AND len(list_filter(acted.deciders, LAMBDA one: NOT regexp_matches(one, '^(robot|agent)/'))) = 0,
-                FALSE
-            ),
+            coalesce(told.is_local AND acted.is_by_the_robot, FALSE),
             coalesce(NOT regexp_matches(acted.first_by, '^(robot|agent|supervisor)/'), FALSE),
             loops.seq IS NOT NULL
         ]) AS is_so,
@@ -93,11 +71,9 @@ SELECT
     (CASE claim WHEN 'recovery loop' THEN bool_or(is_so) ELSE bool_and(is_so) END)::BIGINT AS counted,
     if(
         claim = 'recovery loop' OR bool_and(is_so),
-        list_sort(list_distinct(flatten(coalesce(list(evidence) FILTER (is_so), [])))),
-        []
+        list_sort(list_distinct(flatten(coalesce(list(evidence) FILTER (is_so), [])))), []
     ) AS evidence
 FROM judged
-INNER JOIN
-    (VALUES ('', FALSE), (' (degradation)', TRUE)) AS suffix (suffix, needs_wear)
-ON judged.is_worn OR NOT suffix.needs_wear
+INNER JOIN (VALUES ('', FALSE), (' (degradation)', TRUE)) AS suffix (suffix, needs_wear)
+    ON judged.is_worn OR NOT suffix.needs_wear
 GROUP BY run_id, claim, suffix.suffix

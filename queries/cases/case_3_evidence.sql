@@ -11,10 +11,7 @@
 -- (R46).
 WITH turns AS (
     SELECT
-        events.run_id,
-        events.action_id,
-        events.capability,
-        events.seq,
+        events.run_id, events.action_id, events.capability, events.seq,
         coalesce(
             lead(events.seq) OVER (PARTITION BY events.run_id, events.task_id ORDER BY events.seq), 9223372036854775807
         ) AS until_seq
@@ -42,17 +39,14 @@ contended AS (
 
 found AS (
     SELECT
-        conflicts.run_id,
-        conflicts.dimension,
+        conflicts.run_id, conflicts.dimension,
         min(claims.seq) AS seq
     FROM wanted
     INNER JOIN conflicts ON wanted.run_id = conflicts.run_id AND wanted.action_id = conflicts.action_id
     INNER JOIN claims
         ON
-            conflicts.run_id = claims.run_id
-            AND conflicts.action_id = claims.action_id
-            AND conflicts.dimension = claims.dimension
-            AND conflicts.began_us = claims.began_us
+            conflicts.run_id = claims.run_id AND conflicts.action_id = claims.action_id
+            AND conflicts.dimension = claims.dimension AND conflicts.began_us = claims.began_us
     GROUP BY conflicts.run_id, conflicts.action_id, conflicts.dimension
 ),
 
@@ -76,9 +70,7 @@ sorted AS (
 )
 
 SELECT
-    contended.run_id,
-    claims.claim,
-    contended.seq,
+    contended.run_id, claims.claim, contended.seq,
     CASE claims.claim WHEN 'conflict for H_F' THEN (count(sorted.seq) > 0)::BIGINT ELSE count(sorted.seq) END
         AS counted,
     list_sort(coalesce(list(DISTINCT sorted.seq) FILTER (sorted.seq IS NOT NULL), [])) AS evidence

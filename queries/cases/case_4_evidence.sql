@@ -12,8 +12,7 @@
 -- paper ends with the result and knows no disturbance: records of failures and of new plans are not counted (R46).
 WITH RECURSIVE handoffs AS (
     SELECT
-        begun.run_id,
-        begun.action_id,
+        begun.run_id, begun.action_id,
         min(begun.seq) AS seq
     FROM step_began AS begun
     INNER JOIN runs ON begun.run_id = runs.run_id
@@ -32,11 +31,7 @@ chronicle AS (
 
 records AS (
     SELECT
-        chronicle.run_id,
-        chronicle.seq,
-        chronicle.action_id,
-        chronicle.caused_by,
-        judged.is_attributable,
+        chronicle.run_id, chronicle.seq, chronicle.action_id, chronicle.caused_by, judged.is_attributable,
         CASE
             WHEN chronicle.sender IS NULL THEN 'chain'
             WHEN coalesce(robots.role, '') <> 'D' THEN 'elsewhere'
@@ -54,31 +49,17 @@ records AS (
 ),
 
 ties AS (
-    SELECT
-        run_id,
-        seq,
-        kind,
-        is_attributable,
-        action_id,
-        caused_by
+    SELECT run_id, seq, kind, is_attributable, action_id, caused_by
     FROM records
     UNION ALL
-    SELECT
-        ties.run_id,
-        ties.seq,
-        ties.kind,
-        ties.is_attributable,
-        causes.action_id,
-        causes.caused_by
+    SELECT ties.run_id, ties.seq, ties.kind, ties.is_attributable, causes.action_id, causes.caused_by
     FROM ties
     INNER JOIN chronicle AS causes ON ties.run_id = causes.run_id AND ties.caused_by = causes.seq
     WHERE ties.action_id IS NULL
 )
 
 SELECT
-    handoffs.run_id,
-    claims.claim,
-    handoffs.seq,
+    handoffs.run_id, claims.claim, handoffs.seq,
     count(ties.seq) AS counted,
     list_sort(coalesce(list(ties.seq) FILTER (ties.seq IS NOT NULL), [])) AS evidence
 FROM handoffs

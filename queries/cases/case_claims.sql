@@ -11,8 +11,7 @@
 -- Example: fsar-ledger query cases/case_claims LEDGER
 WITH judged AS (
     SELECT
-        run_id,
-        claim,
+        run_id, claim,
         sum(counted)::BIGINT AS numerator,
         count(*) AS denominator
     FROM case_evidence
@@ -21,27 +20,9 @@ WITH judged AS (
 
 cells AS (
     SELECT
-        definitions.position,
-        definitions.case_number,
-        definitions.claim,
-        definitions.is_taken,
-        definitions.counted,
-        definitions.of_how_many,
-        definitions.scenario,
-        definitions.judge,
-        runs.run_id,
-        runs.kind,
-        runs.seed,
-        runs.architecture,
-        runs.configuration,
-        runs.fleet_size,
-        runs.model_version,
-        runs.source,
-        settings.kind,
-        settings.setting,
-        settings.constants,
-        judged.numerator,
-        judged.denominator,
+        definitions.position, definitions.case_number, definitions.claim, definitions.is_taken, definitions.counted,
+        definitions.of_how_many, runs.kind, runs.seed, runs.architecture, runs.configuration, runs.fleet_size,
+        runs.model_version, runs.source, settings.setting, settings.constants, judged.numerator, judged.denominator,
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NULL, FALSE) AS is_judged,
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NOT NULL, FALSE) AS is_hidden
     FROM case_definitions AS definitions
@@ -53,20 +34,8 @@ cells AS (
 
 counts AS (
     SELECT
-        case_number,
-        position,
-        claim,
-        is_taken,
-        counted,
-        of_how_many,
-        architecture,
-        configuration,
-        fleet_size,
-        seed,
-        kind,
-        source,
-        model_version,
-        constants,
+        case_number, position, claim, is_taken, counted, of_how_many, architecture, configuration, fleet_size, seed,
+        kind, source, model_version, constants,
         count(*) FILTER (is_judged) AS runs,
         count(denominator) FILTER (is_judged) AS runs_with_case,
         count(*) FILTER (is_hidden) AS runs_not_observed,
@@ -74,41 +43,13 @@ counts AS (
         sum(denominator) FILTER (is_judged)::BIGINT AS denominator
     FROM cells
     GROUP BY
-        case_number,
-        position,
-        claim,
-        is_taken,
-        counted,
-        of_how_many,
-        architecture,
-        configuration,
-        fleet_size,
-        seed,
-        setting,
-        kind,
-        source,
-        model_version,
-        constants
+        case_number, position, claim, is_taken, counted, of_how_many, architecture, configuration, fleet_size, seed,
+        setting, kind, source, model_version, constants
 )
 
 SELECT
-    case_number,
-    position,
-    claim,
-    is_taken,
-    counted,
-    of_how_many,
-    architecture,
-    configuration,
-    fleet_size,
-    seed,
-    kind,
-    source,
-    model_version,
-    constants,
-    runs,
-    runs_with_case,
-    runs_not_observed,
+    case_number, position, claim, is_taken, counted, of_how_many, architecture, configuration, fleet_size, seed, kind,
+    source, model_version, constants, runs, runs_with_case, runs_not_observed,
     CASE WHEN runs > 0 THEN coalesce(numerator, 0) END AS numerator,
     CASE WHEN runs > 0 THEN coalesce(denominator, 0) END AS denominator,
     numerator / denominator AS value

@@ -12,8 +12,7 @@
 WITH asked AS (
     SELECT
         CASE
-            WHEN
-                count(*) = 0
+            WHEN count(*) = 0
                 THEN
                     error(
                         'found number='
@@ -29,12 +28,7 @@ WITH asked AS (
 
 chosen AS (
     SELECT
-        definitions.case_number,
-        definitions.position,
-        evidence.claim,
-        runs.architecture,
-        runs.configuration,
-        evidence.run_id,
+        definitions.case_number, evidence.claim, runs.architecture, runs.configuration, evidence.run_id,
         evidence.seq AS case_seq,
         evidence.counted,
         unnest(if(len(evidence.evidence) = 0, [NULL], evidence.evidence)) AS seq
@@ -48,15 +42,8 @@ chosen AS (
 )
 
 SELECT
-    chosen.case_number,
-    chosen.claim,
-    chosen.architecture,
-    chosen.configuration,
-    chosen.run_id,
-    chosen.case_seq,
-    chosen.counted,
-    chosen.seq,
-    events.type,
+    chosen.case_number, chosen.claim, chosen.architecture, chosen.configuration, chosen.run_id, chosen.case_seq,
+    chosen.counted, chosen.seq, events.type,
     coalesce(events.action_id, things.action_id) AS action_id
 FROM chosen
 LEFT JOIN keyed_events AS events ON chosen.run_id = events.run_id AND chosen.seq = events.seq

@@ -7,33 +7,16 @@
 -- NULL: until_us and until_seq for what stands to the end of the run; successor unless a deprecation names one
 -- Example: fsar-ledger query facts/advertisements LEDGER
 WITH offered AS (
-    SELECT DISTINCT
-        run_id,
-        robot,
-        capability
+    SELECT DISTINCT run_id, robot, capability
     FROM capability_advertised
 ),
 
 changes AS (
     -- A report of availability without a capability is about all that the robot advertises.
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        events.availability,
-        events.embodiment,
-        events.override_allowed,
-        events.policy_required,
-        events.postconditions,
-        events.preconditions,
-        events.resources,
-        events.robot,
-        events.successor,
-        events.trust_required,
-        events.version,
-        events.visibility,
-        events.visible_to,
+        events.run_id, events.seq, events.time_us, events.type, events.availability, events.embodiment,
+        events.override_allowed, events.policy_required, events.postconditions, events.preconditions, events.resources,
+        events.robot, events.successor, events.trust_required, events.version, events.visibility, events.visible_to,
         offered.capability,
         events.type IN ('CapabilityAdvertised.v1', 'CapabilityWithdrawn.v1', 'CapabilityRemoved.v1') AS is_new,
         count_if(is_new)
@@ -49,9 +32,7 @@ changes AS (
 
 terms AS (
     SELECT
-        run_id,
-        robot,
-        capability,
+        run_id, robot, capability,
         seq AS since_seq,
         time_us AS since_us,
         lead(seq) OVER later AS until_seq,

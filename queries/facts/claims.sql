@@ -6,31 +6,14 @@
 -- NULL: ended_us when the claim was never released; task_id when the claim is about no task
 -- Example: fsar-ledger query facts/claims LEDGER
 WITH edges AS (
-    SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        task_id,
-        action_id,
-        dimension,
-        claimant,
-        reason
+    SELECT run_id, seq, time_us, type, task_id, action_id, dimension, claimant, reason
     FROM authority_events
     WHERE type IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
 ),
 
 paired AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        task_id,
-        action_id,
-        dimension,
-        claimant,
-        reason,
+        run_id, seq, time_us, type, task_id, action_id, dimension, claimant, reason,
         -- The first later release, whatever claims lie between: a claim that is repeated ends with the one before it.
         first_value(CASE WHEN type = 'AuthorityReleased.v1' THEN time_us END IGNORE NULLS) OVER (
             PARTITION BY run_id, action_id, dimension, claimant, reason
@@ -40,15 +23,6 @@ paired AS (
     FROM edges
 )
 
-SELECT
-    run_id,
-    seq,
-    task_id,
-    action_id,
-    dimension,
-    claimant,
-    reason,
-    time_us AS began_us,
-    ended_us
+SELECT run_id, seq, task_id, action_id, dimension, claimant, reason, time_us AS began_us, ended_us
 FROM paired
 WHERE type = 'AuthorityClaimed.v1'

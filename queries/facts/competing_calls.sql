@@ -7,29 +7,17 @@
 --   called
 -- Example: fsar-ledger query facts/competing_calls LEDGER
 WITH calls AS (
-    SELECT
-        run_id,
-        seq,
-        action_id AS called_for,
-        competing AS action_id
+    SELECT run_id, seq, action_id AS called_for, competing AS action_id
     FROM supervisor_called
     WHERE competing IS NOT NULL
 )
 
-SELECT
-    run_id,
-    seq,
-    action_id
+SELECT run_id, seq, action_id
 FROM calls
 UNION
-SELECT
-    calls.run_id,
-    answers.seq,
-    calls.action_id
+SELECT calls.run_id, answers.seq, calls.action_id
 FROM calls
 INNER JOIN supervisor_responded AS answers
     ON
-        calls.run_id = answers.run_id
-        AND calls.called_for = answers.action_id
-        AND calls.seq < answers.seq
+        calls.run_id = answers.run_id AND calls.called_for = answers.action_id AND calls.seq < answers.seq
         AND answers.purpose = 'ordering'

@@ -9,13 +9,7 @@ WITH swept AS (
     -- In order of beginning, each beside the claim before it that lasts longest: where that is the claimant's own, no
     -- other can hold, or a conflict had begun before.
     SELECT
-        run_id,
-        seq,
-        action_id,
-        dimension,
-        claimant,
-        began_us,
-        ended_us,
+        run_id, action_id, dimension, claimant, began_us,
         max(ended_us) OVER earlier AS held_until_us,
         arg_max(claimant, ended_us) OVER earlier AS holder
     FROM held_claims
@@ -27,9 +21,7 @@ WITH swept AS (
 )
 
 SELECT
-    run_id,
-    action_id,
-    dimension,
+    run_id, action_id, dimension,
     min(began_us) AS began_us
 FROM swept
 WHERE held_until_us > began_us AND holder <> claimant

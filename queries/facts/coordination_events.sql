@@ -8,20 +8,9 @@
 -- Example: fsar-ledger query facts/coordination_events LEDGER
 WITH classified AS (
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        event_classes.record_kind,
-        events.task_id,
-        events.action_id,
-        events.decided_by,
-        events.requested_by,
-        events.executed_by,
-        events.supervised_by,
-        event_classes.requires_origin,
-        event_classes.requires_executor,
-        event_classes.requires_supervisor,
+        events.run_id, events.seq, events.time_us, events.type, event_classes.record_kind, events.task_id,
+        events.action_id, events.decided_by, events.requested_by, events.executed_by, events.supervised_by,
+        event_classes.requires_origin, event_classes.requires_executor, event_classes.requires_supervisor,
         CASE event_classes.part
             WHEN 'requester' THEN events.requested_by
             ELSE coalesce(
@@ -37,9 +26,7 @@ WITH classified AS (
 
 parts AS (
     SELECT
-        run_id,
-        action_id,
-        part_of,
+        run_id, action_id, part_of,
         count(requested_by) > 0 AS has_origin,
         count(executed_by) > 0 AS has_executor,
         count(supervised_by) > 0 AS has_supervisor
@@ -50,20 +37,8 @@ parts AS (
 
 judged AS (
     SELECT
-        records.run_id,
-        records.seq,
-        records.time_us,
-        records.type,
-        records.record_kind,
-        records.task_id,
-        records.action_id,
-        records.decided_by,
-        records.requested_by,
-        records.executed_by,
-        records.supervised_by,
-        records.requires_origin,
-        records.requires_executor,
-        records.requires_supervisor,
+        records.run_id, records.seq, records.time_us, records.type, records.record_kind, records.task_id,
+        records.action_id, records.decided_by, records.requested_by, records.executed_by, records.supervised_by,
         records.part_of,
         records.requested_by IS NOT NULL
         OR NOT records.requires_origin
@@ -81,20 +56,7 @@ judged AS (
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    record_kind,
-    task_id,
-    action_id,
-    part_of,
-    decided_by,
-    requested_by,
-    executed_by,
-    supervised_by,
-    has_origin,
-    has_executor,
-    has_supervisor,
+    run_id, seq, time_us, type, record_kind, task_id, action_id, part_of, decided_by, requested_by, executed_by,
+    supervised_by, has_origin, has_executor, has_supervisor,
     has_origin AND has_executor AND has_supervisor AS is_attributable
 FROM judged

@@ -9,15 +9,8 @@
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER
 WITH finished AS (
     SELECT
-        done.run_id,
-        done.seq,
-        done.time_us,
-        done.task_id,
-        done.action_id,
-        done.requested_by,
-        done.executed_by,
-        done.supervised_by,
-        done.robot,
+        done.run_id, done.seq, done.time_us, done.task_id, done.action_id, done.requested_by, done.executed_by,
+        done.supervised_by, done.robot,
         starts.robot AS began_by,
         starts.on_behalf_of
     FROM execution_finished AS done
@@ -26,10 +19,7 @@ WITH finished AS (
 ),
 
 progress AS (
-    SELECT
-        run_id,
-        seq,
-        task_id
+    SELECT run_id, seq, task_id
     FROM task_events
     WHERE type IN ('StepBegan.v1', 'StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1')
 ),
@@ -37,17 +27,8 @@ progress AS (
 ends AS (
     -- What is no step of a task, such as a request of a robot's own accord, has no next step to wait for it.
     SELECT
-        finished.run_id,
-        finished.seq,
-        finished.time_us,
-        finished.task_id,
-        finished.action_id,
-        finished.requested_by,
-        finished.executed_by,
-        finished.supervised_by,
-        finished.robot,
-        finished.began_by,
-        finished.on_behalf_of,
+        finished.run_id, finished.seq, finished.time_us, finished.action_id, finished.requested_by,
+        finished.executed_by, finished.supervised_by, finished.robot, finished.began_by, finished.on_behalf_of,
         CASE WHEN steps.run_id IS NOT NULL THEN later.seq END AS next_seq
     FROM finished
     LEFT JOIN step_began AS steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id
@@ -57,30 +38,15 @@ ends AS (
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
+    run_id, seq, time_us,
     'ExecutionFinished.v1' AS type,
-    action_id,
-    requested_by,
-    executed_by,
-    supervised_by,
-    robot,
-    began_by,
-    on_behalf_of,
-    next_seq
+    action_id, requested_by, executed_by, supervised_by, robot, began_by, on_behalf_of, next_seq
 FROM ends
 UNION ALL
 SELECT
-    run_id,
-    seq,
-    time_us,
+    run_id, seq, time_us,
     'ExecutionStarted.v1' AS type,
-    action_id,
-    requested_by,
-    executed_by,
-    supervised_by,
-    robot,
+    action_id, requested_by, executed_by, supervised_by, robot,
     robot AS began_by,
     on_behalf_of,
     NULL AS next_seq

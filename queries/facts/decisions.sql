@@ -8,15 +8,8 @@
 -- Example: fsar-ledger query facts/decisions LEDGER
 WITH decided AS (
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        classes.decision_kind,
-        events.task_id,
-        events.action_id,
-        events.decided_by,
-        events.path,
+        events.run_id, events.seq, events.time_us, events.type, classes.decision_kind, events.task_id, events.action_id,
+        events.decided_by, events.path,
         { 'type': events.type, 'by': events.decided_by, 'path': events.path, 'reason': events.reason } AS content
     FROM event_principals AS events
     INNER JOIN event_classes AS classes ON events.type = classes.type
@@ -27,30 +20,13 @@ followed AS (
     -- Whoever asks again decides to ask, and whoever admits decides, too: then another decision of the task lies
     -- between two denials.
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        decision_kind,
-        task_id,
-        action_id,
-        decided_by,
-        path,
-        content,
+        run_id, seq, time_us, type, decision_kind, task_id, action_id, decided_by, path, content,
         lag(content) OVER (PARTITION BY run_id, task_id ORDER BY seq) AS content_before
     FROM decided
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    decision_kind,
-    task_id,
-    action_id,
-    decided_by,
-    path,
+    run_id, seq, time_us, type, decision_kind, task_id, action_id, decided_by, path,
     coalesce(len(path) = 1 AND (starts_with(decided_by, 'robot/') OR starts_with(decided_by, 'supervisor/')), FALSE)
         AS is_local
 FROM followed

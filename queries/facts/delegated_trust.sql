@@ -7,28 +7,14 @@
 --   passed the request on was trusted
 -- Example: fsar-ledger query facts/delegated_trust LEDGER
 WITH delegated AS (
-    SELECT
-        run_id,
-        seq,
-        task_id,
-        action_id,
-        capability,
-        robot AS executor,
-        on_behalf_of AS requester
+    SELECT run_id, seq, task_id, action_id, capability, robot AS executor, on_behalf_of AS requester
     FROM executions
     WHERE robot <> on_behalf_of
 ),
 
 links AS (
     SELECT
-        delegated.run_id,
-        delegated.seq,
-        delegated.task_id,
-        delegated.action_id,
-        delegated.capability,
-        delegated.executor,
-        delegated.requester,
-        relayed.decided_by AS relay,
+        delegated.run_id, delegated.seq, delegated.task_id, delegated.action_id, delegated.capability,
         unnest(
             CASE
                 WHEN relayed.decided_by IS NULL THEN [{ 'trusting': executor, 'trusted': requester, 'is_direct': TRUE }]
@@ -46,22 +32,17 @@ links AS (
 
 scopes AS (
     SELECT
-        links.run_id,
-        links.seq,
+        links.run_id, links.seq,
         links.link.is_direct,
         coalesce(arg_max(trust.scope, trust.precedence), 'none') <> 'none' AS is_trusted
     FROM links
     LEFT JOIN trust_parties AS trusting
         ON
-            links.run_id = trusting.run_id
-            AND links.link.trusting = trusting.robot
-            AND trusting.is_trusting
+            links.run_id = trusting.run_id AND links.link.trusting = trusting.robot AND trusting.is_trusting
             AND links.seq > trusting.seq
     LEFT JOIN trust_parties AS trusted
         ON
-            trusting.run_id = trusted.run_id
-            AND trusting.seq = trusted.seq
-            AND links.link.trusted = trusted.robot
+            trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND links.link.trusted = trusted.robot
             AND NOT trusted.is_trusting
     LEFT JOIN trust_precedence AS trust
         ON
@@ -72,8 +53,7 @@ scopes AS (
 )
 
 SELECT
-    run_id,
-    seq,
+    run_id, seq,
     coalesce(bool_or(is_trusted) FILTER (is_direct), FALSE) AS is_direct,
     coalesce(bool_and(is_trusted) FILTER (NOT is_direct), FALSE) AS is_chained
 FROM scopes

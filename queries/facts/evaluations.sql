@@ -8,8 +8,7 @@
 -- Example: fsar-ledger query facts/evaluations LEDGER
 WITH judged AS (
     SELECT
-        answers.run_id,
-        answers.seq,
+        answers.run_id, answers.seq,
         max(asked.seq) AS asked_seq
     FROM request_events AS answers
     INNER JOIN request_issued AS asked
@@ -19,29 +18,18 @@ WITH judged AS (
 )
 
 SELECT
-    answers.run_id,
-    answers.seq,
-    judged.asked_seq,
-    answers.time_us,
-    answers.action_id,
+    answers.run_id, answers.seq, judged.asked_seq, answers.time_us, answers.action_id,
     asked.task_id AS context,
     asked.requested_by,
     coalesce(answers.executed_by, asked.executed_by) AS executed_by,
-    asked.relay,
-    asked.parent,
-    asked.capability,
+    asked.relay, asked.parent, asked.capability,
     asked.override AS override_asked,
-    answers.decided_by,
-    answers.type,
+    answers.decided_by, answers.type,
     CASE answers.type
         WHEN 'RequestAdmitted.v1' THEN 'admitted' WHEN 'RequestDenied.v1' THEN 'denied' ELSE 'countered'
     END AS verdict,
     answers.reason AS conjunct,
-    answers.trust,
-    answers.may_request,
-    answers.may_execute,
-    answers.override,
-    answers.is_audited
+    answers.trust, answers.may_request, answers.may_execute, answers.override, answers.is_audited
 FROM judged
 INNER JOIN request_events AS answers ON judged.run_id = answers.run_id AND judged.seq = answers.seq
 INNER JOIN request_issued AS asked ON judged.run_id = asked.run_id AND judged.asked_seq = asked.seq

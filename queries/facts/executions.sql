@@ -6,13 +6,7 @@
 -- NULL: never; robot and on_behalf_of are physical facts, not recorded principals
 -- Example: fsar-ledger query facts/executions LEDGER
 SELECT
-    run_id,
-    seq,
-    task_id,
-    action_id,
-    robot,
-    on_behalf_of,
-    capability,
+    run_id, seq, task_id, action_id, robot, on_behalf_of, capability,
     time_us AS started_us,
     ends_us AS planned_end_us
 FROM execution_started

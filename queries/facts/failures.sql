@@ -10,9 +10,7 @@
 -- Stored: containment and latency both read it
 WITH resolutions AS (
     SELECT
-        run_id,
-        action_id,
-        failure,
+        run_id, action_id, failure,
         min(time_us) AS resolved_us,
         arg_min(level, seq) AS resolved_level
     FROM failure_resolved
@@ -31,17 +29,10 @@ departures AS (
 )
 
 SELECT
-    detected.run_id,
-    detected.seq,
-    detected.task_id,
-    detected.action_id,
-    detected.failure,
-    detected.robot,
+    detected.run_id, detected.seq, detected.task_id, detected.action_id, detected.failure, detected.robot,
     detected.cause,
     detected.time_us AS detected_us,
-    resolutions.resolved_us,
-    resolutions.resolved_level,
-    departures.left_us,
+    resolutions.resolved_us, resolutions.resolved_level, departures.left_us,
     coalesce(resolutions.resolved_level IN ('local', 'peer'), FALSE) AS is_contained,
     -- Every reaction takes the clock a microsecond (R25): a level that the reaction to the failure left at once was
     -- left at its detection.
@@ -53,11 +44,9 @@ SELECT
 FROM execution_failed AS detected
 LEFT JOIN resolutions
     ON
-        detected.run_id = resolutions.run_id
-        AND detected.action_id = resolutions.action_id
+        detected.run_id = resolutions.run_id AND detected.action_id = resolutions.action_id
         AND detected.failure = resolutions.failure
 LEFT JOIN departures
     ON
-        detected.run_id = departures.run_id
-        AND detected.action_id = departures.action_id
+        detected.run_id = departures.run_id AND detected.action_id = departures.action_id
         AND detected.failure = departures.failure

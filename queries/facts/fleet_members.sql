@@ -7,13 +7,7 @@
 --   has one place
 -- Example: fsar-ledger query facts/fleet_members LEDGER
 SELECT
-    run_id,
-    robot,
-    role,
-    team,
-    supervisor,
-    domain,
-    place,
+    run_id, robot, role, team, supervisor, domain, place,
     min(time_us) OVER (PARTITION BY run_id, robot) AS joined_us,
     min(seq) OVER (PARTITION BY run_id, robot) AS joined_seq
 FROM robot_joined

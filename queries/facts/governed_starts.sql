@@ -6,15 +6,7 @@
 -- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else
 -- Example: fsar-ledger query facts/governed_starts LEDGER
 WITH starts AS (
-    SELECT
-        run_id,
-        seq,
-        time_us AS started_us,
-        task_id,
-        action_id,
-        robot,
-        on_behalf_of,
-        capability
+    SELECT run_id, seq, time_us AS started_us, task_id, action_id, robot, on_behalf_of, capability
     FROM execution_events
     WHERE type = 'ExecutionStarted.v1' OR (type = 'RoutinePerformed.v1' AND operation = 'motion')
 ),
@@ -22,27 +14,13 @@ WITH starts AS (
 subjects AS (
     -- Whose policy counts: the executor's own and the fleet's for its zone, and the requester's own.
     SELECT
-        starts.run_id,
-        starts.seq,
-        starts.started_us,
-        starts.task_id,
-        starts.action_id,
-        starts.robot,
-        starts.on_behalf_of,
-        starts.capability,
+        starts.run_id, starts.seq, starts.started_us, starts.task_id, starts.capability,
         starts.robot AS subject,
         FALSE AS own_only
     FROM starts
     UNION ALL
     SELECT
-        starts.run_id,
-        starts.seq,
-        starts.started_us,
-        starts.task_id,
-        starts.action_id,
-        starts.robot,
-        starts.on_behalf_of,
-        starts.capability,
+        starts.run_id, starts.seq, starts.started_us, starts.task_id, starts.capability,
         starts.on_behalf_of AS subject,
         TRUE AS own_only
     FROM starts
@@ -53,14 +31,12 @@ checks AS (
     -- A window that closes at the start no longer counts; one that opens at it does. A rule counts where it is about
     -- this capability and context.
     SELECT
-        subjects.run_id,
-        subjects.seq,
+        subjects.run_id, subjects.seq,
         bool_or(windows.outcome = 'deny') AS is_denied
     FROM subjects
     INNER JOIN policy_windows AS windows
         ON
-            subjects.run_id = windows.run_id
-            AND subjects.subject = windows.robot
+            subjects.run_id = windows.run_id AND subjects.subject = windows.robot
             AND subjects.started_us >= windows.opened_us
             AND subjects.started_us < coalesce(windows.closed_us, subjects.started_us + 1)
             AND (windows.scope = 'local' OR NOT subjects.own_only)
@@ -71,8 +47,7 @@ checks AS (
 
 approved AS (
     SELECT
-        run_id,
-        action_id,
+        run_id, action_id,
         min(seq) AS approved_seq
     FROM supervisor_responded
     WHERE purpose = 'review' AND coalesce(approves, TRUE) -- a response that does not say whether it approves does
@@ -80,12 +55,7 @@ approved AS (
 )
 
 SELECT
-    starts.run_id,
-    starts.seq,
-    starts.started_us,
-    starts.action_id,
-    starts.robot,
-    starts.on_behalf_of,
+    starts.run_id, starts.seq, starts.started_us, starts.action_id, starts.robot, starts.on_behalf_of,
     CASE WHEN checks.run_id IS NULL THEN 'allow' WHEN checks.is_denied THEN 'deny' ELSE 'review' END AS outcome,
     coalesce(approved.approved_seq < starts.seq, FALSE) AS is_approved,
     checks.run_id IS NOT NULL

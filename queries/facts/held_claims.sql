@@ -7,16 +7,9 @@
 -- NULL: never
 -- Example: fsar-ledger query facts/held_claims LEDGER
 SELECT
-    run_id,
-    seq,
-    action_id,
-    dimension,
-    claimant,
-    began_us,
+    run_id, seq, action_id, dimension, claimant, began_us,
     coalesce(ended_us, 9223372036854775807) AS ended_us
 FROM claims
 WHERE
     (ended_us IS NULL OR ended_us > began_us)
-    AND action_id IS NOT NULL
-    AND dimension IS NOT NULL
-    AND claimant IS NOT NULL
+    AND action_id IS NOT NULL AND dimension IS NOT NULL AND claimant IS NOT NULL

@@ -8,47 +8,25 @@
 --   has in hand
 -- Example: fsar-ledger query facts/hold_ends LEDGER
 WITH holders AS (
-    SELECT DISTINCT
-        run_id,
-        robot
+    SELECT DISTINCT run_id, robot
     FROM execution_held
 )
 
-SELECT
-    run_id,
-    seq,
-    NULL AS robot,
-    action_id
+SELECT run_id, seq, NULL AS robot, action_id
 FROM supervisor_responded
 WHERE purpose = 'review' AND coalesce(approves, TRUE) -- a response that does not say whether it approves does
 UNION ALL
-SELECT
-    run_id,
-    seq,
-    robot,
-    NULL AS action_id
+SELECT run_id, seq, robot, NULL AS action_id
 FROM policy_window_closed
 UNION ALL
-SELECT
-    run_id,
-    seq,
-    robot,
-    NULL AS action_id
+SELECT run_id, seq, robot, NULL AS action_id
 FROM fleet_rule_learned
 UNION ALL
-SELECT
-    run_id,
-    seq,
-    robot,
-    NULL AS action_id
+SELECT run_id, seq, robot, NULL AS action_id
 FROM policy_rules
 WHERE role IS NOT NULL
 UNION ALL
-SELECT
-    rules.run_id,
-    rules.seq,
-    held.robot,
-    NULL AS action_id
+SELECT rules.run_id, rules.seq, held.robot, NULL AS action_id
 FROM policy_rule_set AS rules
 INNER JOIN holders AS held
     -- whether or not it is known to have joined

@@ -30,68 +30,45 @@ WITH judged AS (
                 THEN ['a1_local_runtime_self_sufficiency', 'a4_thin_federation_interface']
             WHEN type = 'RequestAdmitted.v1' THEN ['a3_no_silent_policy_override', 'a4_thin_federation_interface']
             WHEN type = 'AssistanceAdmitted.v1' THEN ['a4_thin_federation_interface', 'a5_audit_completeness']
-            WHEN
-                type = 'ExecutionStarted.v1'
+            WHEN type = 'ExecutionStarted.v1'
                 THEN [if(robot = on_behalf_of, 'a1_local_runtime_self_sufficiency', 'i2_local_execution_ownership')]
-            WHEN
-                type IN ('RequestAccepted.v1', 'ReplanOrdered.v1')
-                OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
+            WHEN type IN ('RequestAccepted.v1', 'ReplanOrdered.v1') OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
                 THEN ['a4_thin_federation_interface']
         END)) AS invariant
     FROM event_principals
     -- Each of these events has a robot or a path, if an empty one; to leave others out costs less than to judge them.
     WHERE
-        robot IS NOT NULL
-        OR decided_by IS NOT NULL
-        OR requested_by IS NOT NULL
-        OR executed_by IS NOT NULL
+        robot IS NOT NULL OR decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL
         OR supervised_by IS NOT NULL
         OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR path IS NOT NULL
     UNION ALL
-    SELECT
-        run_id,
-        'a4_thin_federation_interface' AS invariant
+    SELECT run_id, 'a4_thin_federation_interface' AS invariant
     FROM recovery_attempted
     WHERE level = 'local'
     UNION ALL
-    SELECT
-        run_id,
-        'i2_local_execution_ownership' AS invariant
+    SELECT run_id, 'i2_local_execution_ownership' AS invariant
     FROM rights_at_evaluations
     WHERE verdict = 'admitted'
     UNION ALL
-    SELECT
-        run_id,
-        unnest(['i3_jointly_composed_policy', 'a3_no_silent_policy_override']) AS invariant
+    SELECT run_id, unnest(['i3_jointly_composed_policy', 'a3_no_silent_policy_override']) AS invariant
     FROM known_policy
     UNION ALL
-    SELECT
-        run_id,
-        'a3_no_silent_policy_override' AS invariant
+    SELECT run_id, 'a3_no_silent_policy_override' AS invariant
     FROM mandate_conflicts
     UNION ALL
-    SELECT
-        run_id,
-        'i4_outward_recovery' AS invariant
+    SELECT run_id, 'i4_outward_recovery' AS invariant
     FROM recovery_acts
     UNION ALL
-    SELECT
-        events.run_id,
-        'i5_audit_attributability' AS invariant
+    SELECT events.run_id, 'i5_audit_attributability' AS invariant
     FROM event_principals AS events
     INNER JOIN event_classes AS classes ON events.type = classes.type
     WHERE classes.record_kind IS NOT NULL -- each is a row of coordination_events
     UNION ALL
-    SELECT
-        run_id,
-        'a5_audit_completeness' AS invariant
+    SELECT run_id, 'a5_audit_completeness' AS invariant
     FROM cross_robot_records
 )
 
-SELECT
-    run_id,
-    invariant,
-    count(*) AS cases
+SELECT run_id, invariant, count(*) AS cases
 FROM judged
 WHERE invariant IS NOT NULL
 GROUP BY run_id, invariant

@@ -7,100 +7,56 @@
 -- Example: fsar-ledger query facts/known_policy LEDGER
 -- Stored: I3 and A3 both read it
 WITH said AS (
-    SELECT
-        run_id,
-        seq,
-        action_id,
-        CASE type WHEN 'RequestAdmitted.v1' THEN 'admitted' WHEN 'RequestAccepted.v1' THEN 'accepted' ELSE 'denied' END
-            AS what,
-        outcome
+    SELECT run_id, seq, action_id, type, outcome
     FROM request_events
     WHERE type IN ('RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestDenied.v1')
     UNION ALL
-    SELECT
-        run_id,
-        seq,
-        action_id,
-        'approved' AS what,
-        NULL AS outcome
+    SELECT run_id, seq, action_id, 'approved' AS type, NULL AS outcome
     FROM supervisor_responded
     WHERE purpose = 'review' AND coalesce(approves, TRUE)
 ),
 
 starts AS (
-    -- A delegated action was decided when the executor last admitted it (accepted, where nobody admits), anything else
-    -- when it starts.
+    -- The last admission decides a delegated action (the acceptance, where nobody admits), its start any other.
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        events.task_id,
-        events.action_id,
-        events.robot,
-        events.capability,
+        done.run_id, done.seq, done.time_us, done.type, done.task_id, done.action_id, done.robot, done.capability,
         coalesce(
-            max(said.seq) FILTER (said.what = 'admitted'), max(said.seq) FILTER (said.what = 'accepted'), events.seq
+            max(said.seq) FILTER (said.type = 'RequestAdmitted.v1'),
+            max(said.seq) FILTER (said.type = 'RequestAccepted.v1'), done.seq
         ) AS decision_seq,
-        coalesce(max(said.seq) FILTER (said.what = 'approved'), -1) AS approved_seq,
-        coalesce(max(said.seq) FILTER (said.what = 'admitted' AND said.outcome <> 'deny'), -1) AS admitted_seq,
-        max(said.seq) FILTER (said.what = 'denied') AS denied_seq
-    FROM execution_events AS events
-    LEFT JOIN said ON events.run_id = said.run_id AND events.action_id = said.action_id AND events.seq > said.seq
-    WHERE events.type = 'ExecutionStarted.v1' OR (events.type = 'RoutinePerformed.v1' AND events.operation = 'motion')
-    GROUP BY
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        events.task_id,
-        events.action_id,
-        events.robot,
-        events.capability
+        coalesce(max(said.seq) FILTER (said.type = 'approved'), -1) AS approved_seq,
+        max(said.seq) FILTER (said.type = 'RequestAdmitted.v1' AND said.outcome <> 'deny') AS admitted_seq,
+        max(said.seq) FILTER (said.type = 'RequestDenied.v1') AS denied_seq
+    FROM execution_events AS done
+    LEFT JOIN said ON done.run_id = said.run_id AND done.action_id = said.action_id AND done.seq > said.seq
+    WHERE done.type = 'ExecutionStarted.v1' OR (done.type = 'RoutinePerformed.v1' AND done.operation = 'motion')
+    GROUP BY done.run_id, done.seq, done.time_us, done.type, done.task_id, done.action_id, done.robot, done.capability
 ),
 
 outcomes AS (
-    -- The executor's own policy, which it knows as it is until it starts; rules of the fleet are known at once to all,
-    -- and count at the decision.
-    SELECT
-        starts.run_id,
-        starts.seq,
-        windows.seq AS known_seq,
-        windows.outcome
+    -- The executor knows its own policy until it starts; fleet rules, known to all at once, count at the decision.
+    SELECT starts.run_id, starts.seq, windows.seq AS known_seq, windows.outcome
     FROM starts
     INNER JOIN policy_windows AS windows
         ON
             starts.run_id = windows.run_id AND starts.robot = windows.robot
             AND CASE
-                WHEN
-                    windows.scope = 'local'
-                    THEN
-                        starts.time_us >= windows.opened_us
-                        AND starts.time_us < coalesce(windows.closed_us, starts.time_us + 1)
-                ELSE
-                    windows."window" IS NULL
-                    AND starts.decision_seq > windows.seq
-                    AND starts.decision_seq <= coalesce(windows.closed_seq, starts.seq)
+                WHEN windows.scope = 'local'
+                    THEN starts.time_us BETWEEN windows.opened_us AND coalesce(windows.closed_us - 1, starts.time_us)
+                WHEN windows."window" IS NULL
+                    THEN starts.decision_seq BETWEEN windows.seq + 1 AND coalesce(windows.closed_seq, starts.seq)
             END
             AND (windows.capability IS NULL OR starts.capability = windows.capability)
             AND (windows.context IS NULL OR starts.task_id = windows.context)
     UNION ALL
     -- The fleet's rule for its zone, as the executor had last been told at the decision.
-    SELECT
-        starts.run_id,
-        starts.seq,
-        rules.seq AS known_seq,
-        rules.outcome
+    SELECT starts.run_id, starts.seq, rules.seq AS known_seq, rules.outcome
     FROM starts
     ASOF JOIN fleet_rule_learned AS rules
         ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
     UNION ALL
     -- The requester's own, and that of a relay, as the request carried it.
-    SELECT
-        starts.run_id,
-        starts.seq,
-        requests.seq AS known_seq,
-        requests.carried_policy AS outcome
+    SELECT starts.run_id, starts.seq, requests.seq AS known_seq, requests.carried_policy AS outcome
     FROM starts
     INNER JOIN request_events AS requests
         ON starts.run_id = requests.run_id AND starts.action_id = requests.action_id AND starts.seq > requests.seq
@@ -108,26 +64,17 @@ outcomes AS (
 )
 
 SELECT
-    starts.run_id,
-    starts.seq,
-    starts.time_us,
-    starts.type,
-    starts.action_id,
-    starts.robot,
-    starts.decision_seq,
+    starts.run_id, starts.seq, starts.time_us, starts.type, starts.action_id, starts.robot, starts.decision_seq,
     CASE
-        WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny' WHEN
-            bool_or(outcomes.outcome = 'review')
-            THEN 'review'
+        WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny'
+        WHEN bool_or(outcomes.outcome = 'review') THEN 'review'
         ELSE 'allow'
     END AS outcome,
-    CASE WHEN starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq) THEN starts.denied_seq END
-        AS denied_seq
+    if(starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq), starts.denied_seq, NULL) AS denied_seq
 FROM starts
 -- What a supervisor approves are the reviews that were known by then; a denial stands whatever was approved.
 LEFT JOIN outcomes
     ON
-        starts.run_id = outcomes.run_id
-        AND starts.seq = outcomes.seq
+        starts.run_id = outcomes.run_id AND starts.seq = outcomes.seq
         AND (outcomes.outcome = 'deny' OR starts.approved_seq < outcomes.known_seq)
 GROUP BY ALL

@@ -10,13 +10,7 @@
 WITH mandated AS (
     -- The fleet allows where every rule of it that applies does.
     SELECT
-        stops.run_id,
-        stops.seq,
-        stops.time_us,
-        stops.task_id,
-        stops.action_id,
-        stops.robot,
-        stops.capability,
+        stops.run_id, stops.seq, stops.time_us, stops.task_id, stops.action_id, stops.robot, stops.capability,
         stops.previous_seq,
         max(rules.seq) AS mandate_seq
     FROM policy_stops AS stops
@@ -32,22 +26,14 @@ WITH mandated AS (
 
 heard AS (
     -- What the executor was last told of the fleet's rule for its zone.
-    SELECT
-        mandated.run_id,
-        mandated.seq,
-        told.outcome
+    SELECT mandated.run_id, mandated.seq, told.outcome
     FROM mandated
     ASOF JOIN fleet_rule_learned AS told
         ON mandated.run_id = told.run_id AND mandated.robot = told.robot AND mandated.seq > told.seq
 )
 
 SELECT
-    mandated.run_id,
-    mandated.seq,
-    mandated.time_us,
-    mandated.action_id,
-    mandated.robot,
-    mandated.mandate_seq,
+    mandated.run_id, mandated.seq, mandated.time_us, mandated.action_id, mandated.robot, mandated.mandate_seq,
     max(escalated.seq) AS escalated_seq
 FROM mandated
 INNER JOIN policy_windows AS own

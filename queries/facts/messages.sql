@@ -10,29 +10,16 @@
 -- Example: fsar-ledger query facts/messages LEDGER
 WITH told AS (
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        keyed_events.action_id,
+        events.run_id, events.seq, events.time_us, events.type, keyed_events.action_id,
         MAP {
-            'decider': decided_by,
-            'requester': requested_by,
-            'executor': executed_by,
-            'supervisor': supervised_by,
+            'decider': decided_by, 'requester': requested_by, 'executor': executed_by, 'supervisor': supervised_by,
+            'robot': robot, 'peer': peer, 'claimant': claimant, 'sender': sender, 'receiver': receiver,
+            'called': supervisor, 'helper': coalesce(helper, decided_by),
             'registry': if(
-                regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'),
-                requested_by,
+                regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'), requested_by,
                 'service/registry'
             ),
             'target': if(events.action_id IS NULL AND request_id IS NULL, decided_by, coalesce(relay, executed_by)),
-            'helper': coalesce(helper, decided_by),
-            'robot': robot,
-            'peer': peer,
-            'claimant': claimant,
-            'sender': sender,
-            'receiver': receiver,
-            'called': supervisor,
             'caller': CASE
                 WHEN purpose = 'review' AND robot IS NOT NULL THEN 'coordinator'
                 WHEN purpose = 'recovery' THEN last_value(decided_by IGNORE NULLS) OVER earlier
@@ -40,22 +27,12 @@ WITH told AS (
             END
         } AS parties,
         MAP {
-            'capability': capability,
+            'capability': capability, 'cause': cause, 'result': result, 'purpose': purpose, 'reason': reason,
             'candidates': coalesce(nullif(array_to_string(candidates, ', '), ''), 'none'),
-            'reason': reason,
-            'outcome': outcome, 'policy': 'policy ' || outcome, 'override': override,
-            'answer': CASE
-                WHEN is_accepted THEN 'accepted' WHEN override IS NULL THEN 'let go' ELSE 'asks ' || override
-            END,
-            'cause': cause,
-            'result': result,
-            'purpose': purpose,
-            'number': number::VARCHAR,
-            'level': level,
-            'levels': level || ' to ' || to_level,
-            'checkpoint': CASE
-                WHEN helper IS NULL THEN 'not feasible' ELSE coalesce(checkpoint, 'from the last step boundary')
-            END,
+            'outcome': outcome, 'policy': 'policy ' || outcome, 'override': override, 'number': number::VARCHAR,
+            'answer': if(is_accepted, 'accepted', coalesce('asks ' || override, 'let go')),
+            'level': level, 'levels': level || ' to ' || to_level,
+            'checkpoint': if(helper IS NULL, 'not feasible', coalesce(checkpoint, 'from the last step boundary')),
             'decision': CASE
                 WHEN preferred IS NOT NULL THEN preferred || ' first'
                 WHEN NOT approves THEN 'refused'
@@ -65,26 +42,15 @@ WITH told AS (
         concat_ws(
             '; ',
             'carries policy ' || carried_policy, 'through ' || relay, 'trust ' || trust,
-            CASE
-                WHEN may_request IS NOT NULL
-                    THEN
-                        format(
-                            'authority ({}, {}, {}, {})',
-                            may_request::INT,
-                            may_execute::INT,
-                            coalesce(nullif(override, 'none'), '0'),
-                            is_audited::INT
-                        )
-            END,
+            if(may_request IS NULL, NULL, format(
+                'authority ({}, {}, {}, {})',
+                may_request::INT, may_execute::INT, coalesce(nullif(override, 'none'), '0'), is_audited::INT
+            )),
             CASE WHEN events.type = 'RequestIssued.v1' THEN 'override ' || nullif(override, 'none') END,
             'in ' || nullif(domain, ''), 'as of ' || (as_of_us / 1000000) || ' s',
-            'left out: '
-            || nullif(
-                array_to_string(
-                    list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '
-                ),
-                ''
-            ),
+            'left out: ' || nullif(array_to_string(
+                list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '
+            ), ''),
             CASE WHEN events.type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END,
             'gives way to ' || preempted_by, keyed_events.action_id || ' competes with ' || competing,
             CASE WHEN events.type = 'RecoveryAttempted.v1' THEN 'level ' || level END,
@@ -99,19 +65,13 @@ WITH told AS (
         events.type IN (SELECT message_words.type FROM message_words)
         AND (events.type <> 'AuthorityClaimed.v1' OR reason = 'revocation')
     WINDOW earlier AS (
-        PARTITION BY events.run_id, keyed_events.action_id
-        ORDER BY events.seq
+        PARTITION BY events.run_id, keyed_events.action_id ORDER BY events.seq
         ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
     )
 )
 
 SELECT
-    told.run_id,
-    told.seq,
-    words.part,
-    told.time_us,
-    told.type,
-    told.action_id,
+    told.run_id, told.seq, words.part, told.time_us, told.type, told.action_id,
     told.parties[words.sender] AS sender,
     told.parties[words.receiver] AS receiver,
     words.words || coalesce(': ' || told.details[words.detail], '') AS message,

@@ -7,11 +7,7 @@
 -- Example: fsar-ledger query facts/outages LEDGER
 WITH edges AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        robot,
+        run_id, seq, time_us, type, robot,
         CASE
             WHEN type IN ('RobotWentOff.v1', 'RobotCameBack.v1') THEN 'off'
             WHEN type IN ('LinkWentDown.v1', 'LinkCameUp.v1') THEN 'unlinked'
@@ -22,23 +18,13 @@ WITH edges AS (
 
 spells AS (
     SELECT
-        run_id,
-        seq,
-        robot,
-        what,
-        type,
+        run_id, seq, robot, what, type,
         time_us AS since_us,
         lead(time_us) OVER (PARTITION BY run_id, robot, what ORDER BY seq) AS until_us
     FROM edges
     WHERE what IS NOT NULL
 )
 
-SELECT
-    run_id,
-    seq,
-    robot,
-    what,
-    since_us,
-    until_us
+SELECT run_id, seq, robot, what, since_us, until_us
 FROM spells
 WHERE type IN ('RobotWentOff.v1', 'LinkWentDown.v1', 'ActuatorDegraded.v1')

@@ -6,13 +6,7 @@
 -- NULL: never
 -- Example: fsar-ledger query facts/planned_runs LEDGER
 -- A run that no plan names is not here: one that was not simulated, or of a ledger from before plans were recorded.
-SELECT
-    plans.plan,
-    runs.run_id,
-    runs.architecture,
-    runs.configuration,
-    runs.scenario,
-    runs.run
+SELECT plans.plan, runs.run_id, runs.architecture, runs.configuration, runs.scenario, runs.run
 FROM plans
 INNER JOIN runs
     ON
@@ -21,5 +15,4 @@ INNER JOIN runs
 WHERE
     runs.kind = 'simulated' AND runs.run >= 0 AND plans.run_count > runs.run
     AND list_contains(plans.architectures, runs.architecture)
-    AND list_contains(plans.configurations, runs.configuration)
-    AND list_contains(plans.scenarios, runs.scenario)
+    AND list_contains(plans.configurations, runs.configuration) AND list_contains(plans.scenarios, runs.scenario)

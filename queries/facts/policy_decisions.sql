@@ -10,8 +10,7 @@
 -- Stored: the evidence of governance reads it twice
 WITH approvals AS (
     SELECT
-        run_id,
-        action_id,
+        run_id, action_id,
         min(seq) AS seq
     FROM supervisor_responded
     WHERE purpose = 'review' AND approves
@@ -20,34 +19,20 @@ WITH approvals AS (
 
 judgements AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        task_id,
-        action_id,
+        run_id, seq, time_us, task_id, action_id,
         type = 'RequestDenied.v1' AS is_refused,
         coalesce(executed_by, robot, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS executor
     FROM request_events
     WHERE type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'RequestDenied.v1')
     UNION ALL
-    SELECT
-        run_id,
-        seq,
-        time_us,
-        task_id,
-        action_id,
-        TRUE AS is_refused,
-        robot AS executor
+    SELECT run_id, seq, time_us, task_id, action_id, TRUE AS is_refused, robot AS executor
     FROM supervisor_called
     WHERE purpose = 'review'
 ),
 
 decided AS (
     SELECT
-        judgements.run_id,
-        judgements.seq,
-        judgements.time_us,
-        judgements.task_id,
+        judgements.run_id, judgements.seq, judgements.time_us, judgements.task_id,
         judgements.is_refused OR coalesce(approvals.seq < judgements.seq, FALSE) AS is_heeded,
         judgements.executor
     FROM judgements
@@ -56,12 +41,7 @@ decided AS (
 
 asked AS (
     SELECT
-        decided.run_id,
-        decided.seq,
-        decided.time_us,
-        decided.task_id,
-        decided.is_heeded,
-        decided.executor,
+        decided.run_id, decided.seq, decided.time_us, decided.task_id, decided.is_heeded, decided.executor,
         steps.robot AS requester,
         steps.capability
     FROM decided
@@ -71,21 +51,14 @@ asked AS (
 )
 
 SELECT
-    asked.run_id,
-    asked.seq,
-    asked.time_us,
-    asked.requester,
-    asked.executor,
-    asked.is_heeded,
+    asked.run_id, asked.seq, asked.time_us, asked.requester, asked.executor, asked.is_heeded,
     coalesce(bool_or(windows.scope = 'local' AND windows.robot = asked.requester), FALSE) AS is_against_requester,
     coalesce(bool_or(windows.scope = 'fleet' AND windows.robot = asked.executor), FALSE) AS is_against_fleet
 FROM asked
 LEFT JOIN policy_windows AS windows
     ON
-        asked.run_id = windows.run_id
-        AND windows.robot IN (asked.requester, asked.executor)
-        AND windows.outcome <> 'allow'
-        AND (windows.capability IS NULL OR asked.capability = windows.capability)
+        asked.run_id = windows.run_id AND windows.robot IN (asked.requester, asked.executor)
+        AND windows.outcome <> 'allow' AND (windows.capability IS NULL OR asked.capability = windows.capability)
         AND (windows.context IS NULL OR asked.task_id = windows.context)
         AND windows.opened_us + 1000000 <= asked.time_us
         AND asked.time_us < coalesce(windows.closed_us, asked.time_us + 1)

@@ -9,22 +9,14 @@
 -- Example: fsar-ledger query facts/policy_in_force LEDGER
 WITH edges AS (
     SELECT
-        run_id,
-        robot,
-        scope,
-        capability,
-        context,
+        run_id, robot, scope, capability, context,
         opened_us AS since_us,
         (outcome = 'deny')::INTEGER AS denies,
         (outcome = 'review')::INTEGER AS reviews
     FROM policy_windows
     UNION ALL
     SELECT
-        run_id,
-        robot,
-        scope,
-        capability,
-        context,
+        run_id, robot, scope, capability, context,
         closed_us AS since_us,
         -(outcome = 'deny')::INTEGER AS denies,
         -(outcome = 'review')::INTEGER AS reviews
@@ -34,12 +26,7 @@ WITH edges AS (
 
 moments AS (
     SELECT
-        run_id,
-        robot,
-        scope,
-        capability,
-        context,
-        since_us,
+        run_id, robot, scope, capability, context, since_us,
         sum(denies) AS denies,
         sum(reviews) AS reviews
     FROM edges
@@ -48,12 +35,7 @@ moments AS (
 
 open_windows AS (
     SELECT
-        run_id,
-        robot,
-        scope,
-        capability,
-        context,
-        since_us,
+        run_id, robot, scope, capability, context, since_us,
         lead(since_us) OVER subject AS until_us,
         sum(denies) OVER subject AS denies,
         sum(reviews) OVER subject AS reviews
@@ -62,12 +44,6 @@ open_windows AS (
 )
 
 SELECT
-    run_id,
-    robot,
-    scope,
-    capability,
-    context,
-    since_us,
-    until_us,
+    run_id, robot, scope, capability, context, since_us, until_us,
     CASE WHEN denies > 0 THEN 'deny' WHEN reviews > 0 THEN 'review' ELSE 'allow' END AS outcome
 FROM open_windows

@@ -9,33 +9,14 @@
 -- Example: fsar-ledger query facts/policy_rules LEDGER
 WITH stated AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        caused_by,
-        scope,
-        robot,
-        capability,
-        context,
-        outcome,
-        decided_by,
+        run_id, seq, time_us, scope, robot, capability, context, outcome, decided_by,
         NULL AS role,
         NULL AS domain,
         CASE WHEN robot IS NOT NULL THEN 1024 END AS nearness
     FROM policy_rule_set
     UNION ALL BY NAME
     SELECT
-        run_id,
-        seq,
-        time_us,
-        caused_by,
-        scope,
-        role,
-        outcome,
-        domain,
-        capability,
-        context,
-        decided_by,
+        run_id, seq, time_us, scope, role, outcome, domain, capability, context, decided_by,
         NULL AS robot,
         CASE domain WHEN '' THEN 0 ELSE least(len(string_split(domain, '/')), 1023) END AS nearness
     FROM role_policy_rule_set
@@ -43,19 +24,8 @@ WITH stated AS (
 
 of_members AS (
     SELECT
-        stated.run_id,
-        stated.seq,
-        stated.time_us,
-        stated.caused_by,
-        stated.scope,
-        stated.capability,
-        stated.context,
-        stated.outcome,
-        stated.decided_by,
-        stated.role,
-        stated.domain,
-        stated.nearness,
-        members.robot
+        stated.run_id, stated.seq, stated.time_us, stated.scope, stated.capability, stated.context, stated.outcome,
+        stated.decided_by, stated.role, stated.domain, stated.nearness, members.robot
     FROM stated
     INNER JOIN fleet_members AS members
         ON
@@ -84,16 +54,9 @@ in_force AS (
 )
 
 SELECT
-    run_id,
-    seq,
+    run_id, seq,
     time_us AS set_us,
-    scope,
-    role,
-    domain,
-    capability,
-    context,
-    outcome,
-    decided_by,
+    scope, role, domain, capability, context, outcome, decided_by,
     lead(time_us) OVER same AS until_us,
     lead(seq) OVER same AS until_seq,
     robot

@@ -9,11 +9,7 @@
 -- Example: fsar-ledger query facts/policy_stops LEDGER
 WITH stops AS (
     SELECT
-        denied.run_id,
-        denied.seq,
-        denied.time_us,
-        denied.task_id,
-        denied.action_id,
+        denied.run_id, denied.seq, denied.time_us, denied.task_id, denied.action_id,
         denied.executed_by AS robot,
         issued.capability
     FROM request_denied AS denied
@@ -21,14 +17,7 @@ WITH stops AS (
         ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
     WHERE denied.reason = 'policy'
     UNION ALL
-    SELECT
-        held.run_id,
-        held.seq,
-        held.time_us,
-        held.task_id,
-        held.action_id,
-        held.robot,
-        queued.capability
+    SELECT held.run_id, held.seq, held.time_us, held.task_id, held.action_id, held.robot, queued.capability
     FROM execution_held AS held
     ASOF JOIN execution_queued AS queued
         ON held.run_id = queued.run_id AND held.action_id = queued.action_id AND held.seq > queued.seq
@@ -36,12 +25,6 @@ WITH stops AS (
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    task_id,
-    action_id,
-    robot,
-    capability,
+    run_id, seq, time_us, task_id, action_id, robot, capability,
     coalesce(lag(seq) OVER (PARTITION BY run_id, action_id ORDER BY seq), -1) AS previous_seq
 FROM stops

@@ -10,9 +10,7 @@
 -- Example: fsar-ledger query facts/policy_windows LEDGER
 WITH closings AS (
     SELECT
-        run_id,
-        robot,
-        scope,
+        run_id, robot, scope,
         "window",
         min(time_us) AS closed_us,
         min(seq) AS closed_seq
@@ -21,34 +19,23 @@ WITH closings AS (
 )
 
 SELECT
-    opened.run_id,
-    opened.seq,
-    opened.robot,
-    opened.scope,
+    opened.run_id, opened.seq, opened.robot, opened.scope,
     opened."window",
     NULL::VARCHAR AS capability,
     NULL::VARCHAR AS context,
     opened.outcome,
     opened.time_us AS opened_us,
-    closings.closed_us,
-    closings.closed_seq
+    closings.closed_us, closings.closed_seq
 FROM policy_window_opened AS opened
 LEFT JOIN closings
     ON
-        opened.run_id = closings.run_id
-        AND opened.robot = closings.robot
-        AND opened.scope = closings.scope
+        opened.run_id = closings.run_id AND opened.robot = closings.robot AND opened.scope = closings.scope
         AND opened."window" = closings."window"
 UNION ALL
 SELECT
-    run_id,
-    seq,
-    robot,
-    scope,
+    run_id, seq, robot, scope,
     NULL AS "window",
-    capability,
-    context,
-    outcome,
+    capability, context, outcome,
     set_us AS opened_us,
     until_us AS closed_us,
     until_seq AS closed_seq

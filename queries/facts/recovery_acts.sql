@@ -19,17 +19,7 @@ WITH ranks (level, rank) AS (
 
 records AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        action_id,
-        helper,
-        number,
-        deadline_us,
-        reason,
-        to_level,
-        level,
+        run_id, seq, time_us, type, action_id, helper, number, deadline_us, reason, to_level, level,
         -- A call and its answer name no failure: they are about the last one of the action.
         coalesce(failure, last_value(CASE WHEN type = 'ExecutionFailed.v1' THEN failure END IGNORE NULLS) OVER so_far)
             AS failure,
@@ -45,31 +35,15 @@ records AS (
 ),
 
 helped AS (
-    SELECT DISTINCT
-        run_id,
-        action_id,
-        failure,
-        helper
+    SELECT DISTINCT run_id, action_id, failure, helper
     FROM assistance_ended
 )
 
 SELECT
-    records.run_id,
-    records.seq,
-    records.time_us,
-    records.type,
-    records.action_id,
-    records.helper,
-    records.deadline_us,
-    records.reason,
-    records.to_level,
-    records.level,
-    records.failure,
-    records.robot,
-    ranks.rank,
+    records.run_id, records.seq, records.time_us, records.type, records.action_id, records.helper, records.deadline_us,
+    records.reason, records.to_level, records.level, records.failure, records.robot, ranks.rank,
     targets.rank AS to_rank,
-    allowed.t_max_us,
-    allowed.n_max,
+    allowed.t_max_us, allowed.n_max,
     records.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'SupervisorCalled.v1')
     OR (records.type = 'ReassignmentDecided.v1' AND records.helper IS NOT NULL) AS is_use,
     -- What a failure can be resolved by at the level: an attempt that did not fail, help that was given to its end, a
@@ -91,7 +65,5 @@ LEFT JOIN helped
         AND records.failure = helped.failure AND records.helper = helped.helper
 ASOF LEFT JOIN recovery_allowances AS allowed
     ON
-        records.run_id = allowed.run_id
-        AND records.robot = allowed.robot
-        AND records.level = allowed.level
+        records.run_id = allowed.run_id AND records.robot = allowed.robot AND records.level = allowed.level
         AND records.seq >= allowed.since_seq

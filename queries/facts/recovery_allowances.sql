@@ -9,8 +9,7 @@
 -- Example: fsar-ledger query facts/recovery_allowances LEDGER
 WITH readable AS (
     SELECT
-        run_id,
-        seq,
+        run_id, seq,
         CASE WHEN json_valid(parameters) THEN parameters END AS constants
     FROM run_started
 ),
@@ -32,34 +31,18 @@ founding AS (
 ),
 
 robots AS (
-    SELECT
-        run_id,
-        robot
+    SELECT run_id, robot
     FROM fleet_members
     UNION
-    SELECT
-        run_id,
-        robot
+    SELECT run_id, robot
     FROM execution_failed
 )
 
 SELECT
-    founding.run_id,
-    robots.robot,
-    founding.level,
-    founding.since_seq,
-    founding.t_max_us,
-    founding.n_max,
+    founding.run_id, robots.robot, founding.level, founding.since_seq, founding.t_max_us, founding.n_max,
     NULL::VARCHAR AS set_by
 FROM founding
 INNER JOIN robots ON founding.run_id = robots.run_id
 UNION ALL
-SELECT
-    run_id,
-    robot,
-    level,
-    seq AS since_seq,
-    t_max_us,
-    n_max,
-    decided_by AS set_by
+SELECT run_id, robot, level, seq AS since_seq, t_max_us, n_max, decided_by AS set_by
 FROM recovery_budget_set

@@ -7,30 +7,17 @@
 --   level where it has none
 -- Example: fsar-ledger query facts/recovery_records LEDGER
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
+    run_id, seq, time_us, type,
     coalesce(failed_action, action_id) AS action_id,
-    failure,
-    robot,
-    helper,
+    failure, robot, helper,
     NULL AS supervisor,
     decided_by,
     if(type = 'ReassignmentDecided.v1', 'fleet', level) AS level,
-    to_level,
-    number,
-    deadline_us,
-    checkpoint,
-    reason
+    to_level, number, deadline_us, checkpoint, reason
 FROM recovery_events
 UNION ALL
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    action_id,
+    run_id, seq, time_us, type, action_id,
     NULL AS failure,
     NULL AS robot,
     NULL AS helper,

@@ -1,25 +1,16 @@
 -- Title: What recovery did about each failure, step by step, and what came of it
 -- Paper: eq:recovery, fig:wf3
--- Grain: one row per failure and attempt, question to registry, peer or supervisor, reassignment decision, escalation
---   or resolution
+-- Grain: one row per failure and attempt, question (registry, peer, supervisor), reassignment, escalation or resolution
 -- Key: run_id, action_id, failure, seq
 -- Units: detected_us, time_us, until_us microseconds of run time; until_us is when the next step was taken
--- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_us of the last
---   step
+-- NULL: decided_by when the record names none; result when none came or is recorded; until_us of the last step
 -- Example: fsar-ledger query facts/recovery_steps LEDGER
 WITH answers AS (
     -- What came of an attempt, or of a question for help, where the record says so.
     SELECT
-        run_id,
-        action_id,
-        failure,
-        number,
-        helper,
+        run_id, action_id, failure, number, helper,
         any_value(
-            CASE type
-                WHEN 'AssistanceDeclined.v1' THEN 'busy' WHEN 'AssistanceFailed.v1' THEN 'no help: ' || cause ELSE
-                    result
-            END
+            if(type = 'AssistanceDeclined.v1', 'busy', if(type = 'AssistanceFailed.v1', 'no help: ' || cause, result))
         ) AS answer,
         any_value(nullif(array_to_string(achieved, ', '), '')) AS achieved
     FROM recovery_events
@@ -29,48 +20,18 @@ WITH answers AS (
 
 steps AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        action_id,
-        failure,
-        helper,
-        supervisor,
-        decided_by,
-        level,
-        to_level,
-        number,
-        deadline_us,
-        checkpoint,
-        reason
+        run_id, seq, time_us, type, action_id, failure, helper, supervisor, decided_by, level, to_level, number,
+        deadline_us, checkpoint, reason
     FROM recovery_records
     UNION ALL BY NAME
-    SELECT
-        run_id,
-        seq,
-        time_us,
-        'RegistryQueried.v1' AS type,
-        action_id,
-        'peer' AS level,
-        capability,
-        candidates
+    SELECT run_id, seq, time_us, 'RegistryQueried.v1' AS type, action_id, 'peer' AS level, capability, candidates
     FROM registry_queried
 )
 
 SELECT
-    failures.run_id,
-    failures.action_id,
-    failures.failure,
-    failures.detected_us,
-    steps.seq,
-    steps.type,
-    steps.time_us,
+    failures.run_id, failures.action_id, failures.failure, failures.detected_us, steps.seq, steps.type, steps.time_us,
     lead(steps.time_us) OVER in_order AS until_us,
-    steps.decided_by,
-    steps.level,
-    steps.to_level,
-    steps.deadline_us,
+    steps.decided_by, steps.level, steps.to_level, steps.deadline_us,
     CASE steps.type
         WHEN 'RecoveryAttempted.v1' THEN 'attempt ' || steps.number
         WHEN 'AssistanceRequested.v1' THEN 'asks ' || steps.helper || ' for help'
@@ -80,35 +41,21 @@ SELECT
         WHEN 'RecoveryEscalated.v1' THEN 'leaves ' || steps.level || ' for ' || steps.to_level
         ELSE 'resolved'
     END AS what,
-    CASE steps.type
-        WHEN 'RecoveryAttempted.v1'
-            THEN
-                coalesce(
-                    answers.answer,
-                    CASE
-                        WHEN lead(steps.type) OVER in_order = 'FailureResolved.v1' THEN 'success'
-                        WHEN lead(steps.type) OVER in_order IS NOT NULL THEN 'failure'
-                    END
-                )
-        WHEN 'AssistanceRequested.v1'
-            THEN
-                coalesce(
-                    answers.answer,
-                    CASE
-                        WHEN lead(steps.type) OVER in_order = 'FailureResolved.v1' THEN 'helped'
-                        WHEN lead(steps.type) OVER in_order IS NOT NULL THEN 'no help'
-                    END
-                )
-        WHEN 'RegistryQueried.v1'
+    CASE
+        WHEN steps.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1') AND answers.answer IS NOT NULL
+            THEN answers.answer
+        WHEN steps.type = 'RecoveryAttempted.v1' AND lead(steps.type) OVER in_order IS NOT NULL
+            THEN if(lead(steps.type) OVER in_order = 'FailureResolved.v1', 'success', 'failure')
+        WHEN steps.type = 'AssistanceRequested.v1' AND lead(steps.type) OVER in_order IS NOT NULL
+            THEN if(lead(steps.type) OVER in_order = 'FailureResolved.v1', 'helped', 'no help')
+        WHEN steps.type = 'RegistryQueried.v1'
             THEN if(len(steps.candidates) = 0, 'no peer', array_to_string(steps.candidates, ', '))
-        WHEN 'ReassignmentDecided.v1'
-            THEN
-                coalesce(
-                    'to ' || steps.helper || coalesce(' from ' || steps.checkpoint, ''),
-                    'infeasible' || coalesce(': ' || steps.reason, '')
-                )
-        WHEN 'SupervisorCalled.v1' THEN if(failures.resolved_level = 'human', 'resolved', NULL)
-        WHEN 'RecoveryEscalated.v1' THEN steps.reason
+        WHEN steps.type = 'ReassignmentDecided.v1' AND steps.helper IS NULL
+            THEN 'infeasible' || coalesce(': ' || steps.reason, '')
+        WHEN steps.type = 'ReassignmentDecided.v1'
+            THEN 'to ' || steps.helper || coalesce(' from ' || steps.checkpoint, '')
+        WHEN steps.type = 'SupervisorCalled.v1' AND failures.resolved_level = 'human' THEN 'resolved'
+        WHEN steps.type = 'RecoveryEscalated.v1' THEN steps.reason
     END AS result,
     answers.achieved
 FROM failures
@@ -119,13 +66,12 @@ INNER JOIN steps
         AND CASE
             WHEN steps.type IN ('RegistryQueried.v1', 'SupervisorCalled.v1')
                 THEN steps.time_us <= coalesce(failures.resolved_us, steps.time_us)
-            WHEN
-                steps.type IN (
+            ELSE
+                failures.failure = steps.failure
+                AND steps.type IN (
                     'RecoveryAttempted.v1', 'RecoveryEscalated.v1', 'AssistanceRequested.v1', 'ReassignmentDecided.v1',
                     'FailureResolved.v1'
                 )
-                THEN failures.failure = steps.failure
-            ELSE FALSE
         END
 LEFT JOIN answers
     ON

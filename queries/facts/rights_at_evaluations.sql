@@ -9,54 +9,21 @@
 WITH askers AS (
     -- A relay judges its own link of the chain by itself.
     SELECT
-        run_id,
-        seq,
-        asked_seq,
-        time_us,
-        action_id,
-        context,
-        requested_by,
-        relay,
-        parent,
-        capability,
-        override_asked,
-        decided_by,
-        type,
-        verdict,
-        conjunct,
-        trust,
-        may_request,
-        may_execute,
-        override,
-        is_audited,
+        run_id, seq, time_us, action_id, context, capability, type, verdict, conjunct,
         CASE WHEN decided_by = relay THEN relay ELSE executed_by END AS executed_by,
         unnest(list_distinct([requested_by, coalesce(relay, requested_by)])) AS asker
     FROM evaluations
 ),
 
 rights AS (
-    SELECT
-        run_id,
-        seq,
-        type,
-        requested_by,
-        executed_by,
-        capability,
-        context
+    SELECT run_id, seq, type, requested_by, executed_by, capability, context
     FROM authority_events
     WHERE type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
 )
 
 SELECT
-    askers.run_id,
-    askers.seq,
-    askers.time_us,
-    askers.action_id,
-    askers.type,
-    askers.verdict,
-    askers.conjunct,
-    askers.executed_by,
-    askers.asker,
+    askers.run_id, askers.seq, askers.time_us, askers.action_id, askers.type, askers.verdict, askers.conjunct,
+    askers.executed_by, askers.asker,
     max(rights.seq) AS right_seq,
     arg_max(rights.type, rights.seq) = 'AuthorityRevoked.v1' AS is_revoked
 FROM askers

@@ -7,11 +7,7 @@
 -- Example: fsar-ledger query facts/supervisor_absences LEDGER
 WITH shifts AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        supervisor,
+        run_id, seq, time_us, type, supervisor,
         first_value(CASE WHEN type = 'SupervisorReturned.v1' THEN seq END IGNORE NULLS) OVER later AS returned_seq,
         first_value(CASE WHEN type = 'SupervisorReturned.v1' THEN time_us END IGNORE NULLS) OVER later AS returned_us
     FROM supervision_events
@@ -19,12 +15,6 @@ WITH shifts AS (
     WINDOW later AS (PARTITION BY run_id, supervisor ORDER BY seq ROWS BETWEEN 1 FOLLOWING AND UNBOUNDED FOLLOWING)
 )
 
-SELECT
-    run_id,
-    supervisor,
-    seq AS left_seq,
-    returned_seq,
-    time_us AS left_us,
-    returned_us
+SELECT run_id, supervisor, seq AS left_seq, returned_seq, time_us AS left_us, returned_us
 FROM shifts
 WHERE type = 'SupervisorLeft.v1'

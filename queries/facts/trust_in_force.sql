@@ -12,14 +12,7 @@ WITH moments AS (
     -- Of several about the same at one moment the last one holds; which of those about different things holds,
     -- precedence says.
     SELECT
-        run_id,
-        robot,
-        peer,
-        role,
-        peer_role,
-        domain,
-        capability,
-        context,
+        run_id, robot, peer, role, peer_role, domain, capability, context,
         time_us AS since_us,
         max(seq) AS seq,
         arg_max(scope, seq) AS trust_scope,
@@ -31,21 +24,9 @@ WITH moments AS (
 )
 
 SELECT
-    run_id,
-    robot,
-    peer,
-    role,
-    peer_role,
-    domain,
-    capability,
-    context,
-    since_us,
+    run_id, robot, peer, role, peer_role, domain, capability, context, since_us,
     lead(since_us)
         OVER (PARTITION BY run_id, robot, peer, role, peer_role, domain, capability, context ORDER BY since_us)
         AS until_us,
-    trust_scope,
-    set_by,
-    reason,
-    precedence,
-    seq
+    trust_scope, set_by, reason, precedence, seq
 FROM moments

@@ -10,27 +10,18 @@
 -- An entry is about a pair when one robot is on its trusting side and the other on its trusted side: so no row is
 -- needed for each pair.
 SELECT
-    pairs.run_id,
-    pairs.seq,
-    pairs.is_trusting,
-    pairs.robot,
+    pairs.run_id, pairs.seq, pairs.is_trusting, pairs.robot,
     coalesce(members.joined_us, 0) AS joined_us
 FROM (
     SELECT
-        run_id,
-        seq,
+        run_id, seq,
         unnest([TRUE, FALSE]) AS is_trusting,
         unnest([robot, peer]) AS robot
     FROM trust_set
 ) AS pairs
 LEFT JOIN fleet_members AS members ON pairs.run_id = members.run_id AND pairs.robot = members.robot
 UNION ALL
-SELECT
-    entries.run_id,
-    entries.seq,
-    sides.is_trusting,
-    members.robot,
-    members.joined_us
+SELECT entries.run_id, entries.seq, sides.is_trusting, members.robot, members.joined_us
 FROM role_trust_set AS entries
 CROSS JOIN (VALUES (TRUE), (FALSE)) AS sides (is_trusting)
 INNER JOIN fleet_members AS members

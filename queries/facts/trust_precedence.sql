@@ -12,17 +12,7 @@
 -- equals the last holds.
 WITH entries AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        caused_by,
-        robot,
-        peer,
-        scope,
-        capability,
-        context,
-        decided_by,
-        reason,
+        run_id, seq, time_us, robot, peer, scope, capability, context, decided_by, reason,
         NULL AS role,
         NULL AS peer_role,
         NULL AS domain,
@@ -30,17 +20,7 @@ WITH entries AS (
     FROM trust_set
     UNION ALL BY NAME
     SELECT
-        run_id,
-        seq,
-        time_us,
-        role,
-        peer_role,
-        scope,
-        domain,
-        capability,
-        context,
-        decided_by,
-        reason,
+        run_id, seq, time_us, role, peer_role, scope, domain, capability, context, decided_by, reason,
         NULL AS robot,
         NULL AS peer,
         CASE domain WHEN '' THEN 0 ELSE least(len(string_split(domain, '/')), 1023) END AS nearness
@@ -48,17 +28,7 @@ WITH entries AS (
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    robot,
-    peer,
-    role,
-    peer_role,
-    domain,
-    capability,
-    context,
-    scope,
+    run_id, seq, time_us, robot, peer, role, peer_role, domain, capability, context, scope,
     decided_by AS set_by,
     reason,
     (nearness::BIGINT * 4 + (capability IS NOT NULL)::BIGINT * 2 + (context IS NOT NULL)::BIGINT) * 1000000000

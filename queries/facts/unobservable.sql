@@ -14,8 +14,7 @@ WITH sources AS (
 
 lacking AS (
     SELECT
-        sources.observes,
-        needed.judge,
+        sources.observes, needed.judge,
         string_agg(needed.concern, ', ' ORDER BY needed.concern) AS not_observed,
         bool_or(needed.is_context) AS hides_offences
     FROM sources
@@ -23,10 +22,6 @@ lacking AS (
     GROUP BY sources.observes, needed.judge
 )
 
-SELECT
-    runs.run_id,
-    lacking.judge,
-    lacking.not_observed,
-    lacking.hides_offences
+SELECT runs.run_id, lacking.judge, lacking.not_observed, lacking.hides_offences
 FROM runs
 INNER JOIN lacking ON coalesce(runs.observes, []) = lacking.observes

@@ -8,14 +8,7 @@
 -- Example: fsar-ledger query invariants/a1_local_runtime_self_sufficiency LEDGER
 WITH decided AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        task_id,
-        action_id,
-        decided_by,
-        path,
+        run_id, seq, time_us, type, task_id, action_id, decided_by, path,
         CASE WHEN type = 'OwnStepDecided.v1' THEN executed_by ELSE robot END AS owner
     FROM execution_events
     WHERE type IN ('OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1')
@@ -23,11 +16,7 @@ WITH decided AS (
 
 own_starts AS (
     SELECT
-        starts.run_id,
-        starts.seq,
-        starts.time_us,
-        starts.action_id,
-        starts.robot,
+        starts.run_id, starts.seq, starts.time_us, starts.action_id, starts.robot,
         count(decided.seq) > 0 AS is_decided
     FROM execution_started AS starts
     LEFT JOIN decided
@@ -39,11 +28,7 @@ own_starts AS (
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    action_id,
+    run_id, seq, time_us, type, action_id,
     coalesce(decided_by, 'nobody')
     || ' decides by way of '
     || array_to_string(coalesce(path, []), ', ')
@@ -53,9 +38,7 @@ FROM decided
 WHERE decided_by IS DISTINCT FROM owner OR path IS DISTINCT FROM [owner]
 UNION ALL
 SELECT
-    run_id,
-    seq,
-    time_us,
+    run_id, seq, time_us,
     'ExecutionStarted.v1' AS type,
     action_id,
     robot || ' executes a step of its own that no record says was decided' AS found

@@ -6,11 +6,7 @@
 -- NULL: action_id when the event is not tied to an action
 -- Example: fsar-ledger query invariants/a2_coordination_only_federation LEDGER
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    action_id,
+    run_id, seq, time_us, type, action_id,
     CASE
         WHEN executed_by = 'coordinator' OR starts_with(executed_by, 'service/') THEN executed_by
         ELSE robot

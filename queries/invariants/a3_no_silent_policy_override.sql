@@ -1,89 +1,60 @@
 -- Title: A3 broken: a known conflict of policies is passed over instead of escalated
 -- Paper: sec:architecture:invariants (A3), eq:policy
--- Grain: one row per start under a known deny, or review that no supervisor had approved, after a refusal that nothing
---   lifted, or after a hold that nothing ended; per admission that is milder than what the request carried; and per
---   stop against a mandate that was not escalated
+-- Grain: one row per start under a known deny or unapproved review, or after a refusal or hold that still stands; per
+--   admission milder than what the request carried; and per stop against a mandate that was not escalated
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER
 WITH holds AS (
-    SELECT
-        starts.run_id,
-        starts.seq,
-        max(held.seq) AS held_seq,
-        max(ends.seq) AS changed_seq
-    FROM execution_started AS starts
+    SELECT begun.run_id, begun.seq, max(held.seq) AS held_seq, max(ends.seq) AS changed_seq
+    FROM execution_started AS begun
     INNER JOIN execution_held AS held
         ON
-            starts.run_id = held.run_id
-            AND starts.action_id = held.action_id
-            AND starts.robot = held.robot
-            AND starts.seq > held.seq
+            begun.run_id = held.run_id AND begun.action_id = held.action_id AND begun.robot = held.robot
+            AND begun.seq > held.seq
     LEFT JOIN hold_ends AS ends
         ON
-            starts.run_id = ends.run_id
-            AND (starts.robot = ends.robot OR starts.action_id = ends.action_id)
-            AND starts.seq > ends.seq
-    GROUP BY starts.run_id, starts.seq
+            begun.run_id = ends.run_id AND (begun.robot = ends.robot OR begun.action_id = ends.action_id)
+            AND begun.seq > ends.seq
+    GROUP BY begun.run_id, begun.seq
 ),
 
 said AS (
-    SELECT
-        run_id,
-        seq,
-        action_id,
-        carried_policy,
-        FALSE AS is_approved
+    SELECT run_id, seq, action_id, carried_policy, FALSE AS is_approved
     FROM request_events
     WHERE carried_policy IS NOT NULL
     UNION ALL
-    SELECT
-        run_id,
-        seq,
-        action_id,
-        NULL AS carried_policy,
-        purpose = 'review' AND coalesce(approves, TRUE) AS is_approved
+    SELECT run_id, seq, action_id, NULL AS carried_policy, TRUE AS is_approved
     FROM supervisor_responded
+    WHERE purpose = 'review' AND coalesce(approves, TRUE)
 ),
 
 admissions AS (
     SELECT
-        admitted.run_id,
-        admitted.seq,
-        bool_or(said.is_approved) AS is_approved,
+        admitted.run_id, admitted.seq, bool_or(said.is_approved) AS is_approved,
         max(CASE said.carried_policy WHEN 'deny' THEN 2 WHEN 'review' THEN 1 ELSE 0 END) AS carried
     FROM request_admitted AS admitted
-    INNER JOIN said
-        ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
+    INNER JOIN said ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
     GROUP BY admitted.run_id, admitted.seq
 ),
 
 findings AS (
     SELECT
-        run_id,
-        seq,
-        CASE
-            WHEN
-                denied_seq IS NOT NULL
-                THEN 'starts after the refusal at seq ' || denied_seq || ', which nothing lifted'
-            ELSE
-                'starts under a known '
-                || CASE outcome WHEN 'deny' THEN 'deny' ELSE 'review that no supervisor had approved' END
-        END AS found
+        run_id, seq,
+        coalesce(
+            'starts after the refusal at seq ' || denied_seq || ', which nothing lifted',
+            'starts under a known ' || if(outcome = 'deny', 'deny', 'review that no supervisor had approved')
+        ) AS found
     FROM known_policy
     WHERE denied_seq IS NOT NULL OR outcome <> 'allow'
     UNION ALL
-    SELECT
-        run_id,
-        seq,
-        'starts after the hold at seq ' || held_seq || ', and nothing has changed since' AS found
+    SELECT run_id, seq, 'starts after the hold at seq ' || held_seq || ', and nothing has changed since' AS found
     FROM holds
     WHERE held_seq > coalesce(changed_seq, -1)
     UNION ALL
     SELECT
-        admitted.run_id,
-        admitted.seq,
+        admitted.run_id, admitted.seq,
         'admitted as ' || admitted.outcome || ' although the request carried '
         || list_extract(['allow', 'review', 'deny'], coalesce(admissions.carried, 0) + 1) AS found
     FROM request_admitted AS admitted
@@ -93,20 +64,13 @@ findings AS (
         OR (admissions.carried = 1 AND admitted.outcome = 'allow' AND NOT coalesce(admissions.is_approved, FALSE))
     UNION ALL
     SELECT
-        run_id,
-        seq,
+        run_id, seq,
         'stops what the rule at seq ' || mandate_seq || ' mandates, and nobody was told of the conflict' AS found
     FROM mandate_conflicts
     WHERE escalated_seq IS NULL
 )
 
-SELECT
-    findings.run_id,
-    findings.seq,
-    events.time_us,
-    events.type,
-    events.action_id,
-    findings.found
+SELECT findings.run_id, findings.seq, events.time_us, events.type, events.action_id, findings.found
 FROM findings
 INNER JOIN event_principals AS events ON findings.run_id = events.run_id AND findings.seq = events.seq
 WHERE

@@ -8,12 +8,7 @@
 -- Example: fsar-ledger query invariants/a4_thin_federation_interface LEDGER
 WITH decided AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        action_id,
-        decided_by,
+        run_id, seq, time_us, type, action_id, decided_by,
         CASE
             WHEN type = 'AssistanceAdmitted.v1' THEN helper
             WHEN type IN ('RoutinePerformed.v1', 'RoutineWithheld.v1', 'ExecutionHeld.v1') THEN robot
@@ -22,35 +17,19 @@ WITH decided AS (
     FROM event_principals
     WHERE
         type IN (
-            'RequestAdmitted.v1',
-            'RequestAccepted.v1',
-            'OwnStepDecided.v1',
-            'RoutinePerformed.v1',
-            'RoutineWithheld.v1',
-            'ReplanOrdered.v1',
-            'AssistanceAdmitted.v1'
+            'RequestAdmitted.v1', 'RequestAccepted.v1', 'OwnStepDecided.v1', 'RoutinePerformed.v1',
+            'RoutineWithheld.v1', 'ReplanOrdered.v1', 'AssistanceAdmitted.v1'
         )
         -- Waiting that is no denial is no decision; its path is empty.
         OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
     UNION ALL
-    SELECT
-        run_id,
-        seq,
-        time_us,
-        'RecoveryAttempted.v1' AS type,
-        action_id,
-        decided_by,
-        robot AS executor
+    SELECT run_id, seq, time_us, 'RecoveryAttempted.v1' AS type, action_id, decided_by, robot AS executor
     FROM recovery_attempted
     WHERE level = 'local'
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    action_id,
+    run_id, seq, time_us, type, action_id,
     coalesce(decided_by, 'nobody') || ' decides what ' || coalesce(executor, 'nobody') || ' executes' AS found
 FROM decided
 WHERE decided_by IS DISTINCT FROM executor OR NOT coalesce(starts_with(decided_by, 'robot/'), FALSE)

@@ -11,8 +11,7 @@
 -- robot is recorded as absent; a robot without one of its own is supervised by H_F, who is always there.
 WITH phases AS (
     SELECT
-        records.run_id,
-        records.seq,
+        records.run_id, records.seq,
         max(events.seq) FILTER (
             events.type IN ('RequestIssued.v1', 'ReassignmentDecided.v1') AND records.seq > events.seq
         ) AS asked_seq,
@@ -31,51 +30,25 @@ WITH phases AS (
 
 judged AS (
     SELECT
-        records.run_id,
-        records.seq,
-        records.time_us,
-        records.type,
-        records.action_id,
-        records.requested_by,
-        records.executed_by,
-        records.supervised_by,
-        records.robot,
-        records.began_by,
+        records.run_id, records.seq, records.time_us, records.type, records.action_id, records.robot,
         records.on_behalf_of,
-        records.next_seq,
         concat_ws(
             ', ',
             CASE
-                WHEN
-                    records.requested_by IS DISTINCT FROM records.on_behalf_of
-                    THEN 'requester ' || coalesce(records.requested_by, 'missing')
+                WHEN requested_by IS DISTINCT FROM on_behalf_of THEN 'requester ' || coalesce(requested_by, 'missing')
             END,
             CASE
-                WHEN
-                    records.executed_by IS DISTINCT FROM records.robot
-                    THEN 'executor ' || coalesce(records.executed_by, 'missing')
+                WHEN executed_by IS DISTINCT FROM records.robot THEN 'executor ' || coalesce(executed_by, 'missing')
             END,
-            CASE WHEN records.supervised_by IS NULL AND absences.supervisor IS NULL THEN 'supervisor missing' END,
-            CASE WHEN phases.asked_seq IS NULL THEN 'no earlier request' END,
+            CASE WHEN supervised_by IS NULL AND absences.supervisor IS NULL THEN 'supervisor missing' END,
+            CASE WHEN asked_seq IS NULL THEN 'no earlier request' END,
+            CASE WHEN coalesce(admitted_seq, -1) < coalesce(asked_seq, 0) THEN 'no admission of the request' END,
             CASE
-                WHEN
-                    coalesce(phases.admitted_seq, -1) < coalesce(phases.asked_seq, 0)
-                    THEN 'no admission of the request'
+                WHEN coalesce(accepted_seq, -1) < coalesce(admitted_seq, 0) THEN 'no acceptance after it was admitted'
             END,
+            CASE WHEN coalesce(records.robot <> began_by, TRUE) THEN 'begun by ' || coalesce(began_by, 'nobody') END,
             CASE
-                WHEN
-                    coalesce(phases.accepted_seq, -1) < coalesce(phases.admitted_seq, 0)
-                    THEN 'no acceptance after it was admitted'
-            END,
-            CASE
-                WHEN
-                    coalesce(records.robot <> records.began_by, TRUE)
-                    THEN 'begun by ' || coalesce(records.began_by, 'nobody')
-            END,
-            CASE
-                WHEN
-                    records.next_seq < coalesce(phases.closed_seq, records.next_seq + 1)
-                    THEN 'the task goes on before the request is closed'
+                WHEN next_seq < coalesce(closed_seq, next_seq + 1) THEN 'the task goes on before the request is closed'
             END
         ) AS lacks
     FROM cross_robot_records AS records
@@ -88,21 +61,13 @@ judged AS (
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    action_id,
+    run_id, seq, time_us, type, action_id,
     robot || ' for ' || coalesce(on_behalf_of, 'nobody') || ': ' || lacks AS found
 FROM judged
 WHERE lacks <> ''
 UNION ALL
 SELECT
-    admitted.run_id,
-    admitted.seq,
-    admitted.time_us,
-    'AssistanceAdmitted.v1' AS type,
-    admitted.action_id,
+    admitted.run_id, admitted.seq, admitted.time_us, 'AssistanceAdmitted.v1' AS type, admitted.action_id,
     admitted.helper || ' helps ' || admitted.robot || ': a principal is missing' AS found
 FROM assistance_admitted AS admitted
 LEFT JOIN fleet_members AS members ON admitted.run_id = members.run_id AND admitted.helper = members.robot

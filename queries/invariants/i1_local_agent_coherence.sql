@@ -8,47 +8,30 @@
 -- Example: fsar-ledger query invariants/i1_local_agent_coherence LEDGER
 WITH members AS (
     SELECT
-        run_id,
-        robot,
-        supervisor,
-        seq,
-        time_us,
+        run_id, robot, supervisor, seq, time_us,
         row_number() OVER (PARTITION BY run_id, robot ORDER BY seq) AS joining
     FROM robot_joined
 ),
 
 known AS (
-    SELECT
-        run_id,
-        robot AS principal
+    SELECT run_id, robot AS principal
     FROM members
     UNION
-    SELECT
-        run_id,
-        supervisor AS principal
+    SELECT run_id, supervisor AS principal
     FROM members
     UNION
     SELECT
         run_id,
         unnest([
-            'supervisor/fleet',
-            'service/registry',
-            'service/coordination',
-            'service/recovery',
-            'service/policy',
-            'service/trust',
-            'coordinator'
+            'supervisor/fleet', 'service/registry', 'service/coordination', 'service/recovery', 'service/policy',
+            'service/trust', 'coordinator'
         ]) AS principal
     FROM runs
 ),
 
 named AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        action_id,
+        run_id, seq, time_us, type, action_id,
         unnest(
             list_concat(
                 [decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, [])
@@ -61,20 +44,14 @@ named AS (
 )
 
 SELECT DISTINCT
-    named.run_id,
-    named.seq,
-    named.time_us,
-    named.type,
-    named.action_id,
+    named.run_id, named.seq, named.time_us, named.type, named.action_id,
     named.principal || ' acts, which is neither a robot of the fleet nor one of its supervisors or services' AS found
 FROM named
 LEFT JOIN known ON named.run_id = known.run_id AND named.principal = known.principal
 WHERE named.principal IS NOT NULL AND known.principal IS NULL
 UNION ALL
 SELECT
-    run_id,
-    seq,
-    time_us,
+    run_id, seq, time_us,
     'RobotJoined.v1' AS type,
     NULL AS action_id,
     robot || ' joins although it is in the fleet' AS found

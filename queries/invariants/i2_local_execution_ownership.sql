@@ -11,8 +11,7 @@
 -- path.
 WITH acceptances AS (
     SELECT
-        starts.run_id,
-        starts.seq,
+        starts.run_id, starts.seq,
         arg_max(coalesce(accepted.decided_by, 'nobody'), accepted.seq) AS decided_by,
         coalesce(
             bool_or(
@@ -30,9 +29,7 @@ WITH acceptances AS (
 )
 
 SELECT
-    starts.run_id,
-    starts.seq,
-    starts.time_us,
+    starts.run_id, starts.seq, starts.time_us,
     'ExecutionStarted.v1' AS type,
     starts.action_id,
     starts.robot || ' executes for ' || starts.on_behalf_of || CASE
@@ -45,11 +42,7 @@ INNER JOIN acceptances ON starts.run_id = acceptances.run_id AND starts.seq = ac
 WHERE NOT acceptances.is_own OR starts.executed_by IS DISTINCT FROM starts.robot
 UNION ALL
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    action_id,
+    run_id, seq, time_us, type, action_id,
     executed_by || ' admits what ' || asker || ' may not ask since seq ' || right_seq AS found
 FROM rights_at_evaluations
 WHERE verdict = 'admitted' AND is_revoked

@@ -8,11 +8,7 @@
 -- Known are the executor's own policy, the fleet's rule as it was last told, and what the request carried. Windows of
 -- which no message had arrived are for the metric of policy violations.
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    action_id,
+    run_id, seq, time_us, type, action_id,
     robot || CASE
         WHEN denied_seq IS NOT NULL THEN ' starts after the refusal at seq ' || denied_seq || ', which nothing lifted'
         ELSE ' starts although the outcome that it knows is deny'

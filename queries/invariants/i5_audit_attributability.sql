@@ -11,19 +11,7 @@
 -- after that. A robot without a supervisor of its own is supervised by H_F, who is always there.
 WITH lacking AS (
     SELECT
-        run_id,
-        seq,
-        time_us,
-        type,
-        record_kind,
-        action_id,
-        decided_by,
-        requested_by,
-        executed_by,
-        has_origin,
-        has_executor,
-        has_supervisor,
-        is_attributable,
+        run_id, seq, time_us, type, action_id, has_origin, has_executor, has_supervisor,
         'robot/' || split_part(
             CASE
                 WHEN starts_with(decided_by, 'robot/') OR starts_with(decided_by, 'agent/') THEN decided_by
@@ -37,20 +25,8 @@ WITH lacking AS (
 
 judged AS (
     SELECT
-        lacking.run_id,
-        lacking.seq,
-        lacking.time_us,
-        lacking.type,
-        lacking.record_kind,
-        lacking.action_id,
-        lacking.decided_by,
-        lacking.requested_by,
-        lacking.executed_by,
-        lacking.has_origin,
+        lacking.run_id, lacking.seq, lacking.time_us, lacking.type, lacking.action_id, lacking.has_origin,
         lacking.has_executor,
-        lacking.has_supervisor,
-        lacking.is_attributable,
-        lacking.robot,
         NOT lacking.has_supervisor AND absences.supervisor IS NULL AS lacks_supervisor
     FROM lacking
     LEFT JOIN fleet_members AS members ON lacking.run_id = members.run_id AND lacking.robot = members.robot
@@ -61,11 +37,7 @@ judged AS (
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    type,
-    action_id,
+    run_id, seq, time_us, type, action_id,
     'no ' || concat_ws(
         ', no ',
         CASE WHEN NOT has_origin THEN 'requester' END,

@@ -34,13 +34,7 @@ WITH counted AS (
 )
 
 SELECT
-    runs.architecture,
-    runs.configuration,
-    runs.fleet_size,
-    settings.kind,
-    runs.source,
-    runs.model_version,
-    runs.seed,
+    runs.architecture, runs.configuration, runs.fleet_size, settings.kind, runs.source, runs.model_version, runs.seed,
     settings.constants,
     count(counted.decided) AS decisions,
     avg(counted.decided::INTEGER) AS routine_share_of_decisions,
@@ -61,15 +55,8 @@ LEFT JOIN unobservable AS hidden
         AND hidden.judge IN ('governance_locality', 'audit_attributability', 'policy_violations')
 WHERE hidden.run_id IS NULL
 GROUP BY
-    runs.architecture,
-    runs.configuration,
-    settings.kind,
-    runs.source,
-    runs.model_version,
-    runs.fleet_size,
-    runs.seed,
-    settings.setting,
-    settings.constants
+    runs.architecture, runs.configuration, settings.kind, runs.source, runs.model_version, runs.fleet_size, runs.seed,
+    settings.setting, settings.constants
 ORDER BY
     runs.configuration <> 'full', runs.configuration, runs.fleet_size, settings.constants, settings.setting, runs.seed,
     list_position(['fsar', 'cfc', 'dhma'], runs.architecture)

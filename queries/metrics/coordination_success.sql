@@ -8,8 +8,7 @@
 -- Example: fsar-ledger query metrics/coordination_success LEDGER
 WITH completions AS (
     SELECT
-        run_id,
-        task_id,
+        run_id, task_id,
         min(time_us) AS completed_us
     FROM task_completed
     GROUP BY run_id, task_id

@@ -6,9 +6,7 @@
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/human_intervention LEDGER
 WITH judged AS (
-    SELECT
-        run_id,
-        1 AS numerator
+    SELECT run_id, 1 AS numerator
     FROM interventions
     GROUP BY run_id
 )

@@ -18,18 +18,8 @@
 WITH moments AS (
     -- Sums of floats in a fixed order are the same bits on any number of threads.
     SELECT
-        architecture,
-        configuration,
-        fleet_size,
-        pools_seeds,
-        seed,
-        kind,
-        source,
-        model_version,
-        constants,
-        scenario,
-        position,
-        metric,
+        architecture, configuration, fleet_size, pools_seeds, seed, kind, source, model_version, constants, scenario,
+        position, metric,
         coalesce(max(pooled_mean), avg(x ORDER BY run_id)) AS mean,
         avg(value_without_routine ORDER BY run_id) AS mean_without_routine,
         stddev_samp(x ORDER BY run_id) AS sd,
@@ -41,44 +31,16 @@ WITH moments AS (
         avg(published_convention_value ORDER BY run_id) AS published_convention_mean
     FROM summary_values
     GROUP BY
-        architecture,
-        configuration,
-        fleet_size,
-        pools_seeds,
-        seed,
-        setting,
-        kind,
-        source,
-        model_version,
-        constants,
-        scenario,
-        position,
-        metric
+        architecture, configuration, fleet_size, pools_seeds, seed, setting, kind, source, model_version, constants,
+        scenario, position, metric
 ),
 
 quantiles AS (
     SELECT
-        moments.architecture,
-        moments.configuration,
-        moments.fleet_size,
-        moments.pools_seeds,
-        moments.seed,
-        moments.kind,
-        moments.source,
-        moments.model_version,
-        moments.constants,
-        moments.scenario,
-        moments.position,
-        moments.metric,
-        moments.mean,
-        moments.mean_without_routine,
-        moments.sd,
-        moments.seeds,
-        moments.n,
-        moments.telling,
-        moments.runs_not_observed,
-        moments.denominator,
-        moments.published_convention_mean,
+        moments.architecture, moments.configuration, moments.fleet_size, moments.pools_seeds, moments.seed,
+        moments.kind, moments.source, moments.model_version, moments.constants, moments.scenario, moments.position,
+        moments.metric, moments.mean, moments.mean_without_routine, moments.sd, moments.seeds, moments.n,
+        moments.telling, moments.runs_not_observed, moments.denominator, moments.published_convention_mean,
         definitions.scale,
         norm_quantile(0.975) AS z,
         moments.sd <= 1e-12 * abs(moments.mean) AS is_constant, -- but for rounding
@@ -89,25 +51,8 @@ quantiles AS (
 )
 
 SELECT
-    architecture,
-    configuration,
-    fleet_size,
-    pools_seeds,
-    seed,
-    kind,
-    source,
-    model_version,
-    constants,
-    scenario,
-    position,
-    metric,
-    mean,
-    mean_without_routine,
-    sd,
-    seeds,
-    n,
-    runs_not_observed,
-    denominator,
+    architecture, configuration, fleet_size, pools_seeds, seed, kind, source, model_version, constants, scenario,
+    position, metric, mean, mean_without_routine, sd, seeds, n, runs_not_observed, denominator,
     published_convention_mean,
     CASE
         WHEN mean <= 0 THEN CASE WHEN scale = 'yes-no' OR scale <> 'seconds' AND telling > 1 THEN 0.0 END

@@ -8,31 +8,11 @@
 -- NULL: as in metric_summaries and dials
 -- Example: fsar-ledger query metrics/metrics_by_dial LEDGER
 SELECT
-    summaries.architecture,
-    summaries.configuration,
-    summaries.fleet_size,
-    summaries.pools_seeds,
-    summaries.seed,
-    summaries.kind,
-    summaries.source,
-    summaries.model_version,
-    summaries.constants,
-    summaries.scenario,
-    summaries.position,
-    summaries.metric,
-    summaries.mean,
-    summaries.mean_without_routine,
-    summaries.sd,
-    summaries.seeds,
-    summaries.n,
-    summaries.runs_not_observed,
-    summaries.denominator,
-    summaries.published_convention_mean,
-    summaries.ci_low,
-    summaries.ci_high,
-    dials.setting,
-    dials.encounter_mean_s,
-    dials.teams_working,
+    summaries.architecture, summaries.configuration, summaries.fleet_size, summaries.pools_seeds, summaries.seed,
+    summaries.kind, summaries.source, summaries.model_version, summaries.constants, summaries.scenario,
+    summaries.position, summaries.metric, summaries.mean, summaries.mean_without_routine, summaries.sd, summaries.seeds,
+    summaries.n, summaries.runs_not_observed, summaries.denominator, summaries.published_convention_mean,
+    summaries.ci_low, summaries.ci_high, dials.setting, dials.encounter_mean_s, dials.teams_working,
     dials.made_alike_but
 FROM metric_summaries AS summaries
 INNER JOIN dials

@@ -12,25 +12,9 @@
 -- Example: fsar-ledger query metrics/run_metrics LEDGER
 -- Stored: the summary and every statistic read it several times
 SELECT
-    runs.run_id,
-    settings.kind,
-    runs.observes,
-    runs.seed,
-    runs.architecture,
-    runs.configuration,
-    runs.scenario,
-    runs.fleet_size,
-    runs.run,
-    runs.model_version,
-    runs.parameters_sha256,
-    runs.source,
-    settings.setting,
-    settings.constants,
-    definitions.position,
-    measured.metric,
-    measured.value,
-    measured.numerator,
-    measured.denominator,
+    runs.run_id, settings.kind, runs.observes, runs.seed, runs.architecture, runs.configuration, runs.scenario,
+    runs.fleet_size, runs.run, runs.model_version, runs.parameters_sha256, runs.source, settings.setting,
+    settings.constants, definitions.position, measured.metric, measured.value, measured.numerator, measured.denominator,
     measured.value_without_routine,
     CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.published_value) END
         AS published_convention_value,

@@ -11,26 +11,13 @@
 -- Example: fsar-ledger query metrics/summary_values LEDGER
 WITH cells AS (
     SELECT
-        runs.architecture,
-        runs.configuration,
-        runs.fleet_size,
-        scopes.pools_seeds,
+        runs.architecture, runs.configuration, runs.fleet_size, scopes.pools_seeds,
         CASE WHEN NOT scopes.pools_seeds THEN runs.seed END AS seed,
-        runs.setting,
-        runs.kind,
-        runs.source,
-        runs.model_version,
-        runs.constants,
+        runs.setting, runs.kind, runs.source, runs.model_version, runs.constants,
         CASE WHEN scopes.is_of_scenario THEN runs.scenario END AS scenario,
-        runs.position,
-        runs.metric,
-        runs.run_id,
+        runs.position, runs.metric, runs.run_id,
         runs.seed AS run_seed,
-        runs.value,
-        runs.numerator,
-        runs.denominator,
-        runs.value_without_routine,
-        runs.published_convention_value,
+        runs.value, runs.numerator, runs.denominator, runs.value_without_routine, runs.published_convention_value,
         runs.not_observed
     FROM run_metrics AS runs
     INNER JOIN
@@ -40,64 +27,24 @@ WITH cells AS (
 
 ratios AS (
     SELECT
-        cells.architecture,
-        cells.configuration,
-        cells.fleet_size,
-        cells.pools_seeds,
-        cells.seed,
-        cells.setting,
-        cells.kind,
-        cells.source,
-        cells.model_version,
-        cells.constants,
-        cells.scenario,
-        cells.position,
-        cells.metric,
-        cells.run_id,
-        cells.run_seed,
-        cells.value,
-        cells.numerator,
-        cells.denominator,
-        cells.value_without_routine,
-        cells.published_convention_value,
-        cells.not_observed,
-        definitions.is_pooled,
-        definitions.numerator_units,
+        cells.architecture, cells.configuration, cells.fleet_size, cells.pools_seeds, cells.seed, cells.setting,
+        cells.kind, cells.source, cells.model_version, cells.constants, cells.scenario, cells.position, cells.metric,
+        cells.run_id, cells.run_seed, cells.value, cells.numerator, cells.denominator, cells.value_without_routine,
+        cells.published_convention_value, cells.not_observed, definitions.is_pooled, definitions.numerator_units,
         (sum(cells.numerator) OVER cell)::DOUBLE / nullif((sum(cells.denominator) OVER cell)::DOUBLE, 0) AS ratio,
         nullif((sum(cells.denominator) OVER cell)::DOUBLE, 0) / count(cells.denominator) OVER cell AS mean_denominator
     FROM cells
     INNER JOIN metric_definitions AS definitions ON cells.metric = definitions.metric
     WINDOW cell AS (
         PARTITION BY
-            cells.architecture,
-            cells.configuration,
-            cells.setting,
-            cells.pools_seeds,
-            cells.seed,
-            cells.scenario,
+            cells.architecture, cells.configuration, cells.setting, cells.pools_seeds, cells.seed, cells.scenario,
             cells.metric
     )
 )
 
 SELECT
-    architecture,
-    configuration,
-    fleet_size,
-    pools_seeds,
-    seed,
-    setting,
-    kind,
-    source,
-    model_version,
-    constants,
-    scenario,
-    position,
-    metric,
-    run_id,
-    run_seed,
-    denominator,
-    value_without_routine,
-    published_convention_value,
+    architecture, configuration, fleet_size, pools_seeds, seed, setting, kind, source, model_version, constants,
+    scenario, position, metric, run_id, run_seed, denominator, value_without_routine, published_convention_value,
     not_observed,
     CASE
         WHEN is_pooled THEN (ratio + (numerator - ratio * denominator) / mean_denominator) / numerator_units ELSE value

@@ -12,8 +12,7 @@
 -- NULL: as in conflicts
 -- Example: fsar-ledger query readings/conflict_of_action LEDGER
 SELECT
-    run_id,
-    action_id,
+    run_id, action_id,
     arg_min(dimension, (began_us, dimension)) AS dimension,
     min(began_us) AS began_us
 FROM conflicts

@@ -14,15 +14,8 @@ SELECT *
 FROM decisions
 UNION ALL BY NAME
 SELECT
-    events.run_id,
-    events.seq,
-    events.time_us,
-    events.type,
-    classes.decision_kind,
-    events.task_id,
-    events.action_id,
-    events.decided_by,
-    events.path,
+    events.run_id, events.seq, events.time_us, events.type, classes.decision_kind, events.task_id, events.action_id,
+    events.decided_by, events.path,
     coalesce(
         len(events.path) = 1
         AND (starts_with(events.decided_by, 'robot/') OR starts_with(events.decided_by, 'supervisor/')),

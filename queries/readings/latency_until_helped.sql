@@ -12,9 +12,7 @@
 -- Example: fsar-ledger query readings/latency_until_helped LEDGER
 WITH helped AS (
     SELECT
-        run_id,
-        action_id,
-        failure,
+        run_id, action_id, failure,
         min(time_us) AS helped_us
     FROM failure_resolved
     WHERE level IN ('peer', 'fleet')

@@ -14,12 +14,6 @@
 SELECT *
 FROM interventions
 UNION ALL BY NAME
-SELECT
-    run_id,
-    seq,
-    time_us,
-    action_id,
-    supervisor,
-    purpose
+SELECT run_id, seq, time_us, action_id, supervisor, purpose
 FROM supervisor_called
 WHERE purpose = 'recovery' AND supervisor <> 'supervisor/fleet'

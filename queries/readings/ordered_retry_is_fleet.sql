@@ -32,7 +32,5 @@ SELECT
 FROM failures
 LEFT JOIN ordered
     ON
-        failures.run_id = ordered.run_id
-        AND failures.action_id = ordered.action_id
-        AND failures.failure = ordered.failure
-        AND failures.resolved_level = 'local'
+        failures.run_id = ordered.run_id AND failures.action_id = ordered.action_id
+        AND failures.failure = ordered.failure AND failures.resolved_level = 'local'

@@ -12,8 +12,7 @@
 -- Example: fsar-ledger query readings/principals_of_the_action LEDGER
 WITH named AS (
     SELECT
-        events.run_id,
-        events.action_id,
+        events.run_id, events.action_id,
         count(events.requested_by) > 0 AS has_origin,
         count(events.executed_by) > 0 AS has_executor,
         count(events.supervised_by) > 0 AS has_supervisor

@@ -7,8 +7,7 @@
 -- Example: fsar-ledger query staging/constants LEDGER
 WITH readable AS (
     SELECT
-        model,
-        parameter_set,
+        model, parameter_set,
         any_value(values_by_name) AS values_by_name,
         count(*) OVER (PARTITION BY model) AS sets
     FROM parameter_texts
@@ -18,16 +17,13 @@ WITH readable AS (
 
 leaves AS (
     SELECT
-        model,
-        parameter_set,
-        sets,
+        model, parameter_set, sets,
         unnest(values_by_name) AS leaf
     FROM readable
 )
 
 SELECT
-    model,
-    parameter_set,
+    model, parameter_set,
     struct_extract(leaf, 'name') AS name,
     struct_extract(leaf, 'value') AS value,
     sets

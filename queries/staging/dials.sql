@@ -11,13 +11,8 @@
 -- What a simulated run does not record has its default, as far as this version knows it.
 WITH settings AS (
     SELECT DISTINCT
-        run_started.kind,
-        run_started.source,
-        run_started.model_version,
-        run_started.fleet_size,
-        run_settings.setting,
-        run_settings.constants,
-        run_settings.parameter_set,
+        run_started.kind, run_started.source, run_started.model_version, run_started.fleet_size, run_settings.setting,
+        run_settings.constants, run_settings.parameter_set,
         to_json([run_started.kind, run_started.source, run_started.model_version])::VARCHAR AS model
     FROM run_started
     INNER JOIN run_settings ON run_started.run_id = run_settings.run_id
@@ -25,8 +20,7 @@ WITH settings AS (
 
 by_set AS (
     SELECT
-        model,
-        parameter_set,
+        model, parameter_set,
         any_value(value) FILTER (WHERE name = 'world.encounter_mean_s') AS encounter_mean_s,
         any_value(value) FILTER (WHERE name = 'load.teams_working') AS teams_working,
         count(*) FILTER (WHERE regexp_full_match(name, 'fleet\.robots\[\d+\]\.name')) AS robots_of_team,
@@ -40,12 +34,7 @@ by_set AS (
 )
 
 SELECT
-    settings.setting,
-    settings.kind,
-    settings.source,
-    settings.model_version,
-    settings.constants,
-    settings.fleet_size,
+    settings.setting, settings.kind, settings.source, settings.model_version, settings.constants, settings.fleet_size,
     coalesce(
         try_cast(by_set.encounter_mean_s AS DOUBLE),
         if(settings.kind = 'simulated', try_cast(default_of('world.encounter_mean_s') AS DOUBLE), NULL)

@@ -7,26 +7,6 @@
 -- Example: fsar-ledger query staging/event_principals LEDGER
 -- Robot, helper and on_behalf_of are physical facts; the principals are what the record says.
 SELECT
-    run_id,
-    seq,
-    time_us,
-    caused_by,
-    type,
-    task_id,
-    action_id,
-    request_id,
-    failed_action,
-    failure,
-    robot,
-    helper,
-    on_behalf_of,
-    decided_by,
-    requested_by,
-    executed_by,
-    supervised_by,
-    claimant,
-    sender,
-    receiver,
-    path,
-    reason
+    run_id, seq, time_us, caused_by, type, task_id, action_id, request_id, failed_action, failure, robot, helper,
+    on_behalf_of, decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver, path, reason
 FROM events

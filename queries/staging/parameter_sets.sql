@@ -9,9 +9,7 @@
 -- What a simulated run does not record has its default, as far as this version knows it; a set that only so would look
 -- like another is told by its digest.
 WITH varying AS (
-    SELECT
-        model,
-        name
+    SELECT model, name
     FROM constants
     GROUP BY model, name
     HAVING count(DISTINCT value) > 1 OR count(*) < any_value(sets)
@@ -19,25 +17,21 @@ WITH varying AS (
 
 sets AS (
     SELECT DISTINCT
-        model,
-        parameter_set,
+        model, parameter_set,
         values_by_name IS NOT NULL AS is_readable
     FROM parameter_texts
 ),
 
 shown AS (
     SELECT
-        sets.model,
-        sets.parameter_set,
-        varying.name,
+        sets.model, sets.parameter_set, varying.name,
         coalesce(constants.value, if(sets.model ->> '$[0]' = 'simulated', default_of(varying.name), NULL), 'absent')
             AS told
     FROM sets
     INNER JOIN varying ON sets.model = varying.model
     LEFT JOIN constants
         ON
-            sets.model = constants.model
-            AND sets.parameter_set = constants.parameter_set
+            sets.model = constants.model AND sets.parameter_set = constants.parameter_set
             AND varying.name = constants.name
     WHERE sets.is_readable
     WINDOW each_name AS (PARTITION BY sets.model, varying.name)
@@ -46,8 +40,7 @@ shown AS (
 
 named AS (
     SELECT
-        model,
-        parameter_set,
+        model, parameter_set,
         list(name || '=' || told[:60] ORDER BY name) AS parts,
         bool_or(length(told) > 60) AS is_cut
     FROM shown
@@ -56,9 +49,7 @@ named AS (
 
 differing AS (
     SELECT
-        sets.model,
-        sets.parameter_set,
-        sets.is_readable,
+        sets.model, sets.parameter_set,
         count(*) OVER (PARTITION BY sets.model) > 1 AS is_one_of_many,
         coalesce(nullif(array_to_string(named.parts[:5], ', '), ''), 'all defaults')
         || if(len(named.parts) > 5, ' and ' || (len(named.parts) - 5) || ' more', '') AS named,
@@ -70,12 +61,10 @@ differing AS (
 )
 
 SELECT
-    sets.model,
-    sets.parameter_set,
+    sets.model, sets.parameter_set,
     CASE
         WHEN NOT sets.is_readable THEN 'unreadable, SHA-256 ' || sets.parameter_set[12:23]
-        WHEN
-            differing.is_one_of_many
+        WHEN differing.is_one_of_many
             THEN differing.named || if(differing.is_short, ' (set ' || sets.parameter_set[:8] || ')', '')
     END AS constants
 FROM sets

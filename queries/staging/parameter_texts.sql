@@ -17,15 +17,12 @@ WITH texts AS (
 
 parsed AS MATERIALIZED (
     SELECT
-        texts.model,
-        texts.parameters,
+        texts.model, texts.parameters,
         constants_of(parameters) AS values_by_name
     FROM texts
 )
 
 SELECT
-    model,
-    parameters,
-    values_by_name,
+    model, parameters, values_by_name,
     coalesce(sha256(to_json(values_by_name)::VARCHAR), 'unreadable ' || sha256(parameters)) AS parameter_set
 FROM parsed

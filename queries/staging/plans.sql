@@ -8,13 +8,11 @@
 -- Example: fsar-ledger query staging/plans LEDGER
 SELECT
     run_id AS plan,
-    seed,
-    fleet_size,
+    seed, fleet_size,
     list_sort(list_distinct(architectures)) AS architectures,
     list_sort(list_distinct(configurations)) AS configurations,
     list_sort(list_distinct(scenarios)) AS scenarios,
-    run_count,
-    model_version,
+    run_count, model_version,
     sha256(parameters) AS parameters_sha256,
     greatest(run_count, 0)::HUGEINT
     * len(list_distinct(architectures))

@@ -9,13 +9,7 @@
 SELECT
     runs.run_id,
     to_json([runs.architecture, runs.configuration, runs.seed::VARCHAR, settings.setting])::VARCHAR AS made_alike,
-    runs.architecture,
-    runs.configuration,
-    runs.fleet_size,
-    runs.seed,
-    settings.kind,
-    runs.source,
-    runs.model_version,
+    runs.architecture, runs.configuration, runs.fleet_size, runs.seed, settings.kind, runs.source, runs.model_version,
     settings.constants
 FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id

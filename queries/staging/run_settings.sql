@@ -14,14 +14,12 @@ WITH started AS (
         run_id,
         if(kind = 'simulated' AND starts_with(scenario, 'workflow-'), 'workflow', kind) AS kind,
         to_json([kind, source, model_version])::VARCHAR AS model,
-        parameters,
-        fleet_size
+        parameters, fleet_size
     FROM run_started
 )
 
 SELECT
-    started.run_id,
-    started.kind,
+    started.run_id, started.kind,
     sha256(
         to_json(
             [
@@ -31,8 +29,7 @@ SELECT
             ]
         )::VARCHAR
     ) AS setting,
-    texts.parameter_set,
-    sets.constants
+    texts.parameter_set, sets.constants
 FROM started
 LEFT JOIN parameter_texts AS texts ON started.model = texts.model AND started.parameters = texts.parameters
 LEFT JOIN parameter_sets AS sets ON texts.model = sets.model AND texts.parameter_set = sets.parameter_set

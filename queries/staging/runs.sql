@@ -8,16 +8,7 @@
 -- Example: fsar-ledger query staging/runs LEDGER
 -- Stored: every metric reads it
 SELECT
-    run_id,
-    kind,
-    observes,
-    seed,
-    architecture,
-    configuration,
-    scenario,
-    fleet_size,
-    run,
-    model_version,
+    run_id, kind, observes, seed, architecture, configuration, scenario, fleet_size, run, model_version,
     sha256(parameters) AS parameters_sha256,
     source
 FROM run_started

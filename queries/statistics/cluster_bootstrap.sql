@@ -10,7 +10,6 @@
 WITH clusters AS (
     SELECT
         test,
-        scenario,
         sum(difference_ppb)::BIGINT AS total_ppb,
         count(*) AS pairs,
         row_number() OVER (PARTITION BY test ORDER BY scenario) - 1 AS number,
@@ -21,8 +20,7 @@ WITH clusters AS (
 
 samples AS (
     SELECT
-        test,
-        scenarios,
+        test, scenarios,
         unnest(range(pow(scenarios, scenarios)::BIGINT)) AS sample
     FROM clusters
     WHERE number = 0 AND scenarios BETWEEN 2 AND 6
@@ -31,9 +29,7 @@ samples AS (
 draws AS (
     -- The digits of the sample's number, written in base k, are the scenarios drawn.
     SELECT
-        test,
-        scenarios,
-        sample,
+        test, scenarios, sample,
         unnest(list_transform(range(scenarios), LAMBDA place: sample // pow(scenarios, place)::BIGINT % scenarios))
             AS number
     FROM samples
@@ -41,9 +37,7 @@ draws AS (
 
 means AS (
     SELECT
-        draws.test,
-        draws.scenarios,
-        draws.sample,
+        draws.test, draws.scenarios,
         sum(clusters.total_ppb)::BIGINT / sum(clusters.pairs)::BIGINT / 1e9 AS mean
     FROM draws
     INNER JOIN clusters ON draws.test = clusters.test AND draws.number = clusters.number
@@ -52,8 +46,7 @@ means AS (
 
 intervals AS (
     SELECT
-        test,
-        scenarios,
+        test, scenarios,
         count(*) AS samples,
         quantile_disc(mean, 0.025) AS ci_low,
         quantile_disc(mean, 0.975) AS ci_high
@@ -70,11 +63,7 @@ observed AS (
 )
 
 SELECT
-    intervals.test,
-    intervals.scenarios,
-    intervals.samples,
-    observed.mean_difference,
-    intervals.ci_low,
+    intervals.test, intervals.scenarios, intervals.samples, observed.mean_difference, intervals.ci_low,
     intervals.ci_high
 FROM intervals
 INNER JOIN observed ON intervals.test = observed.test

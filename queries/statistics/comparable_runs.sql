@@ -9,26 +9,14 @@
 -- Example: fsar-ledger query statistics/comparable_runs LEDGER
 WITH sides AS (
     SELECT
-        comparison,
-        family,
-        configuration,
-        first_architecture,
-        first_configuration,
-        second_architecture,
-        second_configuration,
+        comparison, configuration,
         'first' AS side,
         first_architecture AS architecture,
         first_configuration AS its_configuration
     FROM comparisons
     UNION ALL
     SELECT
-        comparison,
-        family,
-        configuration,
-        first_architecture,
-        first_configuration,
-        second_architecture,
-        second_configuration,
+        comparison, configuration,
         'second' AS side,
         second_architecture AS architecture,
         second_configuration AS its_configuration
@@ -37,12 +25,7 @@ WITH sides AS (
 
 met AS (
     SELECT
-        sides.comparison,
-        sides.configuration,
-        runs.fleet_size,
-        runs.seed,
-        runs.scenario,
-        runs.run,
+        sides.comparison, sides.configuration, runs.fleet_size, runs.seed, runs.scenario, runs.run,
         count(*) FILTER (WHERE sides.side = 'first') AS first_runs,
         count(*) FILTER (WHERE sides.side = 'second') AS second_runs
     FROM sides
@@ -53,8 +36,7 @@ met AS (
 
 worlds AS (
     SELECT
-        comparison,
-        configuration,
+        comparison, configuration,
         sum(first_runs)::BIGINT AS first_count,
         sum(second_runs)::BIGINT AS second_count,
         count(*) FILTER (WHERE first_runs > 0 AND second_runs > 0) AS shared_worlds,
@@ -70,8 +52,7 @@ worlds AS (
 
 paired AS (
     SELECT
-        comparison,
-        configuration,
+        comparison, configuration,
         count(*) FILTER (WHERE differs IS NULL) AS pair_count,
         count(*) FILTER (WHERE differs IS NOT NULL) AS left_out
     FROM run_pairs
@@ -79,22 +60,10 @@ paired AS (
 )
 
 SELECT
-    comparisons.comparison,
-    comparisons.family,
-    comparisons.configuration,
-    comparisons.first_architecture,
-    comparisons.first_configuration,
-    comparisons.second_architecture,
-    comparisons.second_configuration,
-    worlds.first_count,
-    worlds.second_count,
-    worlds.shared_worlds,
-    worlds.first_seeds,
-    worlds.second_seeds,
-    worlds.first_fleet_sizes,
-    worlds.second_fleet_sizes,
-    worlds.first_scenarios,
-    worlds.second_scenarios,
+    comparisons.comparison, comparisons.family, comparisons.configuration, comparisons.first_architecture,
+    comparisons.first_configuration, comparisons.second_architecture, comparisons.second_configuration,
+    worlds.first_count, worlds.second_count, worlds.shared_worlds, worlds.first_seeds, worlds.second_seeds,
+    worlds.first_fleet_sizes, worlds.second_fleet_sizes, worlds.first_scenarios, worlds.second_scenarios,
     coalesce(paired.pair_count, 0) AS pair_count,
     coalesce(paired.left_out, 0) AS left_out
 FROM comparisons

@@ -10,14 +10,7 @@
 -- Stored: every pair reads it twice
 WITH found AS (
     SELECT DISTINCT
-        run_id,
-        architecture,
-        configuration,
-        fleet_size,
-        seed,
-        scenario,
-        run,
-        setting,
+        run_id, architecture, configuration, fleet_size, seed, scenario, run, setting,
         concat_ws(', ', kind, source, 'model ' || model_version, constants) AS described,
         list_has_all(observes, ['policy', 'task', 'supervision', 'world']) AS observes_world
     FROM run_metrics
@@ -25,17 +18,8 @@ WITH found AS (
 )
 
 SELECT
-    found.run_id,
-    found.architecture,
-    found.configuration,
-    found.fleet_size,
-    found.seed,
-    found.scenario,
-    found.run,
-    found.setting,
-    found.described,
-    found.observes_world,
-    digests.world_sha256,
+    found.run_id, found.architecture, found.configuration, found.fleet_size, found.seed, found.scenario, found.run,
+    found.setting, found.described, found.observes_world, digests.world_sha256,
     count(*)
         OVER (
             PARTITION BY found.architecture, found.configuration, found.setting, found.seed, found.scenario, found.run

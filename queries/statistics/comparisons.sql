@@ -15,9 +15,7 @@ WITH pairs (comparison, first_architecture, second_architecture) AS (
 ),
 
 held AS (
-    SELECT DISTINCT
-        architecture,
-        configuration
+    SELECT DISTINCT architecture, configuration
     FROM run_metrics
     WHERE architecture IS NOT NULL AND configuration IS NOT NULL
 ),
@@ -36,8 +34,7 @@ SELECT
     pairs.comparison,
     CASE WHEN shared.configuration = 'full' THEN 'architectures' ELSE 'architectures ' || shared.configuration END
         AS family,
-    shared.configuration,
-    pairs.first_architecture,
+    shared.configuration, pairs.first_architecture,
     shared.configuration AS first_configuration,
     pairs.second_architecture,
     shared.configuration AS second_configuration

@@ -8,17 +8,14 @@
 -- NULL: first_found, second_found where a run has no more facts, or where nothing can be shown (repeated, unobserved)
 -- Example: fsar-ledger query statistics/differing_worlds LEDGER
 WITH unlike AS (
-    SELECT
-        first_run_id,
-        second_run_id
+    SELECT first_run_id, second_run_id
     FROM run_pairs
     WHERE differs = 'facts'
 ),
 
 sides AS (
     SELECT
-        first_run_id,
-        second_run_id,
+        first_run_id, second_run_id,
         unnest([first_run_id, second_run_id]) AS run_id
     FROM unlike
 ),
@@ -34,9 +31,7 @@ ordered AS (
 
 places AS (
     SELECT
-        sides.first_run_id,
-        sides.second_run_id,
-        ordered.place,
+        sides.first_run_id, sides.second_run_id, ordered.place,
         max(ordered.fact) FILTER (WHERE sides.run_id = sides.first_run_id) AS first_fact,
         max(ordered.fact) FILTER (WHERE sides.run_id = sides.second_run_id) AS second_fact
     FROM sides
@@ -47,24 +42,15 @@ places AS (
 
 earliest AS (
     SELECT
-        first_run_id,
-        second_run_id,
+        first_run_id, second_run_id,
         arg_min({ 'one': first_fact, 'other': second_fact }, place) AS facts
     FROM places
     GROUP BY first_run_id, second_run_id
 )
 
 SELECT
-    run_pairs.comparison,
-    run_pairs.family,
-    run_pairs.configuration,
-    run_pairs.fleet_size,
-    run_pairs.seed,
-    run_pairs.scenario,
-    run_pairs.run,
-    run_pairs.setting,
-    run_pairs.first_run_id,
-    run_pairs.second_run_id,
+    run_pairs.comparison, run_pairs.family, run_pairs.configuration, run_pairs.fleet_size, run_pairs.seed,
+    run_pairs.scenario, run_pairs.run, run_pairs.setting, run_pairs.first_run_id, run_pairs.second_run_id,
     run_pairs.differs,
     CASE run_pairs.differs WHEN 'setting' THEN firsts.described WHEN 'facts' THEN earliest.facts.one END AS first_found,
     CASE run_pairs.differs WHEN 'setting' THEN seconds.described WHEN 'facts' THEN earliest.facts.other END

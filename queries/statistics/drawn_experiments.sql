@@ -8,17 +8,7 @@
 -- Example: fsar-ledger query statistics/drawn_experiments LEDGER
 WITH summed AS (
     SELECT
-        draw,
-        architecture,
-        configuration,
-        fleet_size,
-        setting,
-        seed,
-        kind,
-        source,
-        model_version,
-        constants,
-        position,
+        draw, architecture, configuration, fleet_size, setting, seed, kind, source, model_version, constants, position,
         metric,
         sum(value_ppb) AS value_ppb,
         sum(defined) AS defined,
@@ -29,21 +19,10 @@ WITH summed AS (
 )
 
 SELECT
-    summed.draw,
-    summed.architecture,
-    summed.configuration,
-    summed.fleet_size,
-    summed.setting,
-    summed.seed,
-    summed.kind,
-    summed.source,
-    summed.model_version,
-    summed.constants,
-    summed.position,
-    summed.metric,
+    summed.draw, summed.architecture, summed.configuration, summed.fleet_size, summed.setting, summed.seed, summed.kind,
+    summed.source, summed.model_version, summed.constants, summed.position, summed.metric,
     CASE
-        WHEN
-            definitions.is_pooled
+        WHEN definitions.is_pooled
             THEN summed.numerator::DOUBLE / nullif(summed.denominator, 0)::DOUBLE / definitions.numerator_units
         ELSE summed.value_ppb::DOUBLE / nullif(summed.defined, 0) / 1e9
     END AS value

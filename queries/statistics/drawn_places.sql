@@ -11,11 +11,7 @@
 -- Stored: every architecture, configuration and setting with as many runs of the scenario is drawn alike
 WITH counted AS (
     SELECT
-        architecture,
-        configuration,
-        setting,
-        seed,
-        scenario,
+        architecture, configuration, setting, seed, scenario,
         count(DISTINCT run) AS runs
     FROM run_metrics
     WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
@@ -23,9 +19,7 @@ WITH counted AS (
 ),
 
 sizes AS (
-    SELECT DISTINCT
-        scenario,
-        runs
+    SELECT DISTINCT scenario, runs
     FROM counted
 ),
 
@@ -36,16 +30,13 @@ scenarios AS (
 
 draws AS (
     SELECT
-        experiments.draw,
-        scenarios.scenario,
+        experiments.draw, scenarios.scenario,
         md5_number_lower(concat_ws('/', experiments.draw, scenarios.scenario, slots.slot)) AS drawn
     FROM scenarios, range(4000) AS experiments (draw), range(20) AS slots (slot)
 )
 
 SELECT
-    sizes.scenario,
-    sizes.runs,
-    draws.draw,
+    sizes.scenario, sizes.runs, draws.draw,
     draws.drawn % sizes.runs AS place,
     count(*) AS times
 FROM draws

@@ -8,22 +8,10 @@
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_scenarios LEDGER
 SELECT
-    sums.draw,
-    sums.architecture,
-    sums.configuration,
-    sums.fleet_size,
-    sums.setting,
-    sums.seed,
-    sums.kind,
-    sums.source,
-    sums.model_version,
-    sums.constants,
-    sums.scenario,
-    sums.position,
-    sums.metric,
+    sums.draw, sums.architecture, sums.configuration, sums.fleet_size, sums.setting, sums.seed, sums.kind, sums.source,
+    sums.model_version, sums.constants, sums.scenario, sums.position, sums.metric,
     CASE
-        WHEN
-            definitions.is_pooled
+        WHEN definitions.is_pooled
             THEN sums.numerator::DOUBLE / nullif(sums.denominator, 0)::DOUBLE / definitions.numerator_units
         ELSE sums.value_ppb::DOUBLE / nullif(sums.defined, 0) / 1e9
     END AS value

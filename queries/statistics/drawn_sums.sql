@@ -12,21 +12,8 @@
 -- Example: fsar-ledger query statistics/drawn_sums LEDGER
 WITH numbered AS (
     SELECT
-        kind,
-        seed,
-        architecture,
-        configuration,
-        scenario,
-        fleet_size,
-        model_version,
-        source,
-        setting,
-        constants,
-        position,
-        metric,
-        value,
-        numerator,
-        denominator,
+        kind, seed, architecture, configuration, scenario, fleet_size, model_version, source, setting, constants,
+        position, metric, value, numerator, denominator,
         dense_rank() OVER (PARTITION BY architecture, configuration, setting, seed, scenario ORDER BY run) - 1 AS place
     FROM run_metrics
     WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
@@ -34,11 +21,7 @@ WITH numbered AS (
 
 counted AS (
     SELECT
-        architecture,
-        configuration,
-        setting,
-        seed,
-        scenario,
+        architecture, configuration, setting, seed, scenario,
         max(place) + 1 AS runs
     FROM numbered
     GROUP BY ALL
@@ -46,31 +29,15 @@ counted AS (
 
 picked AS (
     SELECT
-        counted.architecture,
-        counted.configuration,
-        counted.setting,
-        counted.seed,
-        counted.scenario,
-        places.draw,
-        places.place,
-        places.times
+        counted.architecture, counted.configuration, counted.setting, counted.seed, counted.scenario, places.draw,
+        places.place, places.times
     FROM drawn_places AS places
     INNER JOIN counted ON places.scenario = counted.scenario AND places.runs = counted.runs
 )
 
 SELECT
-    picked.draw,
-    numbered.architecture,
-    numbered.configuration,
-    numbered.fleet_size,
-    numbered.setting,
-    numbered.seed,
-    numbered.kind,
-    numbered.source,
-    numbered.model_version,
-    numbered.constants,
-    numbered.scenario,
-    numbered.position,
+    picked.draw, numbered.architecture, numbered.configuration, numbered.fleet_size, numbered.setting, numbered.seed,
+    numbered.kind, numbered.source, numbered.model_version, numbered.constants, numbered.scenario, numbered.position,
     numbered.metric,
     sum(picked.times * round(numbered.value * 1e9)::BIGINT) AS value_ppb,
     sum(picked.times) FILTER (WHERE numbered.value IS NOT NULL) AS defined,
@@ -79,10 +46,7 @@ SELECT
 FROM picked
 INNER JOIN numbered
     ON
-        picked.architecture = numbered.architecture
-        AND picked.configuration = numbered.configuration
-        AND picked.setting = numbered.setting
-        AND picked.seed IS NOT DISTINCT FROM numbered.seed
-        AND picked.scenario = numbered.scenario
-        AND picked.place = numbered.place
+        picked.architecture = numbered.architecture AND picked.configuration = numbered.configuration
+        AND picked.setting = numbered.setting AND picked.seed IS NOT DISTINCT FROM numbered.seed
+        AND picked.scenario = numbered.scenario AND picked.place = numbered.place
 GROUP BY ALL

@@ -9,9 +9,7 @@
 -- Example: fsar-ledger query statistics/holm_adjustments LEDGER
 WITH ranked AS (
     SELECT
-        test,
-        holm_family,
-        p,
+        test, holm_family, p,
         row_number() OVER (PARTITION BY holm_family ORDER BY p, test) AS step,
         count(*) OVER (PARTITION BY holm_family) AS tests
     FROM paired_t_tests

@@ -17,9 +17,7 @@ WITH discordant AS (
 )
 
 SELECT
-    test,
-    mcnemar_first_only,
-    mcnemar_second_only,
+    test, mcnemar_first_only, mcnemar_second_only,
     binomial_half_sf2(
         least(mcnemar_first_only, mcnemar_second_only)::DOUBLE,
         (mcnemar_first_only + mcnemar_second_only)::DOUBLE

@@ -11,27 +11,13 @@
 -- Example: fsar-ledger query statistics/mechanism_differences LEDGER
 WITH ablated AS (
     SELECT
-        sides.architecture,
-        comparisons.configuration,
-        sides.setting,
-        sides.fleet_size,
-        sides.kind,
-        sides.source,
-        sides.model_version,
-        differences.pools_seeds,
-        differences.seed,
-        differences.position,
-        differences.metric,
+        sides.architecture, comparisons.configuration, sides.setting, sides.fleet_size, sides.kind, sides.source,
+        sides.model_version, differences.pools_seeds, differences.seed, differences.position, differences.metric,
         CASE WHEN NOT definitions.is_published THEN differences.metric END AS further,
-        differences.n,
-        differences.differing_pairs,
+        differences.n, differences.differing_pairs,
         differences.first_mean AS full_mean,
         differences.second_mean AS without_mean,
-        differences.mean_difference,
-        differences.ci_low,
-        differences.ci_high,
-        differences.test,
-        differences.p,
+        differences.mean_difference, differences.ci_low, differences.ci_high, differences.test, differences.p,
         differences.d_z
     FROM side_differences AS differences
     INNER JOIN side_comparisons AS comparisons
@@ -39,35 +25,14 @@ WITH ablated AS (
     INNER JOIN sides ON differences.second_side = sides.side
     INNER JOIN metric_definitions AS definitions ON differences.metric = definitions.metric
     WHERE
-        comparisons.family LIKE 'ablations of %'
-        AND comparisons.configuration NOT LIKE '%+%'
+        comparisons.family LIKE 'ablations of %' AND comparisons.configuration NOT LIKE '%+%'
         AND differences.scenario IS NULL
 ),
 
 ranked AS (
     SELECT
-        architecture,
-        configuration,
-        setting,
-        fleet_size,
-        kind,
-        source,
-        model_version,
-        pools_seeds,
-        seed,
-        position,
-        further,
-        metric,
-        n,
-        differing_pairs,
-        full_mean,
-        without_mean,
-        mean_difference,
-        ci_low,
-        ci_high,
-        test,
-        p,
-        d_z,
+        architecture, configuration, setting, fleet_size, kind, source, model_version, pools_seeds, seed, position,
+        further, metric, n, differing_pairs, full_mean, without_mean, mean_difference, ci_low, ci_high, test, p, d_z,
         count(p) OVER family AS family_tests,
         (
             count(p) OVER family
@@ -80,28 +45,8 @@ ranked AS (
 )
 
 SELECT
-    architecture,
-    configuration,
-    setting,
-    fleet_size,
-    kind,
-    source,
-    model_version,
-    pools_seeds,
-    seed,
-    position,
-    metric,
-    n,
-    differing_pairs,
-    full_mean,
-    without_mean,
-    mean_difference,
-    ci_low,
-    ci_high,
-    test,
-    p,
-    d_z,
-    family_tests,
+    architecture, configuration, setting, fleet_size, kind, source, model_version, pools_seeds, seed, position, metric,
+    n, differing_pairs, full_mean, without_mean, mean_difference, ci_low, ci_high, test, p, d_z, family_tests,
     CASE
         WHEN p IS NOT NULL
             THEN

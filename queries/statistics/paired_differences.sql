@@ -13,16 +13,9 @@
 -- Stored: every test reads it
 WITH seeds AS (
     SELECT
-        run_pairs.comparison,
-        run_pairs.family,
-        run_pairs.configuration,
-        run_pairs.fleet_size,
-        scopes.pools_seeds,
+        run_pairs.comparison, run_pairs.family, run_pairs.configuration, run_pairs.fleet_size, scopes.pools_seeds,
         CASE WHEN NOT scopes.pools_seeds THEN run_pairs.seed END AS seed,
-        run_pairs.scenario,
-        run_pairs.run,
-        run_pairs.first_run_id,
-        run_pairs.second_run_id
+        run_pairs.scenario, run_pairs.run, run_pairs.first_run_id, run_pairs.second_run_id
     FROM run_pairs
     CROSS JOIN (VALUES (FALSE), (TRUE)) AS scopes (pools_seeds)
     WHERE run_pairs.differs IS NULL
@@ -30,15 +23,7 @@ WITH seeds AS (
 
 measured AS (
     SELECT
-        run_id,
-        kind,
-        source,
-        model_version,
-        constants,
-        setting,
-        position,
-        metric,
-        value,
+        run_id, kind, source, model_version, constants, setting, position, metric, value,
         unnest(['published', 'defined']) AS basis,
         unnest([published_convention_value, value]) AS tested_value
     FROM run_metrics
@@ -62,23 +47,9 @@ SELECT
         coalesce(seeds.seed::VARCHAR, 'all'),
         CASE WHEN NOT definitions.is_published THEN firsts.metric END
     ) AS holm_family,
-    firsts.basis,
-    seeds.family,
-    seeds.configuration,
-    seeds.fleet_size,
-    seeds.pools_seeds,
-    seeds.seed,
-    firsts.kind,
-    firsts.source,
-    firsts.model_version,
-    firsts.constants,
-    firsts.position,
-    firsts.metric,
-    seeds.comparison,
-    seeds.scenario,
-    seeds.run,
-    seeds.first_run_id,
-    seeds.second_run_id,
+    firsts.basis, seeds.family, seeds.configuration, seeds.fleet_size, seeds.pools_seeds, seeds.seed, firsts.kind,
+    firsts.source, firsts.model_version, firsts.constants, firsts.position, firsts.metric, seeds.comparison,
+    seeds.scenario, seeds.run, seeds.first_run_id, seeds.second_run_id,
     firsts.tested_value AS first_value,
     seconds.tested_value AS second_value,
     firsts.tested_value - seconds.tested_value AS difference,

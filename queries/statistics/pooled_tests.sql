@@ -28,21 +28,8 @@ WITH pooled AS (
             coalesce(found.seed::VARCHAR, 'all'),
             CASE WHEN NOT definitions.is_published THEN found.metric END
         ) AS holm_family,
-        found.first_side,
-        found.second_side,
-        found.seed,
-        found.scenario,
-        found.metric,
-        found.n,
-        found.differing_pairs,
-        found.first_mean,
-        found.second_mean,
-        found.mean_difference,
-        found.p,
-        found.family_tests,
-        found.ci_low,
-        found.ci_high,
-        found.p_holm,
+        found.seed, found.metric, found.n, found.differing_pairs, found.first_mean, found.second_mean,
+        found.mean_difference, found.p, found.ci_low, found.ci_high,
         found.test AS pooled_test
     FROM side_comparisons AS comparisons
     INNER JOIN side_differences AS found
@@ -52,17 +39,11 @@ WITH pooled AS (
 ),
 
 family AS (
-    SELECT
-        holm_family,
-        test,
-        p
+    SELECT holm_family, test, p
     FROM pooled
     WHERE p IS NOT NULL
     UNION ALL
-    SELECT
-        t_tests.holm_family,
-        t_tests.test,
-        t_tests.p
+    SELECT t_tests.holm_family, t_tests.test, t_tests.p
     FROM paired_t_tests AS t_tests
     INNER JOIN metric_definitions AS definitions ON t_tests.metric = definitions.metric
     WHERE t_tests.basis = 'published' AND NOT definitions.is_pooled AND t_tests.p IS NOT NULL
@@ -70,9 +51,7 @@ family AS (
 
 ranked AS (
     SELECT
-        holm_family,
-        test,
-        p,
+        holm_family, test, p,
         row_number() OVER (PARTITION BY holm_family ORDER BY p, test) AS step,
         count(*) OVER (PARTITION BY holm_family) AS family_tests
     FROM family
@@ -80,26 +59,14 @@ ranked AS (
 
 adjusted AS (
     SELECT
-        test,
-        family_tests,
+        test, family_tests,
         least(1, max((family_tests - step + 1) * p) OVER (PARTITION BY holm_family ORDER BY step)) AS p_holm
     FROM ranked
 )
 
 SELECT
-    pooled.test,
-    pooled.seed,
-    pooled.metric,
-    pooled.n,
-    pooled.differing_pairs,
-    pooled.first_mean,
-    pooled.second_mean,
-    pooled.mean_difference,
-    pooled.ci_low,
-    pooled.ci_high,
-    pooled.pooled_test,
-    pooled.p,
-    adjusted.p_holm,
+    pooled.test, pooled.seed, pooled.metric, pooled.n, pooled.differing_pairs, pooled.first_mean, pooled.second_mean,
+    pooled.mean_difference, pooled.ci_low, pooled.ci_high, pooled.pooled_test, pooled.p, adjusted.p_holm,
     adjusted.family_tests
 FROM pooled
 LEFT JOIN adjusted ON pooled.test = adjusted.test

@@ -12,14 +12,8 @@
 -- Stored: every test reads it
 WITH candidates AS (
     SELECT
-        comparisons.comparison,
-        comparisons.family,
-        comparisons.configuration,
-        firsts.fleet_size,
-        firsts.seed,
-        firsts.scenario,
-        firsts.run,
-        firsts.setting,
+        comparisons.comparison, comparisons.family, comparisons.configuration, firsts.fleet_size, firsts.seed,
+        firsts.scenario, firsts.run, firsts.setting,
         firsts.run_id AS first_run_id,
         seconds.run_id AS second_run_id,
         firsts.setting = seconds.setting AS is_same_setting,
@@ -40,24 +34,12 @@ WITH candidates AS (
     INNER JOIN compared_runs AS seconds
         ON
             comparisons.second_architecture = seconds.architecture
-            AND comparisons.second_configuration = seconds.configuration
-            AND firsts.fleet_size = seconds.fleet_size
-            AND firsts.seed = seconds.seed
-            AND firsts.scenario = seconds.scenario
-            AND firsts.run = seconds.run
+            AND comparisons.second_configuration = seconds.configuration AND firsts.fleet_size = seconds.fleet_size
+            AND firsts.seed = seconds.seed AND firsts.scenario = seconds.scenario AND firsts.run = seconds.run
 )
 
 SELECT
-    comparison,
-    family,
-    configuration,
-    fleet_size,
-    seed,
-    scenario,
-    run,
-    setting,
-    first_run_id,
-    second_run_id,
+    comparison, family, configuration, fleet_size, seed, scenario, run, setting, first_run_id, second_run_id,
     CASE
         WHEN NOT is_same_setting THEN 'setting'
         WHEN is_repeated THEN 'repeated'

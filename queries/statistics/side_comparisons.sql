@@ -7,19 +7,12 @@
 -- NULL: never
 -- Example: fsar-ledger query statistics/side_comparisons LEDGER
 WITH held AS (
-    SELECT DISTINCT
-        side,
-        architecture,
-        configuration,
-        setting
+    SELECT DISTINCT side, architecture, configuration, setting
     FROM side_runs
 )
 
 SELECT
-    comparisons.comparison,
-    comparisons.family,
-    comparisons.configuration,
-    firsts.setting,
+    comparisons.comparison, comparisons.family, comparisons.configuration, firsts.setting,
     firsts.side AS first_side,
     seconds.side AS second_side
 FROM comparisons
@@ -28,5 +21,4 @@ INNER JOIN held AS firsts
 INNER JOIN held AS seconds
     ON
         comparisons.second_architecture = seconds.architecture
-        AND comparisons.second_configuration = seconds.configuration
-        AND firsts.setting = seconds.setting
+        AND comparisons.second_configuration = seconds.configuration AND firsts.setting = seconds.setting

@@ -12,12 +12,7 @@
 WITH moments AS (
     -- Sums of floats in a fixed order are the same bits on any number of threads.
     SELECT
-        first_side,
-        second_side,
-        pools_seeds,
-        seed,
-        scenario,
-        metric,
+        first_side, second_side, pools_seeds, seed, scenario, metric,
         count(*) AS n,
         count(*) FILTER (WHERE differs) AS differing_pairs,
         count(*) FILTER (WHERE direction > 0)::DOUBLE AS above,
@@ -31,17 +26,7 @@ WITH moments AS (
 )
 
 SELECT
-    first_side,
-    second_side,
-    pools_seeds,
-    seed,
-    scenario,
-    metric,
-    n,
-    differing_pairs,
-    above,
-    below,
-    first_mean,
+    first_side, second_side, pools_seeds, seed, scenario, metric, n, differing_pairs, above, below, first_mean,
     second_mean,
     first_mean - second_mean AS mean_difference,
     CASE WHEN varies THEN spread END AS sd,

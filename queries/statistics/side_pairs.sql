@@ -12,27 +12,14 @@
 -- Example: fsar-ledger query statistics/side_pairs LEDGER
 WITH each_run AS (
     SELECT DISTINCT
-        side,
-        run_id,
-        setting,
-        kind,
-        model_version,
-        seed,
-        scenario,
-        run,
-        twins,
-        observes_world,
+        side, run_id, setting, kind, model_version, seed, scenario, run, twins, observes_world,
         coalesce(world_sha256, '') AS world
     FROM side_runs
 ),
 
 candidates AS (
     SELECT
-        comparisons.first_side,
-        comparisons.second_side,
-        firsts.seed,
-        firsts.scenario,
-        firsts.run,
+        comparisons.first_side, comparisons.second_side, firsts.seed, firsts.scenario, firsts.run,
         firsts.run_id AS first_run_id,
         seconds.run_id AS second_run_id,
         firsts.world = seconds.world AS is_same_world,
@@ -48,21 +35,12 @@ candidates AS (
     INNER JOIN each_run AS firsts ON comparisons.first_side = firsts.side
     INNER JOIN each_run AS seconds
         ON
-            comparisons.second_side = seconds.side
-            AND firsts.seed = seconds.seed
-            AND firsts.scenario = seconds.scenario
+            comparisons.second_side = seconds.side AND firsts.seed = seconds.seed AND firsts.scenario = seconds.scenario
             AND firsts.run = seconds.run
 )
 
 SELECT
-    first_side,
-    second_side,
-    seed,
-    scenario,
-    run,
-    first_run_id,
-    second_run_id,
-    differs,
+    first_side, second_side, seed, scenario, run, first_run_id, second_run_id, differs,
     CASE
         WHEN differs IS NULL THEN CASE WHEN is_same_world THEN 'facts' WHEN is_same_model THEN 'draws' ELSE 'seed' END
     END AS shares

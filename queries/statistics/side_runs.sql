@@ -8,22 +8,8 @@
 -- Example: fsar-ledger query statistics/side_runs LEDGER
 SELECT
     to_json([measured.architecture, measured.configuration, measured.setting])::VARCHAR AS side,
-    measured.run_id,
-    measured.architecture,
-    measured.configuration,
-    measured.setting,
-    measured.fleet_size,
-    measured.kind,
-    measured.model_version,
-    measured.seed,
-    measured.scenario,
-    measured.run,
-    runs.twins,
-    runs.observes_world,
-    runs.world_sha256,
-    measured.metric,
-    measured.value,
-    measured.numerator,
-    measured.denominator
+    measured.run_id, measured.architecture, measured.configuration, measured.setting, measured.fleet_size,
+    measured.kind, measured.model_version, measured.seed, measured.scenario, measured.run, runs.twins,
+    runs.observes_world, runs.world_sha256, measured.metric, measured.value, measured.numerator, measured.denominator
 FROM run_metrics AS measured
 INNER JOIN compared_runs AS runs ON measured.run_id = runs.run_id

@@ -13,16 +13,10 @@
 -- Example: fsar-ledger query statistics/side_values LEDGER
 WITH measured AS (
     SELECT
-        pairs.first_side,
-        pairs.second_side,
-        pairs.first_run_id,
-        pairs.second_run_id,
-        scopes.pools_seeds,
+        pairs.first_side, pairs.second_side, pairs.first_run_id, pairs.second_run_id, scopes.pools_seeds,
         CASE WHEN NOT scopes.pools_seeds THEN pairs.seed END AS seed,
         CASE WHEN scopes.is_of_scenario THEN pairs.scenario END AS scenario,
-        firsts.metric,
-        definitions.is_pooled,
-        definitions.numerator_units,
+        firsts.metric, definitions.is_pooled, definitions.numerator_units,
         firsts.value AS first_value,
         seconds.value AS second_value,
         firsts.numerator AS n1,
@@ -47,21 +41,8 @@ WITH measured AS (
 
 totals AS (
     SELECT
-        first_side,
-        second_side,
-        first_run_id,
-        second_run_id,
-        pools_seeds,
-        seed,
-        scenario,
-        metric,
-        is_pooled,
-        first_value,
-        second_value,
-        n1,
-        d1,
-        n2,
-        d2,
+        first_side, second_side, first_run_id, second_run_id, pools_seeds, seed, scenario, metric, is_pooled,
+        first_value, second_value, n1, d1, n2, d2,
         count(*) OVER cell AS n,
         sum(n1) OVER cell AS s1,
         nullif(sum(d1) OVER cell, 0) AS t1,
@@ -76,16 +57,7 @@ totals AS (
 )
 
 SELECT
-    first_side,
-    second_side,
-    first_run_id,
-    second_run_id,
-    pools_seeds,
-    seed,
-    scenario,
-    metric,
-    is_pooled,
-    first_value,
+    first_side, second_side, first_run_id, second_run_id, pools_seeds, seed, scenario, metric, is_pooled, first_value,
     second_value,
     CASE WHEN is_pooled THEN r1 END AS first_ratio,
     CASE WHEN is_pooled THEN r2 END AS second_ratio,

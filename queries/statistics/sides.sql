@@ -8,15 +8,9 @@
 -- Example: fsar-ledger query statistics/sides LEDGER
 SELECT
     to_json([runs.architecture, runs.configuration, settings.setting])::VARCHAR AS side,
-    runs.architecture,
-    runs.configuration,
-    runs.fleet_size,
-    runs.kind,
+    runs.architecture, runs.configuration, runs.fleet_size, runs.kind,
     settings.kind AS made_as,
-    runs.source,
-    runs.model_version,
-    settings.setting,
-    settings.parameter_set,
+    runs.source, runs.model_version, settings.setting, settings.parameter_set,
     count(*) AS run_count,
     count(*) FILTER (
         WHERE runs.seed IS NOT NULL
@@ -29,12 +23,5 @@ SELECT
 FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
 GROUP BY
-    runs.architecture,
-    runs.configuration,
-    runs.fleet_size,
-    runs.kind,
-    settings.kind,
-    runs.source,
-    runs.model_version,
-    settings.setting,
-    settings.parameter_set
+    runs.architecture, runs.configuration, runs.fleet_size, runs.kind, settings.kind, runs.source, runs.model_version,
+    settings.setting, settings.parameter_set

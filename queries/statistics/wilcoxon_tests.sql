@@ -15,8 +15,7 @@ WITH tests AS (
 
 ranked AS (
     SELECT
-        test,
-        difference_ppb,
+        test, difference_ppb,
         count(*) OVER ties AS tied,
         -- Twice the average rank, an integer: sums of it are exact.
         2 * rank() OVER (PARTITION BY test ORDER BY abs(difference_ppb)) + count(*) OVER ties - 1 AS rank_x2
@@ -38,11 +37,7 @@ sums AS (
 
 scores AS (
     SELECT
-        test,
-        n,
-        positive,
-        negative,
-        tie_term,
+        test, n, positive, negative,
         CASE
             WHEN n >= 6 THEN (positive - n * (n + 1) / 4) / sqrt(n::DOUBLE * (n + 1) * (2 * n + 1) / 24 - tie_term / 48)
         END AS z

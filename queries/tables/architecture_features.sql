@@ -22,15 +22,8 @@ WITH alike AS (
 -- case in twenty escapes the mechanism. 0.70: the mechanism governs more than twice as many cases as it misses; with
 -- less, it is what happens, not what rules.
 SELECT
-    runs.architecture,
-    runs.configuration,
-    runs.fleet_size,
-    runs.seed,
-    runs.kind,
-    runs.source,
-    runs.model_version,
-    runs.constants,
-    parts.feature,
+    runs.architecture, runs.configuration, runs.fleet_size, runs.seed, runs.kind, runs.source, runs.model_version,
+    runs.constants, parts.feature,
     CASE
         WHEN min(parts.share) FILTER (parts.is_essential) < 0.7 THEN 'none'
         WHEN count(parts.share) FILTER (parts.is_essential) = 0 THEN NULL

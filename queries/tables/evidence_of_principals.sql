@@ -20,7 +20,6 @@ robots AS (
     -- agent/A1/planning is a part of robot/A1.
     SELECT
         fleet_members.run_id,
-        fleet_members.robot,
         count(DISTINCT named.principal) AS parts
     FROM fleet_members
     LEFT JOIN named
@@ -51,48 +50,28 @@ busiest AS (
 ),
 
 counted AS (
-    SELECT
-        {
-            'run_id': run_id,
-            'part': 'robots that appear as one principal',
-            'numerator': (parts = 0)::INT,
-            'denominator': 1
-        } AS fact
+    SELECT run_id, 'robots that appear as one principal' AS part, (parts = 0)::INT AS numerator, 1 AS denominator
+    FROM robots
+    UNION ALL
+    SELECT run_id, 'robots with two or more agents' AS part, (parts > 1)::INT AS numerator, 1 AS denominator
     FROM robots
     UNION ALL
     SELECT
-        {
-            'run_id': run_id, 'part': 'robots with two or more agents', 'numerator': (parts > 1)::INT, 'denominator': 1
-        } AS fact
-    FROM robots
-    UNION ALL
-    SELECT
-        {
-            'run_id': run_id,
-            'part': 'assignments decided by one principal that is no robot',
-            'numerator': central,
-            'denominator': decisions
-        } AS fact
+        run_id, 'assignments decided by one principal that is no robot' AS part,
+        central AS numerator, decisions AS denominator
     FROM busiest
     UNION ALL
-    SELECT
-        {
-            'run_id': run_id,
-            'part': 'records with origin, executor and supervisor',
-            'numerator': numerator,
-            'denominator': denominator
-        } AS fact
+    SELECT run_id, 'records with origin, executor and supervisor' AS part, numerator, denominator
     FROM audit_attributability
     WHERE denominator > 0
 )
 
 SELECT
-    runs.made_alike,
-    counted.fact.part,
-    sum(counted.fact.numerator)::BIGINT AS numerator,
-    sum(counted.fact.denominator)::BIGINT AS denominator
+    runs.made_alike, counted.part,
+    sum(counted.numerator)::BIGINT AS numerator,
+    sum(counted.denominator)::BIGINT AS denominator
 FROM run_groups AS runs
-INNER JOIN counted ON runs.run_id = counted.fact.run_id
-LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND counted.fact.part = hidden.judge
+INNER JOIN counted ON runs.run_id = counted.run_id
+LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND counted.part = hidden.judge
 WHERE hidden.run_id IS NULL
 GROUP BY ALL

@@ -8,9 +8,7 @@
 -- Stored: in one plan with the other two, DuckDB plans longer than it computes
 WITH first_steps AS (
     SELECT
-        run_id,
-        action_id,
-        failure,
+        run_id, action_id, failure,
         arg_min(decided_by, seq) AS decided_by
     FROM recovery_steps
     GROUP BY run_id, action_id, failure
@@ -18,9 +16,7 @@ WITH first_steps AS (
 
 moves AS (
     SELECT
-        run_id,
-        action_id,
-        failure,
+        run_id, action_id, failure,
         bool_and(rank <= coalesce(from_rank, 0) + 1) AS is_outward
     FROM recovery_moves
     GROUP BY run_id, action_id, failure
@@ -28,8 +24,7 @@ moves AS (
 
 judged AS (
     SELECT
-        runs.run_id,
-        runs.made_alike,
+        runs.run_id, runs.made_alike,
         -- By the robot that failed, or an agent in it: agent/A1/execution is a part of robot/A1.
         coalesce(
             first_steps.decided_by = failures.robot
@@ -41,8 +36,7 @@ judged AS (
     INNER JOIN run_groups AS runs ON failures.run_id = runs.run_id
     LEFT JOIN first_steps
         ON
-            failures.run_id = first_steps.run_id
-            AND failures.action_id = first_steps.action_id
+            failures.run_id = first_steps.run_id AND failures.action_id = first_steps.action_id
             AND failures.failure = first_steps.failure
     LEFT JOIN moves
         ON failures.run_id = moves.run_id AND failures.action_id = moves.action_id AND failures.failure = moves.failure
@@ -50,8 +44,7 @@ judged AS (
 
 parts AS (
     SELECT
-        run_id,
-        made_alike,
+        run_id, made_alike,
         unnest([
             { 'part': 'failures that the robot itself begins to recover', 'holds': is_own },
             { 'part': 'failures that skip no level', 'holds': is_outward }

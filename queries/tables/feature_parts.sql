@@ -41,10 +41,7 @@ groups AS (
 )
 
 SELECT
-    groups.made_alike,
-    rules.feature,
-    rules.part,
-    rules.is_essential,
+    groups.made_alike, rules.feature, rules.part, rules.is_essential,
     evidence.numerator / evidence.denominator AS share,
     rules.part || ' ' || coalesce(
         evidence.numerator || '/' || evidence.denominator,

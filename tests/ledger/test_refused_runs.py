@@ -17,7 +17,7 @@ from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.codec import RunRecord, encode
-from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE, STORED
+from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE, STORED, StoredType
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed
