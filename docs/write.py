@@ -3,6 +3,7 @@
     python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the
                                     tables of constants, of readings and of mechanisms in docs/model.md, and the
                                     output in every ```console block
+    python docs/write.py queries.md    docs/queries.md alone, which takes a second
     python docs/write.py --check    exit code 1 and a diff where a page would change in what a reader notices: not in
                                     digests alone, but for docs/ledger-format.md, queries.md and event-types.json
 
@@ -316,7 +317,13 @@ def noticed(text: str) -> str:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the pages, or compare them with what they would be."""
+    """Write the pages, or the page of queries alone, or compare them with what they would be."""
+    if arguments == ["queries.md"]:
+        (DOCS / "queries.md").write_text(queries_page(), "utf-8")
+        return 0
+    if arguments not in ([], ["--check"]):
+        print(f"docs/write.py: found {shlex.join(arguments)}, expected --check, queries.md or nothing", file=sys.stderr)
+        return 2
     pages = {page: with_output(page.read_text("utf-8")) for page in PAGES}
     pages[DOCS / "model.md"] = with_mechanisms(with_readings(with_constants(pages[DOCS / "model.md"])))
     exact = {DOCS / "queries.md": queries_page(), DOCS / "event-types.json": event_types()}

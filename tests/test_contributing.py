@@ -1,7 +1,6 @@
-"""Each section of docs/contributing.md is a change that can be made as it is written, and passes the checks that it
-names.
+"""Make the change of each section of docs/contributing.md in a copy of the repository, and run the checks at its end.
 
-`python -m tests.test_contributing "An event" PLACE` makes one in a copy of the repository, to look at it.
+`python -m tests.test_contributing "An event" PLACE` makes one change in a copy, to look at it.
 """
 
 import os
@@ -24,7 +23,7 @@ _COMMANDS = re.compile(r"^```console\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
 class Change(msgspec.Struct, frozen=True):
-    """What a section does to one file: its whole text where the file is new, else a diff."""
+    """A change to one file: its whole text where the file is new, else a diff."""
 
     path: str
     is_new: bool
@@ -38,7 +37,7 @@ def sections() -> dict[str, str]:
 
 
 def changes(section: str) -> list[Change]:
-    """Return what the section writes, in its order."""
+    """Return the changes that the section makes, in its order."""
     return [Change(path, bool(new), text) for path, new, _, text in _BLOCK.findall(section)]
 
 
@@ -49,8 +48,7 @@ def commands(section: str) -> list[list[str]]:
 
 
 def hunks(diff: str) -> Iterator[tuple[str, str]]:
-    """Yield what stands there and what shall stand there, for each part between lines of `@@`; an empty line is one of
-    both."""
+    """Yield the old and the new text of each part between lines of `@@`; an empty line belongs to both."""
     for part in re.split(r"^@@\n", diff, flags=re.MULTILINE):
         lines = [line or " " for line in part.splitlines()]
         before, after = ("".join(f"{line[1:]}\n" for line in lines if line[0] in kept) for kept in (" -", " +"))
@@ -58,7 +56,7 @@ def hunks(diff: str) -> Iterator[tuple[str, str]]:
 
 
 def changed(path: str, text: str, diff: str) -> str:
-    """Return the text after the diff. Raises: AssertionError where a part of it does not stand there exactly once."""
+    """Return the text after the diff. Raises: AssertionError where the text does not hold an old part exactly once."""
     for before, after in hunks(diff):
         assert text.count(before) == 1, f"{path}: found {text.count(before)} times, expected once:\n{before}"
         text = text.replace(before, after)
@@ -83,7 +81,7 @@ class Finder:
 
 sys.meta_path.insert(0, Finder)
 """
-"""What makes a process read the queries and reports of the copy: they lie beside the package, as in the repository."""
+"""Code that makes a process read the queries and reports of the copy, which are beside the package there."""
 
 
 def copied(place: Path) -> Path:
@@ -164,7 +162,7 @@ def test_the_table_counts_the_files_and_the_tests_that_each_section_writes() -> 
     assert {name: (int(files), int(tests)) for name, files, tests in rows} == written
 
 
-def test_a_place_that_is_gone_or_stands_twice_is_found() -> None:
+def test_a_diff_whose_place_is_missing_or_ambiguous_is_refused() -> None:
     assert changed("x", "a\nb\nc\n", " a\n-b\n+B\n@@\n c\n+d\n") == "a\nB\nc\nd\n"
     for text in ("a\n", "b\nb\n"):
         with pytest.raises(AssertionError, match="expected once"):

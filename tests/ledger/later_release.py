@@ -1,4 +1,4 @@
-"""A made-up later release: a copy of the package in which event types were changed the way docs/changing-events.md
+"""A made-up later release: a copy of the package in which event types were changed the way docs/contributing.md
 says, run in a process of its own.
 
 `StepBegan` went through two versions: v2 said `is_own`, v3 says `is_delegated` instead; `RobotJoined` has a new
