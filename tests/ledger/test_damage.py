@@ -62,7 +62,6 @@ def test_a_flip_in_every_byte_of_json_and_notes_is_found_and_placed(tmp_path: Pa
         assert verify(path).ok
 
 
-@pytest.mark.slow
 def test_two_thousand_flips_in_segments_and_tiles_are_found_and_placed(path: Path) -> None:
     draw, originals = random.Random(11), contents(path)
     for kind in ("segments", "tile"):
