@@ -35,7 +35,7 @@ class Pinned(NamedTuple):
 
 
 def pinned(text: str) -> Iterator[Pinned]:
-    """The entries that hold for this interpreter and platform. Raises: SystemExit for one without a version or hashes."""
+    """Yield the entries for this interpreter and platform. Raises: SystemExit for one without a version or hashes."""
     for entry in re.split(r"\n(?=\S)", re.sub(r"^(\s*#|-r ).*\n?", "", text, flags=re.MULTILINE).strip()):
         line, *rest = entry.replace("\\\n", "\n").splitlines()
         requirement = Requirement(line)

@@ -126,8 +126,8 @@ def queries_page() -> str:
         "",
     ]
     lines += [
-        "Written by `docs/write.py` from the headers of `queries/`. The key tells any two rows apart; a column of it that "
-        "ends in `?` may be NULL, which is a value like others there.",
+        "Written by `docs/write.py` from the headers of `queries/`. The key tells any two rows apart; a column of it "
+        "that ends in `?` may be NULL, which is a value like others there.",
         "",
     ]
     for folder in dict.fromkeys(name.partition("/")[0] for name in library().queries):

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+ROOT = Path(__file__).resolve().parents[1]
+
 CACHE = Path(tempfile.mkdtemp(prefix="fsar-ledger-tests-"))
 """The cache of commands under test, apart from the user's own and from that of earlier sessions."""
 
@@ -65,3 +67,15 @@ def pytest_unconfigure() -> None:
     gc.unfreeze()
     gc.collect()
     shutil.rmtree(CACHE, ignore_errors=True)
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """Copy what import-linter and the build read."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    for folder in ("fsar_ledger", "queries", "reports"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=ignored)
+    (tmp_path / "tests").mkdir()
+    for file in ("pyproject.toml", "README.md", "LICENSE", "tests/import_contract.py"):
+        shutil.copy(ROOT / file, tmp_path / file)
+    return tmp_path

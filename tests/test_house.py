@@ -7,8 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
-from graphlib import CycleError, TopologicalSorter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -140,64 +139,6 @@ def architectures_named(root: Path) -> list[str]:
     return found
 
 
-def imports(root: Path) -> dict[str, set[str]]:
-    """Return, by module of the package, the modules that it imports when it is loaded."""
-    modules = {}
-    for path in code_files(root, ".py", ("fsar_ledger", "queries", "reports")):
-        parts = [*path.relative_to(root).with_suffix("").parts]
-        parts = parts if parts[0] == "fsar_ledger" else ["fsar_ledger", *parts]
-        modules[".".join(parts).removesuffix(".__init__")] = path
-    graph: dict[str, set[str]] = {}
-    for module, path in modules.items():
-        package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-        found = imported(ast.parse(path.read_text("utf-8")).body, package)
-        graph[module] = {name if name in modules else name.rpartition(".")[0] for name in found} & {*modules} - {module}
-    return graph
-
-
-def imported(nodes: Iterable[ast.AST], package: str) -> Iterator[str]:
-    """Yield what these statements import when they run: not what functions or type checkers import."""
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            yield from (name.name for name in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            above = package.split(".")[: 1 - node.level or None] if node.level else []
-            base = ".".join([*above, *([node.module] if node.module else [])])
-            yield from (f"{base}.{name.name}" for name in node.names)
-        elif isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
-            yield from imported(node.orelse, package)
-        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
-            yield from imported(ast.iter_child_nodes(node), package)
-
-
-def circle(graph: dict[str, set[str]]) -> list[str]:
-    """Return the modules of one circle of imports, none if there is none."""
-    try:
-        TopologicalSorter(graph).prepare()
-    except CycleError as error:
-        return list(error.args[1])
-    return []
-
-
-def contracts(root: Path) -> subprocess.CompletedProcess[str]:
-    command = [str(Path(sys.executable).with_name("lint-imports")), "--no-cache", "--no-logo"]
-    return subprocess.run(
-        command, cwd=root, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "500"}
-    )
-
-
-@pytest.fixture
-def tree(tmp_path: Path) -> Path:
-    """Copy what import-linter and the build read."""
-    ignored = shutil.ignore_patterns("__pycache__")
-    for folder in ("fsar_ledger", "queries", "reports"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=ignored)
-    (tmp_path / "tests").mkdir()
-    for file in ("pyproject.toml", "README.md", "LICENSE", "tests/import_contract.py"):
-        shutil.copy(ROOT / file, tmp_path / file)
-    return tmp_path
-
-
 def test_the_top_level_is_as_agreed() -> None:
     tracked = subprocess.run(
         ["git", "ls-files", "--cached", "--others", "--exclude-standard"],
@@ -319,92 +260,6 @@ def test_a_shared_handler_that_asks_for_the_architecture_is_found(tmp_path: Path
         "fsar_ledger/projections/curious.py:2",
         "fsar_ledger/projections/curious.py:3",
     ]
-
-
-def test_no_modules_import_each_other_in_a_circle() -> None:
-    graph = imports(ROOT)
-    assert {"fsar_ledger.errors", "fsar_ledger.ledger.store.disk"} <= graph["fsar_ledger.ledger.store.append"]
-    assert circle(graph) == []
-
-
-@pytest.mark.parametrize(
-    ("line", "is_found"),
-    [
-        ("from .append import Writer", True),
-        ("from . import append", True),
-        ("import fsar_ledger.ledger.store.append", True),
-        ("class Lazy:\n    from fsar_ledger.ledger.store import append", True),
-        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .append import Writer", False),
-        ("def late() -> None:\n    from .append import Writer", False),
-    ],
-)
-def test_a_circle_of_imports_is_found(tree: Path, line: str, is_found: bool) -> None:
-    disk = tree / "fsar_ledger" / "ledger" / "store" / "disk.py"
-    disk.write_text(f"{disk.read_text()}\n{line}\n")
-    found = circle(imports(tree))
-    assert ({"fsar_ledger.ledger.store.disk", "fsar_ledger.ledger.store.append"} <= {*found}) == is_found
-
-
-def test_imports_go_one_way(tree: Path) -> None:
-    result = contracts(tree)
-    assert result.returncode == 0, result.stdout
-
-
-@pytest.mark.parametrize(
-    ("file", "line", "complaint"),
-    [
-        (
-            "runtime/architectures/fixture.py",
-            "import random",
-            "fsar_ledger.runtime.architectures.fixture imports random",
-        ),
-        (
-            "runtime/architectures/fixture.py",
-            "from os import urandom",
-            "fsar_ledger.runtime.architectures.fixture imports os",
-        ),
-        (
-            "runtime/architectures/fixture.py",
-            "import fsar_ledger.runtime.world",
-            "fsar_ledger.runtime.architectures.fixture imports fsar_ledger.runtime.world",
-        ),
-        ("runtime/handlers/fixture.py", "import time", "fsar_ledger.runtime.handlers.fixture imports time"),
-        (
-            "runtime/handlers/fixture.py",
-            "import fsar_ledger.ledger",
-            "fsar_ledger.runtime.handlers.fixture imports fsar_ledger.ledger",
-        ),
-        ("events/fixture.py", "import numpy", "fsar_ledger.events.fixture imports numpy"),
-        (
-            "projections/fixture.py",
-            "import fsar_ledger.ledger",
-            "fsar_ledger.projections.fixture imports fsar_ledger.ledger",
-        ),
-        (
-            "metrics/fixture.py",
-            "import fsar_ledger.runtime",
-            "fsar_ledger.metrics is not allowed to import fsar_ledger.runtime",
-        ),
-        (
-            "report/fixture.py",
-            "import fsar_ledger.projections",
-            "fsar_ledger.report is not allowed to import fsar_ledger.projections",
-        ),
-        ("ledger/rows/fixture.py", "import duckdb", "fsar_ledger.ledger.rows.fixture imports duckdb"),
-        (
-            "ledger/rows/fixture.py",
-            "import fsar_ledger.ledger.store",
-            "fsar_ledger.ledger.rows is not allowed to import fsar_ledger.ledger.store",
-        ),
-        ("ledger/log/fixture.py", "import os", "fsar_ledger.ledger.log.fixture imports os"),
-        ("fixture.py", "", "The following modules are not listed as layers"),
-    ],
-)
-def test_an_import_that_breaks_the_rule_is_found(tree: Path, file: str, line: str, complaint: str) -> None:
-    (tree / "fsar_ledger" / file).write_text(f'"""A fixture that breaks the rule."""\n\n{line}\n')
-    result = contracts(tree)
-    assert result.returncode == 1
-    assert complaint in result.stdout
 
 
 @pytest.mark.slow  # builds and installs a wheel

@@ -249,14 +249,8 @@ def world_query() -> Query:
 
 
 def metric_queries() -> list[Query]:
-    """Return the relations that `reports/metrics.toml` makes.
-
-    What SQL must know of each metric, and what all measure.
-    """
-    undefined = (
-        "published_value where the metric is defined for every run; "
-        "undefined_value where such a run does not count, as with us always"
-    )
+    """Return the relations that `reports/metrics.toml` makes."""
+    undefined = "published_value where the metric is defined for every run; undefined_value where it does not count"
     made = {
         "metric_definitions": (
             "The metrics: their order, their scale, which way is better, how runs are pooled, and whether the paper "
@@ -264,10 +258,8 @@ def metric_queries() -> list[Query]:
             "one row per metric",
             "metric",
             "numerator_units, how many units of the numerator make one of the value; scale is share, count, seconds, "
-            "or yes-no "
-            "(0 or 1 for each run); better is higher or lower; undefined_value, what a run counts as in which a metric "
-            "that is not "
-            "pooled is undefined, published_value, what it counts as in the paper",
+            "or yes-no (0 or 1 for each run); better is higher or lower; undefined_value and published_value, what an "
+            "undefined run counts as with us and in the paper, where a metric is not pooled",
             undefined,
             definitions.definitions_sql(),
         ),

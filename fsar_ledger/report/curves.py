@@ -32,6 +32,12 @@ LARGEST = 16
 """Robots of the paper's largest fleet."""
 
 
+def _say_no_value(panel: Any, at: float) -> None:
+    """Write upright, in the place of a bar, that there is none."""
+    upright = {"rotation": 90, "ha": "center", "va": "bottom", "color": "#777777"}
+    panel.annotate("no value", (at, 0), (0, 3), textcoords="offset points", **upright)
+
+
 def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
     """The figure "Without one mechanism": six panels, five configurations, the paper's values marked.
 
@@ -46,16 +52,7 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
             for position, row in enumerate(found):
                 panel.plot(position + 0.3, row["paper"] * spec.factor, zorder=4, **DIAMOND)
                 if row["mean"] is None:
-                    panel.annotate(
-                        "no value",
-                        (position - 0.08, 0),
-                        (0, 3),
-                        textcoords="offset points",
-                        rotation=90,
-                        ha="center",
-                        va="bottom",
-                        color="#777777",
-                    )
+                    _say_no_value(panel, position - 0.08)
                     continue
                 colour = COLOURS["fsar"] if row["configuration"] == "full" else "#8fb8d6"
                 hatch = "///" if row["class"] in ("unspecified", "cannot follow") else None

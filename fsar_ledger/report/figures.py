@@ -189,6 +189,24 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
         return rendered(figure, kind)
 
 
+def _first_less_second(comparison: str) -> str:
+    """Return a comparison as a difference: FSAR − CFC."""
+    return " − ".join(comparison.upper().split("-"))
+
+
+def _effect_legend(figure: Any) -> None:
+    """Name the comparisons, and the diamond of the paper, below the panel."""
+    from matplotlib.lines import Line2D
+
+    compared = [
+        Line2D([], [], marker=marker, color=colour, markersize=4.5, linewidth=1.6, label=_first_less_second(name))
+        for name, (marker, colour) in COMPARED.items()
+    ]
+    handles = [*compared, Line2D([], [], label="printed in the paper", **DIAMOND)]
+    where = {"loc": "outside lower center", "ncols": len(handles), "handletextpad": 0.5, "columnspacing": 1.6}
+    figure.legend(handles=handles, frameon=False, **where)
+
+
 def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
     """Draw "Effect sizes": Cohen's d of each pairwise test with its 95 % interval, and the paper's.
 
@@ -198,8 +216,6 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
     Each row holds metric, comparison, cohens_d, d_ci_low, d_ci_high (None: no effect), paper_d and paper_t.
     """
-    from matplotlib.lines import Line2D
-
     with canvas(specs.figure("effects"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
         names = [spec.name for spec in published_metrics()]
@@ -235,25 +251,5 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
         panel.set_ylim(len(names) - 0.5, -0.5)
         panel.tick_params(axis="y", length=0)
         panel.set_xlabel("effect in standard deviations, first minus second (linear up to 1, logarithmic beyond)")
-        handles: list[Any] = [
-            Line2D(
-                [],
-                [],
-                marker=marker,
-                color=colour,
-                markersize=4.5,
-                linewidth=1.6,
-                label=" − ".join(name.upper().split("-")),
-            )
-            for name, (marker, colour) in COMPARED.items()
-        ]
-        handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
-        figure.legend(
-            handles=handles,
-            loc="outside lower center",
-            ncols=len(handles),
-            frameon=False,
-            handletextpad=0.5,
-            columnspacing=1.6,
-        )
+        _effect_legend(figure)
         return rendered(figure, kind)

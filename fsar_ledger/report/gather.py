@@ -5,12 +5,10 @@ with the paper's.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import TypeAlias
-
-import msgspec
 
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.comparing import differing_worlds
@@ -21,19 +19,16 @@ from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import cases, everyway, grades, printing, specs, whole
+from fsar_ledger.report import cases, everyway, grades, printing, whole
 from fsar_ledger.report.findings import (
-    ARCHITECTURES,
-    COMPARISONS,
     MAIN_CONFIGURATION,
     MAIN_FLEET_SIZE,
-    SCENARIOS,
     Findings,
     Row,
     Source,
-    with_agreement,
 )
 from fsar_ledger.report.others import held, others
+from fsar_ledger.report.rows import cells_of, rule_of, scenarios_of, tests_of
 
 QUERIES = (
     "metrics/metric_summary",
@@ -158,111 +153,6 @@ def _otherwise(setting: Setting, main: Setting | None) -> str | None:
     )
 
 
-def _blank(cls: type[msgspec.Struct]) -> Row:
-    return dict.fromkeys(cls.__struct_fields__)
-
-
-def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell] | None) -> tuple[Row, ...]:
-    found = {(row.metric, row.architecture): row for row in rows}
-    judged = {
-        (one.metric, one.architecture): one
-        for one in verdicts.compare(found.values(), drawn)
-        if one.architecture not in apart
-    }
-    printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
-    cells = []
-    for spec in published_metrics():
-        for architecture in ARCHITECTURES:
-            key = (spec.name, architecture)
-            row, paper = found.get(key), verdicts.published()[key].value
-            cell = msgspec.structs.asdict(row) if row is not None else _blank(MetricRow)
-            beside = {
-                "paper": paper,
-                "paper_printed": printed[spec.printed.results, architecture.upper()],
-                "interval": _interval(cell),
-            }
-            cells.append(cell | {"metric": spec.name, "architecture": architecture} | beside | _judged(judged.get(key)))
-    return tuple(cells)
-
-
-def _interval(row: Row, low: str = "ci_low", high: str = "ci_high") -> tuple[float, float] | None:
-    """The 95 % interval of a row, or None where it has none."""
-    return None if row[low] is None or row[high] is None else (row[low], row[high])
-
-
-def _judged(one: verdicts.Comparison | None) -> Row:
-    """Difference, distance and answers of a cell; all None where the ledger has no value to judge."""
-    if one is None or one.ours is None:
-        return dict.fromkeys(("difference", "distance", "gives", "power", "share", "could"))
-    difference = None if one.low is None or one.high is None else (one.low, one.high)
-    return {
-        "difference": difference,
-        "distance": one.distance,
-        "gives": one.gives,
-        "power": one.power,
-        "share": one.share,
-        "could": one.could,
-    }
-
-
-def _tests(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, ...]:
-    found = {(row.metric, row.comparison): row for row in rows}
-    printed = {(row["metric"], row["comparison"]): row for row in specs.paper_table("significance")}
-    tests = []
-    for spec in published_metrics():
-        for comparison in COMPARISONS:
-            paper = printed[spec.printed.significance, " vs ".join(comparison.upper().split("-"))]
-            row = found.get((spec.name, comparison))
-            test = msgspec.structs.asdict(row) if row is not None else _blank(StatisticRow)
-            beside = {
-                "paper_t": float(paper["t"]),
-                "paper_p": paper["p"],
-                "paper_d": float(paper["cohens_d"]),
-                "paper_level": paper["significance"],
-            }
-            named = {
-                "metric": spec.name,
-                "comparison": comparison,
-                "pooled_interval": _interval(test, "pooled_ci_low", "pooled_ci_high"),
-            }
-            tests.append(with_agreement(test | named | _effect(test) | beside, is_judged=comparison not in apart))
-    return tuple(tests)
-
-
-def _effect(test: Row) -> Row:
-    """Cohen's d without its sign, as the paper prints it, and its 95 % interval turned the same way round."""
-    if test["cohens_d"] is None or test["d_ci_low"] is None:
-        return {"effect": None, "effect_interval": None}
-    sign = -1 if test["cohens_d"] < 0 else 1
-    return {
-        "effect": sign * test["cohens_d"],
-        "effect_interval": tuple(sorted((sign * test["d_ci_low"], sign * test["d_ci_high"]))),
-    }
-
-
-def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -> tuple[Row, ...]:
-    means = {(row.metric, row.architecture, row.scenario or "mean"): row.mean for row in (*overall, *by_scenario)}
-    return tuple(
-        {"metric": spec.name, "architecture": architecture}
-        | {name: means.get((spec.name, architecture, name)) for name in (*SCENARIOS, "mean")}
-        for spec in published_metrics()
-        for architecture in ARCHITECTURES
-    )
-
-
-def _rule(cells: tuple[Row, ...]) -> tuple[Row, ...]:
-    """Return the margin of every metric, and for each cell the power of the verdict.
-
-    That is the chance that a number which is exactly the printed one is found equivalent.
-    """
-    power = {(row["metric"], row["architecture"]): row["power"] for row in cells}
-    return tuple(
-        {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]}
-        | {name: power[spec.name, name] for name in ARCHITECTURES}
-        for spec in published_metrics()
-    )
-
-
 def _odds(
     database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]
 ) -> Odds[Cell] | None:
@@ -359,6 +249,13 @@ def _is_file(query: str) -> bool:
     return files("fsar_ledger.queries").joinpath(f"{query}.sql").is_file()
 
 
+def _sources(database: Database, more: Iterable[str]) -> tuple[Source, ...]:
+    """Return the packaged queries that the report reads, and `more`, with all that they read, by name."""
+    needed = database.library.needs(database.library.find(name).relation for name in (*QUERIES, *more))
+    ordered = sorted(needed, key=lambda query: query.name)
+    return tuple(Source(name=query.name, sha256=query.sha256) for query in ordered if _is_file(query.name))
+
+
 def gather(
     ledger: Path,
     workflows: Path | None = None,
@@ -380,46 +277,38 @@ def gather(
             too.
         QueryFailed: A packaged query fails on this ledger's data.
     """
-    told = others(
-        {**({} if workflows is None else {workflows: None}), **(beside or {})}, workflows, pools_seeds=pools_seeds
-    )  # first: some may be mistakes
+    named = {**({} if workflows is None else {workflows: None}), **(beside or {})}
+    told = others(named, workflows, pools_seeds=pools_seeds)  # first: some may be mistakes
     with connect(ledger, demanded=demanded) as database:
         head = database.head
         every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
         main = _main(every)
         overall, by_scenario = ([row for row in rows if _setting(row) == main] for rows in (every, every_by_scenario))
         tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if _setting(row) == main]
-        runs_held, pairs_held = _held(database, main)
-        apart = whole.apart(runs_held, pairs_held)
-        drawn = _odds(database, main, runs_held)
-        cells = _cells(overall, apart, drawn)
+        held_here = _held(database, main)
+        apart = whole.apart(*held_here)
+        drawn = _odds(database, main, held_here[0])
+        cells = cells_of(overall, apart, drawn)
         kinds, parameters, digest = _models(database, main)
         told = told.over(held(database, pools_seeds=pools_seeds))
-        names = (*QUERIES, *told.queries(), *(everyway.queries() if reads_every_way else ()))
-        needed = database.library.needs(database.library.find(name).relation for name in names)
-        otherwise = _others(every, main)
+        otherwise, runs = _others(every, main), _runs(database)
         graded, background = _of_main(ledger, demanded, database, main, alone=not otherwise)
-        runs = _runs(database)
         return Findings(
             commits=head.commits if head else 0,
             size=head.size if head else 0,
             root=head.root if head else "",
             run_count=sum(row["runs"] for row in runs),
             cells=cells,
-            tests=_tests(tests, apart),
-            scenarios=_scenarios(overall, by_scenario),
-            rule=_rule(cells),
+            tests=tests_of(tests, apart),
+            scenarios=scenarios_of(overall, by_scenario),
+            rule=rule_of(cells),
             table_share=drawn.table if drawn is not None and not apart else None,
             others=otherwise,
             runs=runs,
             models=kinds,
             parameters=parameters,
             parameters_sha256=digest,
-            sources=tuple(
-                Source(name=query.name, sha256=query.sha256)
-                for query in sorted(needed, key=lambda query: query.name)
-                if _is_file(query.name)
-            ),
+            sources=_sources(database, (*told.queries(), *(everyway.queries() if reads_every_way else ()))),
             features=grades.features(graded, apart),
             evidence=tuple(graded),
             background=background,
@@ -432,7 +321,7 @@ def gather(
             mechanisms=told.mechanisms,
             model_version=main[5] if main else None,
             shown=_shown(main, otherwise),
-            unjudged=whole.why_apart(runs_held, pairs_held),
+            unjudged=whole.why_apart(*held_here),
             differing=tuple(map(str, differing_worlds(database))),
         )
 
