@@ -1,5 +1,6 @@
 """The answer of `statistics`: its rows, and remarks on what they leave out."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -15,10 +16,12 @@ from fsar_ledger.metrics.comparing import (
     too_few,
 )
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
 from .about import About, of_judgement
 
+PUBLISHED = frozenset(one.name for one in published_metrics())
 NOTHING = (
     "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met "
     "the same world"
@@ -45,7 +48,11 @@ class Compared(msgspec.Struct, frozen=True):
     @property
     def after(self) -> list[str]:
         """Return what is said below the numbers: how Holm adjusts several families, and what is missing."""
-        families = {(row["family"], row["family_tests"]) for row in self.rows if row["family_tests"] is not None}
+        families = {
+            (row["family"], row["family_tests"])
+            for row in self.rows
+            if row["family_tests"] is not None and row["metric"] in PUBLISHED
+        }
         told = (
             [f"Holm adjusts together: {'; '.join(f'{count} tests of {name}' for name, count in sorted(families))}"]
             if len(families) > 1
@@ -54,13 +61,19 @@ class Compared(msgspec.Struct, frozen=True):
         return [*told, *(f"not compared: {why}" for why in self.not_compared), *self.remarks] if self.rows else []
 
 
+def _alone(rows: Sequence[StatisticRow]) -> list[str]:
+    """Return a note on metrics that the paper does not print, each of which Holm adjusts by itself."""
+    names = sorted({row.metric for row in rows} - PUBLISHED)
+    return [f"Holm adjusts each by itself, which the paper does not print: {', '.join(names)}"] if names else []
+
+
 def compared(database: Database, *, pooled: bool) -> Compared:
     """Compare in pairs all that the ledger allows. Raises: As `Database.rows`."""
     found = statistic_rows(database, pools_seeds=pooled)
     metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
     columns = list(StatisticRow.__struct_fields__)
     remarks = [*remarks_on(found, metrics), *left_over(database)]
-    notes = [*too_few(found), *imputed(database, found)]
+    notes = [*too_few(found), *imputed(database, found), *_alone(found)]
     return Compared(
         [structs.asdict(row) for row in found],
         columns,
