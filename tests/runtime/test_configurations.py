@@ -123,7 +123,7 @@ def test_queries_read_a_name_as_handlers_do() -> None:
         query: (Path(__file__).parents[2] / "queries" / query).read_text()
         for query in ("facts/messages.sql", "audit/query_candidates.sql")
     }
-    patterns = {re.findall(r"regexp_matches\(runs\.configuration, '([^']+)'\)", sql)[0] for sql in found.values()}
+    patterns = {re.findall(r"regexp_matches\((?:runs\.)?configuration, '([^']+)'\)", sql)[0] for sql in found.values()}
     assert len(patterns) == 1
     (pattern,) = patterns
     others = [

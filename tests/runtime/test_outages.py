@@ -67,7 +67,7 @@ def test_every_command_names_its_actor(architecture: Architecture) -> None:
     assert nameless(HandlerTable(whole.decides, whole.reacts, forgetful)) == {StartAction}
 
 
-def test_a_wiring_that_lacks_what_it_names_is_refused() -> None:
+def test_a_handler_table_that_lacks_what_it_names_is_refused() -> None:
     def reacts(_state: State, _event: Event, _now_us: int) -> tuple[Scheduled, ...]:
         return ()
 

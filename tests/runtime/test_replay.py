@@ -225,7 +225,7 @@ def test_a_fleet_without_one_mechanism_is_not_taken_for_a_whole_one(switch: Knoc
 
 
 @pytest.mark.parametrize("switch", [switch for switch in KNOCKOUTS if switch.change], ids=lambda switch: switch.name)
-def test_a_fleet_that_is_wired_otherwise_is_not_taken_for_a_whole_one(switch: Knockout) -> None:
+def test_a_fleet_with_another_handler_table_is_not_taken_for_a_whole_one(switch: Knockout) -> None:
     assert any(True for _ in without_saying_so(switch))
 
 
