@@ -1,8 +1,9 @@
 """The answer of `compare`: two sides over paired runs, of one ledger or of two."""
 
 from collections.abc import Sequence
-from contextlib import ExitStack
-from typing import TYPE_CHECKING
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 from msgspec import structs
 
@@ -13,7 +14,16 @@ from .about import About, of_judgement
 from .table import Table, of_structs
 
 if TYPE_CHECKING:
-    from .ledger import Ledger
+    from fsar_ledger.metrics.database import Database
+
+
+class Held(Protocol):
+    """A ledger that can be asked."""
+
+    path: Path
+
+    def database(self) -> "AbstractContextManager[Database]":
+        """Open a connection over its events and the packaged queries."""
 
 
 class Comparison(Paired, frozen=True, kw_only=True):
@@ -28,7 +38,7 @@ class Comparison(Paired, frozen=True, kw_only=True):
 
 
 def compared_sides(
-    ledgers: "Sequence[Ledger]", names: tuple[str | None, str | None], *, by_scenario: bool, pooled: bool
+    ledgers: Sequence[Held], names: tuple[str | None, str | None], *, by_scenario: bool, pooled: bool
 ) -> Comparison:
     """Compare the sides of these names, of one ledger or of two.
 

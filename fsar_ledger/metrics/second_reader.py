@@ -18,7 +18,7 @@ import pyarrow as pa
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.ledger.rows.arrow import numbers, validity, whole
 
-from .database import Database
+from .connection import Database
 
 _DECODED = "decoded_rows"
 _EXPECTED = "the same as by pyarrow: rows that both of our readers read alike"
