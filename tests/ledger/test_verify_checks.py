@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.errors import LedgerCorrupted, WorkerDied
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import layout, releases, segment
@@ -21,6 +21,7 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify import verify as verification
+from fsar_ledger.ledger.verify import walk
 from fsar_ledger.ledger.verify.derived import BEHIND
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.verify import Asked, verify
@@ -34,6 +35,17 @@ NEWEST = "segments/000000000001.parquet"
 
 
 # --- the look as a whole ---
+
+
+def test_a_worker_that_was_ended_from_outside_says_nothing_of_the_ledger(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ended(*_: object) -> None:
+        raise WorkerDied("a worker was ended")
+
+    monkeypatch.setattr(walk, "examine", ended)
+    with pytest.raises(WorkerDied):
+        verify(path)
 
 
 @pytest.mark.parametrize("is_good", [True, False])
