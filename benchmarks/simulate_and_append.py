@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 from fsar_ledger.events import EVENT_TYPES
 from fsar_ledger.events.envelope import flat
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import stored_type
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.runtime.experiment import Experiment, simulate
@@ -109,7 +109,7 @@ def domain_classes() -> dict[type, type[Any]]:
     return made
 
 
-def domain_events(run: RunRecord, classes: dict[type, type[Any]]) -> list[Any]:
+def domain_events(run: LedgerRun, classes: dict[type, type[Any]]) -> list[Any]:
     """Return the events of a run for `eventsourcing`: an aggregate per run, versions from 1."""
     from eventsourcing.domain import datetime_now_with_tzinfo
 

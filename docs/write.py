@@ -38,7 +38,7 @@ from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.codec import RunRecord, encode_hashed
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
 from fsar_ledger.ledger.store.append import Writer, stage_rows
@@ -235,7 +235,7 @@ EXAMPLE_ORIGIN = "example.org/tiny"
 # RFC 8032, section 7.1, test 1: published, so no secret
 EXAMPLE_SECRET = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")
 EXAMPLE_RUNS = (
-    RunRecord(
+    LedgerRun(
         "r1",
         [0, 1_500_000],
         [None, 0],
@@ -253,7 +253,7 @@ EXAMPLE_RUNS = (
             TaskCompleted("T1"),
         ],
     ),
-    RunRecord("r2", [7], [None], [TaskAbandoned('"\\\t\u2028\N{ROBOT FACE}')]),
+    LedgerRun("r2", [7], [None], [TaskAbandoned('"\\\t\u2028\N{ROBOT FACE}')]),
 )
 
 

@@ -5,7 +5,7 @@ from hashlib import sha256
 import msgspec
 
 from fsar_ledger.events.experiment import ExperimentPlanned
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 
 
 def plan_id(planned: ExperimentPlanned) -> str:
@@ -17,12 +17,12 @@ def plan_id(planned: ExperimentPlanned) -> str:
     return f"plan.n{planned.fleet_size}.s{planned.seed}.x{planned.run_count:04d}-{digest}"
 
 
-def plan_record(planned: ExperimentPlanned) -> RunRecord:
+def plan_record(planned: ExperimentPlanned) -> LedgerRun:
     """Return what is committed of a plan: one event under its own name, at the beginning of time."""
-    return RunRecord(plan_id(planned), (0,), (None,), (planned,))
+    return LedgerRun(plan_id(planned), (0,), (None,), (planned,))
 
 
-def misnamed(record: RunRecord) -> tuple[str, str, str] | None:
+def misnamed(record: LedgerRun) -> tuple[str, str, str] | None:
     """Return the field in which a plan is not as it is committed, with what was found and expected, or None."""
     planned = record.events[0]
     assert isinstance(planned, ExperimentPlanned)

@@ -37,7 +37,7 @@ from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows import segment
-from fsar_ledger.ledger.rows.codec import RunRecord, decode
+from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify.verify import MAX_PROBLEMS
 from fsar_ledger.parameters import BadParameters
@@ -193,7 +193,7 @@ def replay_commit(path: str, number: int, file: str) -> CommitReport:
     return CommitReport(tuple(found), played(starts), runs, events)
 
 
-def _replay_plan(record: RunRecord) -> Difference | None:
+def _replay_plan(record: LedgerRun) -> Difference | None:
     """Return the first field in which a plan is not as it is committed, or None.
 
     What was meant is taken as recorded; the plan's name is a digest of it.
@@ -202,7 +202,7 @@ def _replay_plan(record: RunRecord) -> Difference | None:
     return None if found is None else Difference(record.run_id, 0, found[0], "plan.plan_record", found[2], found[1])
 
 
-def replay_run(record: RunRecord) -> Difference | None:
+def replay_run(record: LedgerRun) -> Difference | None:
     """Return the first difference of the record from what the world and the handlers make, or None. Never raises."""
     one: _Replay | None = None
     try:
@@ -235,7 +235,7 @@ class _Differs(Exception):
 class _Replay(Kernel):
     """A run in progress that stops at the first event that is not as recorded."""
 
-    def __init__(self, record: RunRecord, spec: RunSpec, constants: Constants) -> None:
+    def __init__(self, record: LedgerRun, spec: RunSpec, constants: Constants) -> None:
         """Put the run after its founding. Raises: _Differs if the record has another one."""
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
@@ -332,7 +332,7 @@ def _at(event: Event, time_us: int) -> str:
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 
-def _begun(record: RunRecord) -> _Replay:
+def _begun(record: LedgerRun) -> _Replay:
     """Return the run at its founding. Raises: _Differs if it cannot be replayed, or founding or name differ."""
     started = record.events[0]
     if not isinstance(started, RunStarted):

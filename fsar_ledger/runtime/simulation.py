@@ -12,7 +12,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State, fold
 
 from .architectures.handler_table import HandlerTable
@@ -103,8 +103,8 @@ def _founded(fleet_size: int, floor_teams: int, fleet: Fleet | None) -> State:
     return fold(_founding(fleet_size, floor_teams, fleet))
 
 
-def simulate_run(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> RunRecord:
+def simulate_run(spec: RunSpec, constants: Constants, table: HandlerTable | None = None) -> LedgerRun:
     """Simulate the whole run."""
     one = kernel(spec, constants, table)
     one.run()
-    return RunRecord(run_id(run_started(spec, constants)), one.times_us, one.caused_by, one.events)
+    return LedgerRun(run_id(run_started(spec, constants)), one.times_us, one.caused_by, one.events)

@@ -22,7 +22,7 @@ from fsar_ledger.events.world import (
     PolicyWindowOpened,
 )
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.keys import new_key, read_signer
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
@@ -62,7 +62,7 @@ class Invented:
     places: tuple[tuple[str, int, str], ...]
 
 
-def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> RunRecord:
+def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> LedgerRun:
     """Return the handlers' decisions where only these facts happen."""
     one = Kernel(
         handler_table_of(spec.architecture),
@@ -71,10 +71,10 @@ def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> RunRecord:
         *founding_of(spec, CONSTANTS),
     )
     one.run()
-    return RunRecord(run_id(run_started(spec, CONSTANTS)), one.times_us, one.caused_by, one.events)
+    return LedgerRun(run_id(run_started(spec, CONSTANTS)), one.times_us, one.caused_by, one.events)
 
 
-def committed(place: Path, runs: Sequence[RunRecord]) -> tuple[Path, Path, Path]:
+def committed(place: Path, runs: Sequence[LedgerRun]) -> tuple[Path, Path, Path]:
     """Return the ledger, the public key that signed it, and a checkpoint that an auditor keeps elsewhere."""
     ledger, secret, anchor = place / "ledger", place / "fleet.key", place / "anchor"
     new_key(secret, ORIGIN)
@@ -85,7 +85,7 @@ def committed(place: Path, runs: Sequence[RunRecord]) -> tuple[Path, Path, Path]
     return ledger, secret.with_name("fleet.key.pub"), anchor
 
 
-def place_of(honest: RunRecord, record: RunRecord) -> int:
+def place_of(honest: LedgerRun, record: LedgerRun) -> int:
     """Return the first seq at which the record differs from the honest one."""
     both = zip(
         zip(honest.times_us, honest.events, strict=True), zip(record.times_us, record.events, strict=True), strict=False
@@ -97,7 +97,7 @@ def place_of(honest: RunRecord, record: RunRecord) -> int:
 
 def ledger_of(place: Path, invent: Invent) -> Invented:
     """Make the ledger of the experiment with the favoured architecture in what is left of its worlds."""
-    runs: list[RunRecord] = []
+    runs: list[LedgerRun] = []
     places: list[tuple[str, int, str]] = []
     for spec in EXPERIMENT.specs():
         honest = record = simulate_run(spec, CONSTANTS)

@@ -15,7 +15,7 @@ from fsar_ledger.cli.simulate import before
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.keys import read_signer
 from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
@@ -64,15 +64,15 @@ def said(call: Call, path: Path) -> str:
     return call("info", path).out
 
 
-def live(name: str) -> RunRecord:
+def live(name: str) -> LedgerRun:
     """A run that was not simulated, and has only just begun."""
     started = msgspec.structs.replace(
         run_started(RunSpec(1, "fsar", "full", "door-relay", 4, 0), Constants()), kind="live", scenario="live"
     )
-    return RunRecord(name, (0,), (None,), (started,))
+    return LedgerRun(name, (0,), (None,), (started,))
 
 
-def appended(path: Path, *runs: RunRecord) -> None:
+def appended(path: Path, *runs: LedgerRun) -> None:
     with Writer(path, ORIGIN) as writer:
         writer.append(stage(path, runs))
 
@@ -238,7 +238,7 @@ def test_a_constant_of_a_group_that_is_absent_is_named_with_its_default(call: Ca
 def test_runs_of_two_models_are_told_by_their_versions(call: Call, tmp_path: Path) -> None:
     simulate(tmp_path / "ledger", small(), 1)
     foreign = RunStarted(kind="foreign", observes=(), source="example.org")
-    appended(tmp_path / "ledger", RunRecord("night", (0,), (None,), (foreign,)), live("shift"))
+    appended(tmp_path / "ledger", LedgerRun("night", (0,), (None,), (foreign,)), live("shift"))
     text = said(call, tmp_path / "ledger")
     assert "constants A: simulated, model version 2, 2 runs\n" in text
     assert "constants B: live, model version 2, 1 run\n" in text
@@ -260,7 +260,7 @@ def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what
 def test_runs_of_another_system_have_no_model_and_no_rectangle(call: Call, tmp_path: Path) -> None:
     appended(
         tmp_path / "ledger",
-        RunRecord("night", (0,), (None,), (RunStarted(kind="foreign", observes=(), source="example.org"),)),
+        LedgerRun("night", (0,), (None,), (RunStarted(kind="foreign", observes=(), source="example.org"),)),
     )
     found = info(call, tmp_path / "ledger")
     assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (None, 1, {"foreign": 1})

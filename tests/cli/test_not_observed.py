@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.metrics.definitions import metrics
 from tests.cli.conftest import Call, one_message
 from tests.ledger.samples import append_all
@@ -26,7 +26,7 @@ def members(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     append_all(
         path,
-        [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted(kind="live", observes=("fleet",)), *joined])]],
+        [[LedgerRun("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted(kind="live", observes=("fleet",)), *joined])]],
     )
     return path
 
@@ -50,7 +50,7 @@ def test_an_invariant_without_a_case_is_no_pass_although_all_is_observed(call: C
     ]
     append_all(
         tmp_path / "ledger",
-        [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted(kind="live", observes=CONCERNS), *joined])]],
+        [[LedgerRun("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted(kind="live", observes=CONCERNS), *joined])]],
     )
     said = call("audit", tmp_path / "ledger")
     assert said.code == 1
@@ -122,7 +122,7 @@ def test_where_everything_is_observed_nothing_is_said_of_it(call: Call, ledger: 
 
 def test_an_architecture_of_somebody_elses_can_be_asked_for_by_its_name(call: Call, tmp_path: Path) -> None:
     started = RunStarted(kind="foreign", observes=("fleet",), architecture="open-rmf", source="a log")
-    append_all(tmp_path / "ledger", [[RunRecord("ward", [0], [None], [started])]])
+    append_all(tmp_path / "ledger", [[LedgerRun("ward", [0], [None], [started])]])
     assert {
         row["architecture"]
         for row in json.loads(call("audit", tmp_path / "ledger", "--architecture", "open-rmf", "--json").out)["rows"]

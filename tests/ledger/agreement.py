@@ -21,7 +21,7 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, Signer, VerifierKey, checkpoint_of
 from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile
 from fsar_ledger.ledger.rows import canonical, segment
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import SCHEMA, Field
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import commit_path, segment_path
@@ -77,7 +77,7 @@ def event_types() -> Any:
 # --- ledgers to begin with ---
 
 
-def odd_run(run_id: str, size: int, draw: random.Random) -> RunRecord:
+def odd_run(run_id: str, size: int, draw: random.Random) -> LedgerRun:
     """A run of events of any type with strings, integers and times that are hard to write."""
 
     def text() -> str:
@@ -101,19 +101,19 @@ def odd_run(run_id: str, size: int, draw: random.Random) -> RunRecord:
     layouts = [draw.choice(list(IN_RUNS.values())) for _ in range(size)]
     events = [layout.event(map(value, layout.fields)) for layout in layouts]
     causes = [None, *(draw.randrange(seq) for seq in range(1, size))]
-    return RunRecord(run_id, [draw.choice([0, -5, 2**53 - 1, 77]) for _ in events], causes, events)
+    return LedgerRun(run_id, [draw.choice([0, -5, 2**53 - 1, 77]) for _ in events], causes, events)
 
 
-def long_run(run_id: str, size: int) -> RunRecord:
+def long_run(run_id: str, size: int) -> LedgerRun:
     """A run of many small events."""
     events = [
         RunStarted(kind="live", observes=CONCERNS),
         *(TaskCompleted(f"T{number % 7}") for number in range(1, size)),
     ]
-    return RunRecord(run_id, range(size), [None, *range(size - 1)], events)
+    return LedgerRun(run_id, range(size), [None, *range(size - 1)], events)
 
 
-def write(path: Path, batches: Sequence[Sequence[RunRecord]], signers: Sequence[Signer | None]) -> Path:
+def write(path: Path, batches: Sequence[Sequence[LedgerRun]], signers: Sequence[Signer | None]) -> Path:
     """A ledger of these batches, each signed by its signer."""
     with Writer(path, ORIGIN):
         pass
@@ -123,7 +123,7 @@ def write(path: Path, batches: Sequence[Sequence[RunRecord]], signers: Sequence[
     return path
 
 
-def plain(sizes: Sequence[int]) -> list[list[RunRecord]]:
+def plain(sizes: Sequence[int]) -> list[list[LedgerRun]]:
     """Batches of so many events, in two runs where there are enough."""
     cuts = [[size // 2, size - size // 2] if size > 1 else [size] for size in sizes]
     return [

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fsar_ledger.errors import FsarLedgerError, NotALedger, SequenceConflict
 from fsar_ledger.ledger.rows import codec
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.read import LedgerView, open_ledger
@@ -17,7 +17,7 @@ from tests.ledger.samples import ORIGIN, made_up_run
 NAMES = ("anna", "bela", "carl", "dora", "emil", "fred", "gina", "hugo")
 
 
-def batch_of(name: str, number: int) -> list[RunRecord]:
+def batch_of(name: str, number: int) -> list[LedgerRun]:
     """The batch with this number of this writer: two runs that carry both in their ids."""
     return [made_up_run(f"{name}-{number:04d}-{run}", 12, seed=NAMES.index(name) * 1000 + number) for run in range(2)]
 

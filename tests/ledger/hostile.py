@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 
 from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.rows import canonical, segment
-from fsar_ledger.ledger.rows.codec import RunRecord, encode_hashed
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, SCHEMA
 from fsar_ledger.ledger.store.append import Staged, Writer, stage, stage_rows
 from fsar_ledger.ledger.store.held import HeldRuns
@@ -187,7 +187,7 @@ def _zigzag(number: int) -> bytes:
     return bytes([*found, rest])
 
 
-def stage_anything(path: Path, runs: Sequence[RunRecord]) -> Staged:
+def stage_anything(path: Path, runs: Sequence[LedgerRun]) -> Staged:
     """Stage the runs as 0.1.0 did: with any names, in any order."""
     return stage_rows(path, runs, *encode_hashed(runs))
 
@@ -199,13 +199,13 @@ class TrustingWriter(Writer):
         return None
 
 
-def append_again(path: Path, runs: Sequence[RunRecord]) -> None:
+def append_again(path: Path, runs: Sequence[LedgerRun]) -> None:
     """The ledger has one commit more, of these runs, which it may hold already."""
     with TrustingWriter(path, ORIGIN) as writer:
         writer.append(stage(path, runs))
 
 
-def relabelled(run: RunRecord, name: Callable[[str], str]) -> RunRecord:
+def relabelled(run: LedgerRun, name: Callable[[str], str]) -> LedgerRun:
     """The same run with another text in every field that takes any but `parameters` and `observes`; what was the same
     text is the same text again."""
     events = []
@@ -223,4 +223,4 @@ def relabelled(run: RunRecord, name: Callable[[str], str]) -> RunRecord:
             field.name: tuple(map(name, values[field.name])) for field in free if isinstance(values[field.name], tuple)
         }
         events.append(with_columns(event, **changes))
-    return RunRecord(name(run.run_id), run.times_us, run.caused_by, events)
+    return LedgerRun(name(run.run_id), run.times_us, run.caused_by, events)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, StoredType
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import Head
@@ -38,33 +38,33 @@ def _value(field: Field, draw: random.Random) -> object:
             return f'{{"constant":"{text}"}}' if field.name == "parameters" else text
 
 
-def made_up_run(run_id: str, size: int, seed: int) -> RunRecord:
+def made_up_run(run_id: str, size: int, seed: int) -> LedgerRun:
     """A run of this many events of all types, each caused by an earlier one."""
     draw = random.Random(seed)
     layouts = list(IN_RUNS.values())
     chosen = [layouts[0], *(draw.choice(layouts[1:]) for _ in range(size - 1))]
     events = [layout.event([_value(field, draw) for field in layout.fields]) for layout in chosen]
     times = sorted(draw.randrange(60_000_000) for _ in range(size))
-    return RunRecord(run_id, times, [None, *(max(0, seq - draw.randrange(1, 5)) for seq in range(1, size))], events)
+    return LedgerRun(run_id, times, [None, *(max(0, seq - draw.randrange(1, 5)) for seq in range(1, size))], events)
 
 
-def run_of_every_type(run_id: str, seed: int) -> RunRecord:
+def run_of_every_type(run_id: str, seed: int) -> LedgerRun:
     """A run with one start and two events of every other type."""
     draw = random.Random(seed)
     first, *others = IN_RUNS.values()
     layouts = [first, *(layout for layout in others for _ in range(2))]
     events = [layout.event([_value(field, draw) for field in layout.fields]) for layout in layouts]
-    return RunRecord(run_id, list(range(0, 1000 * len(events), 1000)), [None, *range(len(events) - 1)], events)
+    return LedgerRun(run_id, list(range(0, 1000 * len(events), 1000)), [None, *range(len(events) - 1)], events)
 
 
-def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[RunRecord]]:
+def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[LedgerRun]]:
     """So many batches of runs; the same call gives the same batches."""
     numbers = [range(commit * runs, (commit + 1) * runs) for commit in range(commits)]
     return [[made_up_run(f"run-{number:04d}", size, seed=number) for number in batch] for batch in numbers]
 
 
 def append_all(
-    path: Path, batches: Sequence[Sequence[RunRecord]], origin: str = ORIGIN, signer: Signer | None = None
+    path: Path, batches: Sequence[Sequence[LedgerRun]], origin: str = ORIGIN, signer: Signer | None = None
 ) -> Head:
     """The ledger at the path holds these batches, one a commit, after what it held; new commits are signed if there is
     a signer, whoever signed the others."""
@@ -107,7 +107,7 @@ any_plan = st.one_of([any_event_of(LAYOUTS[tag]) for tag in sorted(STANDS_ALONE)
 
 
 @st.composite
-def any_runs(draw: st.DrawFn) -> list[RunRecord]:
+def any_runs(draw: st.DrawFn) -> list[LedgerRun]:
     """Up to three runs of any events."""
     ids = draw(st.lists(_TEXT, min_size=1, max_size=3, unique=True))
     runs = []
@@ -115,6 +115,6 @@ def any_runs(draw: st.DrawFn) -> list[RunRecord]:
         events = draw(st.lists(any_event, min_size=1, max_size=6) | any_plan)
         times = [draw(_INTEGERS) for _ in events]
         runs.append(
-            RunRecord(run_id, times, [None, *(draw(st.integers(0, seq - 1)) for seq in range(1, len(events)))], events)
+            LedgerRun(run_id, times, [None, *(draw(st.integers(0, seq - 1)) for seq in range(1, len(events)))], events)
         )
     return runs

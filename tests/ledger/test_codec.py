@@ -16,7 +16,7 @@ from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.rows import canonical, schema, segment
 from fsar_ledger.ledger.rows.check import first_flaw
-from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode, encode_hashed
+from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode, encode_hashed
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, FINGERPRINT, LAYOUTS, MAX_INTEGER, SCHEMA
 from tests.ledger.pinned import ROWS, pinned_row
 from tests.ledger.samples import any_event_of, any_runs, made_up_batches, made_up_run
@@ -41,17 +41,17 @@ def test_every_event_type_survives_arrow_and_parquet(
     layouts: list[schema.StoredType], data: st.DataObject, tmp_path: Path
 ) -> None:
     events = [data.draw(any_event_of(layout)) for layout in layouts]
-    runs = [RunRecord("r", list(range(len(events))), [None, *range(len(events) - 1)], events)]
+    runs = [LedgerRun("r", list(range(len(events))), [None, *range(len(events) - 1)], events)]
     assert list(decode(through_parquet(encode(runs), tmp_path / "s.parquet"))) == runs
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(runs=any_runs())
-def test_runs_survive_arrow_and_parquet(runs: list[RunRecord], tmp_path: Path) -> None:
+def test_runs_survive_arrow_and_parquet(runs: list[LedgerRun], tmp_path: Path) -> None:
     assert list(decode(through_parquet(encode(runs), tmp_path / "s.parquet"))) == runs
 
 
-def rows_as_json(runs: list[RunRecord]) -> list[bytes]:
+def rows_as_json(runs: list[LedgerRun]) -> list[bytes]:
     """The canonical bytes by a third, slow producer: the standard library."""
     found = []
     for run in runs:
@@ -69,7 +69,7 @@ def rows_as_json(runs: list[RunRecord]) -> list[bytes]:
     return found
 
 
-def check_leaves(runs: list[RunRecord]) -> None:
+def check_leaves(runs: list[LedgerRun]) -> None:
     leaves = encode_hashed(runs)[1]
     expected = rows_as_json(runs)
     assert canonical.from_table(encode(runs)) == [b"\x00" + row for row in expected]
@@ -78,7 +78,7 @@ def check_leaves(runs: list[RunRecord]) -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(runs=any_runs())
-def test_structs_columns_and_the_standard_library_give_the_same_canonical_bytes(runs: list[RunRecord]) -> None:
+def test_structs_columns_and_the_standard_library_give_the_same_canonical_bytes(runs: list[LedgerRun]) -> None:
     check_leaves(runs)
 
 
@@ -99,7 +99,7 @@ def test_canonical_bytes_are_the_same_when_a_type_has_more_rows_than_are_encoded
 
 @settings(max_examples=25, deadline=None)
 @given(runs=any_runs())
-def test_coded_and_plain_strings_are_the_same_rows_and_the_same_segment(runs: list[RunRecord]) -> None:
+def test_coded_and_plain_strings_are_the_same_rows_and_the_same_segment(runs: list[LedgerRun]) -> None:
     coded, plain = encode_hashed(runs)[0], encode(runs)
     assert coded.schema.equals(CODED_SCHEMA)
     coded.validate(full=True)
@@ -184,10 +184,10 @@ def test_encode_refuses_none_in_a_field_that_must_have_a_value() -> None:
     )
     event = layout.event([None for _ in layout.fields])
     with pytest.raises(ValueError, match="expected a value"):
-        encode([RunRecord("run", [0], [None], [event])])
+        encode([LedgerRun("run", [0], [None], [event])])
 
 
-def run_with(kind: str, value: object) -> RunRecord:
+def run_with(kind: str, value: object) -> LedgerRun:
     """A run of one event that is as it should be but for its fields of this kind."""
     layout = next(
         layout for layout in LAYOUT_LIST if any(field.kind == kind and field.values is None for field in layout.fields)
@@ -196,7 +196,7 @@ def run_with(kind: str, value: object) -> RunRecord:
         event for seed in range(99) for event in made_up_run("run", 400, seed).events if type(event) is layout.cls
     )
     fields: dict[str, Any] = {field.name: value for field in layout.fields if field.kind == kind}
-    return RunRecord("run", [0], [None], [with_columns(event, **fields)])
+    return LedgerRun("run", [0], [None], [with_columns(event, **fields)])
 
 
 @pytest.mark.parametrize("value", [MAX_INTEGER + 1, -MAX_INTEGER - 1])

@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged, write
 
@@ -25,8 +25,8 @@ PLAN = ExperimentPlanned(
 TASK = TaskCompleted("T1")
 
 
-def of(name: str, *events: Event) -> RunRecord:
-    return RunRecord(name, range(len(events)), [None, *range(len(events) - 1)], events)
+def of(name: str, *events: Event) -> LedgerRun:
+    return LedgerRun(name, range(len(events)), [None, *range(len(events) - 1)], events)
 
 
 def test_a_plan_alone_is_no_run_and_no_doubt(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.paths import commit_path, segment_path
 from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
@@ -42,7 +42,7 @@ def path(intact: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(intact, tmp_path / "ledger"))
 
 
-def append_signed(path: Path, batches: Sequence[Sequence[RunRecord]]) -> None:
+def append_signed(path: Path, batches: Sequence[Sequence[LedgerRun]]) -> None:
     with Writer(path, ORIGIN, SIGNER) as writer:
         for batch in batches:
             writer.append(stage(path, batch))

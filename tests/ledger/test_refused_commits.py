@@ -14,7 +14,7 @@ from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import CONCERNED, OPENINGS, STORED
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Writer, stage
@@ -100,7 +100,7 @@ def test_of_writers_at_once_with_the_same_runs_each_run_is_committed_once(path: 
     runs = [made_up_run(f"crowd-{number}", 5, seed=number) for number in range(4)]
     offered = [[one, other] for one, other in product(runs, runs) if one is not other]
 
-    def offer(batch: list[RunRecord]) -> str:
+    def offer(batch: list[LedgerRun]) -> str:
         for _ in range(50):
             try:
                 with Writer(path, ORIGIN) as writer:
@@ -173,7 +173,7 @@ def test_a_staged_file_of_the_same_size_but_other_bytes_is_not_committed(path: P
 
 
 def test_what_0_1_0_stored_is_read_and_verified(path: Path) -> None:
-    headless = RunRecord("run-1", [5, 4], [None, 0], RUN.events[1:3])
+    headless = LedgerRun("run-1", [5, 4], [None, 0], RUN.events[1:3])
     with Writer(path, ORIGIN) as writer:
         writer.append(stage_anything(path, [headless]))
     assert verify(path).ok
@@ -191,7 +191,7 @@ def test_a_ledger_takes_no_more_commits_than_a_folder_holds_names(path: Path, mo
 # --- what a run says that it observes ---
 
 
-def observing(*concerns: str) -> RunRecord:
+def observing(*concerns: str) -> LedgerRun:
     """A start that says so, two robots that join, and a task that is done."""
     events = [
         RunStarted(kind="foreign", observes=concerns),
@@ -199,7 +199,7 @@ def observing(*concerns: str) -> RunRecord:
         RobotJoined(robot=Robot("robot/A2"), role="carrier", team=1, supervisor=None),
         TaskCompleted("T1"),
     ]
-    return RunRecord("seen", [0, 0, 0, 5], [None, 0, 0, 0], events)
+    return LedgerRun("seen", [0, 0, 0, 5], [None, 0, 0, 0], events)
 
 
 def test_every_event_type_has_a_concern_but_beginnings() -> None:
@@ -234,7 +234,7 @@ def test_an_event_of_a_concern_that_its_run_does_not_observe_is_refused_and_cond
 
 def test_what_a_run_observes_it_may_hold_and_other_runs_may_hold_more(path: Path) -> None:
     append_all(path, [[RUN, observing("fleet", "task"), BATCHES[2][0]]])
-    quiet = RunRecord("quiet", [0], [None], [RunStarted(kind="foreign", observes=())])
+    quiet = LedgerRun("quiet", [0], [None], [RunStarted(kind="foreign", observes=())])
     append_all(path, [[quiet]])
     assert verify(path).ok
 
@@ -252,7 +252,7 @@ def test_what_a_run_observes_it_may_hold_and_other_runs_may_hold_more(path: Path
     ],
 )
 def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> None:
-    run = RunRecord("night", [0], [None], [RunStarted(kind="live", observes=("fleet",), parameters=text)])
+    run = LedgerRun("night", [0], [None], [RunStarted(kind="live", observes=("fleet",), parameters=text)])
     refused(
         path,
         [run],
@@ -267,7 +267,7 @@ def test_parameters_of_somebody_elses_are_any_json_object(path: Path, text: str 
         path,
         [
             [
-                RunRecord(
+                LedgerRun(
                     "night",
                     [0],
                     [None],

@@ -16,7 +16,7 @@ from fsar_ledger.errors import InvalidRun, UsageError
 from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.rows.check import first_flaw
-from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE, STORED, StoredType
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.verify.verify import verify
@@ -60,7 +60,7 @@ def of_kind(kind: str, *, closed: bool = False, is_nullable: bool = False) -> tu
     return seq_with(fits)
 
 
-def refused(path: Path, runs: list[RunRecord], said: str) -> None:
+def refused(path: Path, runs: list[LedgerRun], said: str) -> None:
     """Staging them is refused with these words, and nothing is left of it."""
     before = contents(path)
     with pytest.raises(InvalidRun, match=said):
@@ -102,7 +102,7 @@ def test_closed_lists_are_the_same_for_writer_and_verifier() -> None:
         event = next(event for event in RUN.events if type(event) is layout.cls)
         values = sorted(field.values or ())
         events = [with_columns(event, **{field.name: value}) for value in values]
-        good = RunRecord("r", range(len(events)), [None, *range(len(events) - 1)], events)
+        good = LedgerRun("r", range(len(events)), [None, *range(len(events) - 1)], events)
         table = encode([good])
         assert first_flaw(table) is None
         with pytest.raises(
@@ -162,7 +162,7 @@ def test_a_cause_that_is_no_earlier_event_is_refused(path: Path, seq: int, cause
 
 def test_a_run_begins_with_its_start_and_has_no_other(path: Path) -> None:
     assert {tag for tag in STORED if tag.startswith("RunStarted.v")} | STANDS_ALONE == OPENINGS
-    headless = RunRecord("run-1", RUN.times_us[1:], [None, *[0] * (len(RUN.events) - 2)], RUN.events[1:])
+    headless = LedgerRun("run-1", RUN.times_us[1:], [None, *[0] * (len(RUN.events) - 2)], RUN.events[1:])
     refused(
         path,
         [BATCHES[2][0], headless],
@@ -186,7 +186,7 @@ def test_what_stands_alone_is_in_no_run(path: Path) -> None:
         model_version="2",
         parameters="{}",
     )
-    assert stage(path, [RunRecord("plan", [0], [None], [plan])]).rows == 1
+    assert stage(path, [LedgerRun("plan", [0], [None], [plan])]).rows == 1
     refused(
         path,
         [with_event(RUN, 0, plan)],
@@ -231,7 +231,7 @@ def test_a_run_that_lacks_something_or_all_is_refused(path: Path, name: str) -> 
     )
     refused(
         path,
-        [RunRecord("run-1", [], [], [])],
+        [LedgerRun("run-1", [], [], [])],
         "run run-1: found 0 events, 0 times and 0 causes, expected .*, at least 1",
     )
 

@@ -16,7 +16,7 @@ from fsar_ledger.cli.app import run
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.rows.codec import RunRecord, encode, encode_hashed
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode, encode_hashed
 from fsar_ledger.ledger.rows.releases import RELEASE, parse_columns
 from fsar_ledger.ledger.rows.schema import LAYOUTS, RETIRED, SCHEMA, described
 from fsar_ledger.ledger.store.keys import read_verifier
@@ -159,7 +159,7 @@ def test_sql_answers_about_a_kept_ledger(path: Path, kept: Kept) -> None:
 def test_sql_has_rows_of_retired_types_as_their_events_are_decoded(path: Path) -> None:
     started = [record for record in open_ledger(path).runs() if isinstance(record.events[0], RunStarted)]
     [expected] = [
-        encode([RunRecord(record.run_id, record.times_us[:1], [None], record.events[:1]) for record in started])
+        encode([LedgerRun(record.run_id, record.times_us[:1], [None], record.events[:1]) for record in started])
     ]
     select = "SELECT * FROM events WHERE type = 'RunStarted.v2' ORDER BY run_id"
     with connect(path) as database:

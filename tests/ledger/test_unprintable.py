@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.events.envelope import flat, with_columns
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify.verify import verify
@@ -22,7 +22,7 @@ def test_a_name_that_is_not_printed_is_refused_before_anything_is_written(tmp_pa
         before = contents(tmp_path)
         for runs in (
             [relabelled(RUN, lambda text: text + evil)],
-            [RUN, RunRecord(f"run{evil}", RUN.times_us, RUN.caused_by, RUN.events)],
+            [RUN, LedgerRun(f"run{evil}", RUN.times_us, RUN.caused_by, RUN.events)],
         ):
             with pytest.raises(
                 ValueError,
@@ -39,7 +39,7 @@ def test_the_field_is_named(tmp_path: Path) -> None:
         at = next(at for at, event in enumerate(RUN.events) if field in flat(event))
         events = [*RUN.events[:at], with_columns(RUN.events[at], **{field: value}), *RUN.events[at + 1 :]]
         with pytest.raises(ValueError, match=f"seq {at}, field {field}: found 'robot.*x1b'"):
-            stage(tmp_path / "ledger", [RunRecord(RUN.run_id, RUN.times_us, RUN.caused_by, events)])
+            stage(tmp_path / "ledger", [LedgerRun(RUN.run_id, RUN.times_us, RUN.caused_by, events)])
 
 
 def test_letters_of_any_script_are_names(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, tree_root
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, Signer
 from fsar_ledger.ledger.log.tiles import node_of
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.derived import tile_reader
 from fsar_ledger.ledger.store.paths import segment_path
@@ -251,7 +251,7 @@ def test_old_tiles_left_in_a_rewritten_ledger_do_not_deceive_a_quick_look(tmp_pa
     Its root comes out of the old leaves there, the new root out of the level above them.
     """
 
-    def batches(seed: int) -> list[list[RunRecord]]:
+    def batches(seed: int) -> list[list[LedgerRun]]:
         return [[made_up_run("a", 256, 1)], [made_up_run("b", 44, seed)], [made_up_run("c", 400, 3)]]
 
     append_all(tmp_path / "before", batches(2))

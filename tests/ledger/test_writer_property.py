@@ -19,7 +19,7 @@ from fsar_ledger.errors import InvalidRun
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.envelope import flat, with_columns
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import open_ledger
@@ -112,10 +112,10 @@ IDS: tuple[object, ...] = (
     ["run-0"],
 )
 
-Change = Callable[[RunRecord, st.DrawFn], RunRecord]
+Change = Callable[[LedgerRun, st.DrawFn], LedgerRun]
 
 
-def another_value(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+def another_value(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
     seq = draw(st.integers(0, len(run.events) - 1))
     names = tuple(flat(run.events[seq]))
     if not names:
@@ -124,46 +124,46 @@ def another_value(run: RunRecord, draw: st.DrawFn) -> RunRecord:
     return with_event(run, seq, event)
 
 
-def other_concerns(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+def other_concerns(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
     concerns = tuple(draw(st.lists(st.sampled_from([*CONCERNS, *CONCERNS, "typo"]), max_size=14)))
     return with_event(run, 0, msgspec.structs.replace(run.events[0], observes=concerns))
 
 
-def another_event(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+def another_event(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
     seq = draw(st.integers(0, len(run.events) - 1))
     strange: tuple[object, ...] = (*run.events, run.events[0], Stranger("robot/A1"), "event", None, STARTED)
     return with_event(run, seq, draw(st.sampled_from(strange)))
 
 
-def another_time(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+def another_time(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
     times: list[object] = list(run.times_us)
     times[draw(st.integers(0, len(times) - 1))] = draw(st.sampled_from(ODD) | st.sampled_from(run.times_us))
     return msgspec.structs.replace(run, times_us=times)
 
 
-def another_cause(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+def another_cause(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
     causes: list[object] = list(run.caused_by)
     causes[draw(st.integers(0, len(causes) - 1))] = draw(st.sampled_from(ODD) | st.integers(-1, len(causes)))
     return msgspec.structs.replace(run, caused_by=causes)
 
 
-def another_name(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+def another_name(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
     return msgspec.structs.replace(run, run_id=draw(st.sampled_from(IDS)))
 
 
-def another_length(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+def another_length(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
     name = draw(st.sampled_from(["times_us", "caused_by", "events"]))
     size = draw(st.integers(0, len(run.events) - 1))
     return msgspec.structs.replace(run, **{name: list(getattr(run, name))[:size]})
 
 
-def cut(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+def cut(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
     """Its end, as if a run went on in another commit."""
     at = draw(st.integers(0, len(run.events) - 1))
-    return RunRecord(run.run_id, run.times_us[at:], [None, *range(len(run.events) - at - 1)], run.events[at:])
+    return LedgerRun(run.run_id, run.times_us[at:], [None, *range(len(run.events) - at - 1)], run.events[at:])
 
 
-def with_event(run: RunRecord, seq: int, event: object) -> RunRecord:
+def with_event(run: LedgerRun, seq: int, event: object) -> LedgerRun:
     return msgspec.structs.replace(run, events=[*run.events[:seq], event, *run.events[seq + 1 :]])
 
 
@@ -182,7 +182,7 @@ CHANGES: tuple[Change, ...] = (
 
 
 @st.composite
-def batches(draw: st.DrawFn) -> list[RunRecord]:
+def batches(draw: st.DrawFn) -> list[LedgerRun]:
     """Up to three runs, each good or with one thing changed; names are few, so that they come again."""
     runs = [
         made_up_run(f"run-{draw(st.integers(0, 9))}", draw(st.integers(1, 7)), draw(st.integers(0, 99)))
@@ -191,11 +191,11 @@ def batches(draw: st.DrawFn) -> list[RunRecord]:
     return [draw(st.sampled_from(CHANGES))(run, draw) if draw(st.integers(0, 3)) == 0 else run for run in runs]
 
 
-def check(path: Path, offered: list[list[RunRecord]], fates: Counter[str]) -> None:
+def check(path: Path, offered: list[list[LedgerRun]], fates: Counter[str]) -> None:
     """Append each batch, with a new writer or the one before; then look at all that is there."""
-    kept: list[RunRecord] = []
+    kept: list[LedgerRun] = []
     writer = Writer(path, ORIGIN)
-    newest: list[RunRecord] = []
+    newest: list[LedgerRun] = []
     said: list[str] = []
     for number, batch in enumerate(offered):
         if number % 3 == 2:
@@ -223,7 +223,7 @@ def check(path: Path, offered: list[list[RunRecord]], fates: Counter[str]) -> No
 FATES: Counter[str] = Counter()
 
 
-def look(offered: list[list[RunRecord]]) -> None:
+def look(offered: list[list[LedgerRun]]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         check(Path(folder) / "ledger", offered, FATES)
 

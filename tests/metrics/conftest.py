@@ -7,11 +7,11 @@ import pytest
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 
 
-def record(architecture: str, number: int) -> RunRecord:
+def record(architecture: str, number: int) -> LedgerRun:
     """A run of three events."""
     started = RunStarted(
         kind="simulated",
@@ -25,7 +25,7 @@ def record(architecture: str, number: int) -> RunRecord:
         model_version="test",
         parameters="{}",
     )
-    return RunRecord(
+    return LedgerRun(
         f"run-{number}-{architecture}",
         [0, 5, 9],
         [None, 0, 1],

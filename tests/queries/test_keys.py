@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import Database, connect, from_rows, from_table
 from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, library
 from tests.queries.histories import event, run
@@ -32,7 +32,7 @@ STAR = re.compile(r"(?:^|[\s.,(])\*(?=\s*(?:EXCLUDE\b|REPLACE\b|FROM\b|,|$))", r
 
 def database_of_the_commanded_run() -> Database:
     kernel = commanded()
-    return from_table(encode([RunRecord("live", kernel.times_us, kernel.caused_by, kernel.events)]))
+    return from_table(encode([LedgerRun("live", kernel.times_us, kernel.caused_by, kernel.events)]))
 
 
 def test_keys_tell_the_rows_of_the_commanded_run_apart() -> None:

@@ -7,7 +7,7 @@ from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.request import RequestDenied
-from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.invariants import chosen
 from fsar_ledger.projections import policy
@@ -60,7 +60,7 @@ def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queri
     denied = {(event.subject.action_id, event.reason) for _, event in of(one, RequestDenied)}  # type: ignore[attr-defined]
     assert began == {"excepted", "of the yard"}
     assert denied == {("of the role", "policy"), ("of the visit", "policy"), ("no longer excepted", "policy")}
-    with from_table(encode([RunRecord("r1", one.times_us, one.caused_by, one.events)]), threads=1) as database:
+    with from_table(encode([LedgerRun("r1", one.times_us, one.caused_by, one.events)]), threads=1) as database:
         for at_us in sorted({time_us + S // 2 for time_us, _ in COMMANDS}):
             state = folded(event for time_us, event in zip(one.times_us, one.events, strict=True) if time_us <= at_us)
             found = in_force(database, at_us, DOOR, "visit")
@@ -102,7 +102,7 @@ def test_in_simulated_runs_rules_of_roles_are_heeded_and_a_start_that_does_not_l
     blind = HandlerTable({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)
     other = governed("door-relay", *INTERVENTIONS, run=4, structure=blind)
     runs = [
-        RunRecord(name, made.times_us, made.caused_by, made.events) for name, made in (("blind", other), ("fsar", one))
+        LedgerRun(name, made.times_us, made.caused_by, made.events) for name, made in (("blind", other), ("fsar", one))
     ]
     with from_table(encode(runs), threads=1) as database:
         broken = offences(database)

@@ -27,7 +27,7 @@ from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.report.findings import SCENARIOS, Findings
 from fsar_ledger.report.gather import gather
@@ -124,11 +124,11 @@ def _motion() -> Event:
 
 def _record(
     architecture: Architecture, configuration: Configuration, scenario: Scenario, fleet_size: int, run: int
-) -> RunRecord:
+) -> LedgerRun:
     timed = list(_events(architecture, configuration, scenario, fleet_size, run))
     causes = [None, *range(len(timed) - 1)]
     name = f"{scenario}-{run}-{architecture}-{configuration}-{fleet_size}"
-    return RunRecord(name, [time for time, _ in timed], causes, [event for _, event in timed])
+    return LedgerRun(name, [time for time, _ in timed], causes, [event for _, event in timed])
 
 
 @pytest.fixture(scope="session")

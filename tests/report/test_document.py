@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.metrics import verdicts
@@ -166,7 +166,7 @@ def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_t
                 stage(
                     path,
                     [
-                        RunRecord(f"2-{run.run_id}", run.times_us, run.caused_by, one)
+                        LedgerRun(f"2-{run.run_id}", run.times_us, run.caused_by, one)
                         for run, one in zip(kept, events, strict=True)
                     ],
                 )
@@ -237,7 +237,7 @@ def test_tables_are_of_one_seed_and_the_others_stand_apart(ledger: Path, tmp_pat
     several = shutil.copytree(ledger, tmp_path / "several")
     kept = [run for run in open_ledger(ledger).runs() if run.run_id.startswith("failure-recovery-chain-0-")]
     others = [
-        RunRecord(
+        LedgerRun(
             f"other-{run.run_id}",
             run.times_us,
             run.caused_by,

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.report import document, printing
@@ -50,7 +50,7 @@ def test_constants_are_those_of_the_runs_in_the_tables_and_not_of_others_that_co
     kept = [run for run in open_ledger(ledger).runs() if run.run_id.startswith("fleet-contention-0-")]
     other = '{"world":{"motion_share":0.5}}'
     runs = [
-        RunRecord(
+        LedgerRun(
             f"0-{run.run_id}",
             run.times_us,
             run.caused_by,

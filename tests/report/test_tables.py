@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.metrics.database import connect, plain_rows
@@ -82,7 +82,7 @@ def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, 
     ours = make_ledger(architectures=("fsar",), scenarios=("workflow-door-relay",))
     several = shutil.copytree(ours, tmp_path / "several")
     kept = next(open_ledger(ours).runs())
-    other = RunRecord("another", (0,), (None,), [msgspec.structs.replace(kept.events[0], seed=43)])
+    other = LedgerRun("another", (0,), (None,), [msgspec.structs.replace(kept.events[0], seed=43)])
     with Writer(several, "test") as writer:
         writer.append(stage(several, [other]))
     alone, found = grades.workflows(ours), grades.workflows(several)

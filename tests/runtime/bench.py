@@ -18,7 +18,7 @@ from fsar_ledger.events.envelope import Robot, Supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand
@@ -75,9 +75,9 @@ class Bench(Kernel):
         apply(self.rebuilt, _decoder.decode(_encoder.encode(event)))
         super()._record(event, time_us, cause)
 
-    def record(self, run_id: str) -> RunRecord:
+    def record(self, run_id: str) -> LedgerRun:
         """What was recorded so far."""
-        return RunRecord(run_id, self.times_us, self.caused_by, self.events)
+        return LedgerRun(run_id, self.times_us, self.caused_by, self.events)
 
     def refolded(self) -> State:
         """The state folded anew from all events."""

@@ -22,36 +22,36 @@ from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, Request
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.events.world import ObstructionAppeared, RoutineDue
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run
 
 HONEST = simulate_run(RunSpec(42, "fsar", "full", "failure-recovery-chain", 4, 59), Constants())
 
 
 def changed(
-    record: RunRecord, seq: int, event: Event | None = None, time_us: int | None = None, caused_by: int | None = None
-) -> RunRecord:
+    record: LedgerRun, seq: int, event: Event | None = None, time_us: int | None = None, caused_by: int | None = None
+) -> LedgerRun:
     """The record with another event, time or cause at that place."""
     events, times, causes = list(record.events), list(record.times_us), list(record.caused_by)
     events[seq] = events[seq] if event is None else event
     times[seq] = times[seq] if time_us is None else time_us
     causes[seq] = causes[seq] if caused_by is None else caused_by
-    return RunRecord(record.run_id, times, causes, events)
+    return LedgerRun(record.run_id, times, causes, events)
 
 
-def dropped(record: RunRecord, seq: int) -> RunRecord:
+def dropped(record: LedgerRun, seq: int) -> LedgerRun:
     """The record without this event; what it caused is said to be caused by what had caused it."""
     causes = [record.caused_by[seq] if cause == seq else cause for cause in record.caused_by]
     causes = [cause if cause is None or cause < seq else cause - 1 for cause in causes]
     times_us, events = list(record.times_us), list(record.events)
     del times_us[seq], causes[seq], events[seq]
-    return RunRecord(record.run_id, times_us, causes, events)
+    return LedgerRun(record.run_id, times_us, causes, events)
 
 
-def added(record: RunRecord, seq: int, event: Event, time_us: int, cause: int) -> RunRecord:
+def added(record: LedgerRun, seq: int, event: Event, time_us: int, cause: int) -> LedgerRun:
     """The record with one event more, which then has this seq."""
     causes = [one if one is None or one < seq else one + 1 for one in record.caused_by]
-    return RunRecord(
+    return LedgerRun(
         record.run_id,
         [*record.times_us[:seq], time_us, *record.times_us[seq:]],
         [*causes[:seq], cause, *causes[seq:]],
@@ -59,31 +59,31 @@ def added(record: RunRecord, seq: int, event: Event, time_us: int, cause: int) -
     )
 
 
-def swapped(record: RunRecord, seq: int) -> RunRecord:
+def swapped(record: LedgerRun, seq: int) -> LedgerRun:
     """The record with this event and the next in the other order."""
     events, times = list(record.events), list(record.times_us)
     events[seq : seq + 2], times[seq : seq + 2] = reversed(events[seq : seq + 2]), reversed(times[seq : seq + 2])
-    return RunRecord(record.run_id, times, record.caused_by, events)
+    return LedgerRun(record.run_id, times, record.caused_by, events)
 
 
-def stopped(seq: int) -> RunRecord:
+def stopped(seq: int) -> LedgerRun:
     """The honest record, as if the run had ended before that event."""
-    return RunRecord(HONEST.run_id, HONEST.times_us[:seq], HONEST.caused_by[:seq], HONEST.events[:seq])
+    return LedgerRun(HONEST.run_id, HONEST.times_us[:seq], HONEST.caused_by[:seq], HONEST.events[:seq])
 
 
-def renamed(record: RunRecord) -> RunRecord:
+def renamed(record: LedgerRun) -> LedgerRun:
     """The record under the name that its first event gives it."""
     started = record.events[0]
     assert isinstance(started, RunStarted)
-    return RunRecord(run_id(started), record.times_us, record.caused_by, record.events)
+    return LedgerRun(run_id(started), record.times_us, record.caused_by, record.events)
 
 
-def seq_of(kind: type[Event], after: int = 0, record: RunRecord = HONEST) -> int:
+def seq_of(kind: type[Event], after: int = 0, record: LedgerRun = HONEST) -> int:
     """The place of the first such event."""
     return next(seq for seq in count(after) if isinstance(record.events[seq], kind))
 
 
-def restated(seq: int, /, **fields: Any) -> RunRecord:
+def restated(seq: int, /, **fields: Any) -> LedgerRun:
     """The honest record, with other values in one event."""
     return changed(HONEST, seq, with_columns(HONEST.events[seq], **fields))
 
@@ -99,7 +99,7 @@ class Forgery(NamedTuple):
     """A forged run, and what replay must name: seq, field and the last part of the handler (None: nobody decides
     there)."""
 
-    run: RunRecord
+    run: LedgerRun
     seq: int
     field: str
     handler: str | None

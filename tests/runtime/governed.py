@@ -3,7 +3,7 @@
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Scenario, Supervisor
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.kernel import Kernel
@@ -31,7 +31,7 @@ def governed(
     return one
 
 
-def record(one: Kernel) -> RunRecord:
+def record(one: Kernel) -> LedgerRun:
     """The run as it is stored."""
     started = one.events[0]
-    return RunRecord(run_id(started), one.times_us, one.caused_by, one.events)  # type: ignore[arg-type]
+    return LedgerRun(run_id(started), one.times_us, one.caused_by, one.events)  # type: ignore[arg-type]

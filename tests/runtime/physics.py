@@ -18,7 +18,7 @@ from fsar_ledger.events.execution import (
     RoutinePerformed,
 )
 from fsar_ledger.events.recovery import AssistanceEnded
-from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
@@ -41,7 +41,7 @@ class Played(msgspec.Struct, frozen=True, eq=False):
     architecture: Architecture
     constants: Constants
     runs: int
-    records: tuple[RunRecord, ...]
+    records: tuple[LedgerRun, ...]
 
     @property
     def events(self) -> tuple[tuple[Event, ...], ...]:

@@ -21,7 +21,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.execution import ExecutionPreempted
 from fsar_ledger.events.request import RequestAdmitted, RequestCountered, RequestDenied, RequestIssued
-from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.projections import policy, trust, world
 from fsar_ledger.projections.authority import right_of
@@ -88,7 +88,7 @@ def said_by_queries(database: Database) -> dict[str, Said]:
     return said
 
 
-def disagreements(record: RunRecord) -> Iterator[str]:
+def disagreements(record: LedgerRun) -> Iterator[str]:
     """Yield every event after which the handlers and the SQL say different things, with what each says."""
     state, expected = State(), {}
     between: dict[str, tuple[str, str]] = {}
@@ -140,12 +140,12 @@ def _rights_at(state: State, seq: int, event: Event, asked: dict[str, RequestIss
     return said
 
 
-def _prefixes(record: RunRecord) -> Iterator[Sequence[RunRecord]]:
+def _prefixes(record: LedgerRun) -> Iterator[Sequence[LedgerRun]]:
     """Yield a run for each event, which holds all events up to it, some runs at a time."""
-    several: list[RunRecord] = []
+    several: list[LedgerRun] = []
     rows = 0
     for end in range(1, len(record.events) + 1):
-        several.append(RunRecord(f"{end - 1:06}", record.times_us[:end], record.caused_by[:end], record.events[:end]))
+        several.append(LedgerRun(f"{end - 1:06}", record.times_us[:end], record.caused_by[:end], record.events[:end]))
         rows += end
         if rows > ROWS_AT_ONCE or end == len(record.events):
             yield several
@@ -172,7 +172,7 @@ class Agreement(Federation):
 
 def test_handlers_and_queries_agree_after_every_event_of_the_commanded_run() -> None:
     kernel = commanded()
-    wrong = list(disagreements(RunRecord("live", kernel.times_us, kernel.caused_by, kernel.events)))
+    wrong = list(disagreements(LedgerRun("live", kernel.times_us, kernel.caused_by, kernel.events)))
     assert wrong == [], "\n".join(wrong[:5])
 
 

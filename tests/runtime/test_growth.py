@@ -17,7 +17,7 @@ from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.events.world import ObstructionAppeared, PeersMet, RoutineDue, TaskArrived
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store import append
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.projections.policy import ruled
@@ -47,11 +47,11 @@ def made(
     fleet_size: int,
     load: Load | None = None,
     configuration: Any = "full",
-) -> RunRecord:
+) -> LedgerRun:
     return simulate_run(RunSpec(42, architecture, configuration, scenario, fleet_size, 0), Constants(load=load))
 
 
-def list_values(record: RunRecord) -> int:
+def list_values(record: LedgerRun) -> int:
     return sum(len(value) for event in record.events for value in flat(event).values() if isinstance(value, tuple))
 
 

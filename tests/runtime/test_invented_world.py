@@ -31,7 +31,7 @@ from fsar_ledger.events.world import (
     TaskArrived,
     WorldEvent,
 )
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.replay import replay_run
@@ -71,18 +71,18 @@ def world_of(spec: RunSpec) -> tuple[Fact, ...]:
     return schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
 
 
-def simulated_in(facts: Sequence[Fact], spec: RunSpec) -> RunRecord:
+def simulated_in(facts: Sequence[Fact], spec: RunSpec) -> LedgerRun:
     """The run that the real handlers make in a world of these facts, under the name of the honest one."""
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)
     one = Kernel(handler_table_of(spec.architecture), facts, draws, *founding_of(spec, constants_of(spec)))
     one.run()
-    return RunRecord(run_id(run_started(spec, constants_of(spec))), one.times_us, one.caused_by, one.events)
+    return LedgerRun(run_id(run_started(spec, constants_of(spec))), one.times_us, one.caused_by, one.events)
 
 
 honest = cache(lambda spec: simulate_run(spec, constants_of(spec)))
 
 
-def first_other(spec: RunSpec, record: RunRecord) -> int:
+def first_other(spec: RunSpec, record: LedgerRun) -> int:
     """The first seq at which the record is not the honest one."""
     own = honest(spec)
     pairs = [list(zip(one.times_us, one.caused_by, one.events, strict=True)) for one in (own, record)]
@@ -208,7 +208,7 @@ def test_a_difference_says_which_fact_was_found_and_which_was_expected() -> None
 OTHERS: dict[type, Any] = {str: "another", int: 7_777_777, bool: True, tuple: ("another",), type(None): "another"}
 
 
-def altered(draw: random.Random, record: RunRecord, seq: int) -> RunRecord:
+def altered(draw: random.Random, record: LedgerRun, seq: int) -> LedgerRun:
     """The record with one fact left out, moved, or altered in one field."""
     event = record.events[seq]
     match draw.randrange(3):

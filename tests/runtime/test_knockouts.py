@@ -10,7 +10,7 @@ from fsar_ledger.events.execution import ExecutionHeld, ExecutionQueued, Routine
 from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
 from fsar_ledger.events.request import RequestClosed
-from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.knockouts.knockout import decided_by
@@ -23,7 +23,7 @@ def played(
     scenario: Scenario,
     run: int,
     constants: Constants = Constants(),  # noqa: B008
-) -> RunRecord:
+) -> LedgerRun:
     return simulate_run(RunSpec(5, architecture, configuration, scenario, 4, run), constants)
 
 

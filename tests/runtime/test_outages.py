@@ -31,7 +31,7 @@ from fsar_ledger.events.world import (
     TaskArrived,
     WorldEvent,
 )
-from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
 from fsar_ledger.parameters import BadParameters
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
@@ -269,7 +269,7 @@ def test_extreme_constants_make_runs_that_end_and_can_be_stored_and_replayed(nam
     constants = Constants(world=msgspec.structs.replace(WorldConstants(), **{name: value}))
     place = LEGAL.index((name, value))
     spec = RunSpec(3, ARCHITECTURES[place % 3], "full", SCENARIOS[place % 5], 4, 0)
-    record: RunRecord = simulate_run(spec, constants)
+    record: LedgerRun = simulate_run(spec, constants)
     [back] = decode(encode([record]))
     assert list(back.events) == record.events
     assert replay_run(record) is None

@@ -29,7 +29,7 @@ from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.registry import CapabilityAdvertised
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestClosed, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned
-from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.library import library
 from fsar_ledger.projections import execution
@@ -267,7 +267,7 @@ def amid(seed: int) -> Kernel:
 
 def test_the_ten_invariants_hold_amid_urgent_requests() -> None:
     runs = [amid(seed) for seed in range(6)]
-    records = [RunRecord(f"amid-{seed}", run.times_us, run.caused_by, run.events) for seed, run in enumerate(runs)]
+    records = [LedgerRun(f"amid-{seed}", run.times_us, run.caused_by, run.events) for seed, run in enumerate(runs)]
     names = [name for name in library().queries if name.startswith("invariants/")]
     with from_table(encode(records)) as database:
         assert {name: plain_rows(database.query(name)) for name in names} == {name: [] for name in names}

@@ -29,7 +29,7 @@ from fsar_ledger.events.envelope import Supervisor, TrustScope
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.world import SupervisorLeft, SupervisorReturned
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.naming import unlike_ours
 from fsar_ledger.runtime.experiment import Experiment, simulate
@@ -58,7 +58,7 @@ OWN = Constants(scenario=SCENARIO, fleet=FLEET)
 SPEC = RunSpec(7, "fsar", "full", "night", 3, 0)
 
 
-def of(kind: type, record: RunRecord) -> list[tuple[int, object]]:
+def of(kind: type, record: LedgerRun) -> list[tuple[int, object]]:
     return [one for one in zip(record.times_us, record.events, strict=True) if isinstance(one[1], kind)]
 
 

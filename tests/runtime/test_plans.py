@@ -11,7 +11,7 @@ import pytest
 from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.experiment import ExperimentPlanned
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import Head, open_ledger
 from fsar_ledger.ledger.verify.verify import verify
@@ -52,7 +52,7 @@ def interrupted(path: Path, experiment: Experiment, batches: int) -> None:
         simulate(path, experiment, 1, stop_after(batches))
 
 
-def runs(path: Path) -> dict[str, RunRecord]:
+def runs(path: Path) -> dict[str, LedgerRun]:
     return {run.run_id: run for run in open_ledger(path).runs() if not isinstance(run.events[0], ExperimentPlanned)}
 
 

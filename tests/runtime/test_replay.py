@@ -17,7 +17,7 @@ from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, WorldEvent
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.projections.fold import State
@@ -41,7 +41,7 @@ ABLATIONS: tuple[Configuration, ...] = CONFIGURATIONS[1:]
 DECIDED = [seq for seq, event in enumerate(HONEST.events) if HONEST.times_us[seq] and not isinstance(event, WorldEvent)]
 
 
-def committed(path: Path, *runs: RunRecord) -> Path:
+def committed(path: Path, *runs: LedgerRun) -> Path:
     """A ledger of one commit with these runs, which verifies."""
     with Writer(path, ORIGIN) as writer:
         writer.append(stage_anything(path, runs))

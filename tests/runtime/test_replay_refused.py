@@ -13,7 +13,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.envelope import Architecture, Robot
 from fsar_ledger.events.world import RoutineDue, TaskArrived
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay, replay_commit, replay_run
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
@@ -24,7 +24,7 @@ from tests.runtime.test_replay import CONSTANTS, committed
 # --- runs that cannot be checked, and content that nobody thought of ---
 
 
-def restarted(record: RunRecord = HONEST, /, **fields: Any) -> RunRecord:
+def restarted(record: LedgerRun = HONEST, /, **fields: Any) -> LedgerRun:
     """The run, with other parameters in its first event and the name that they give it."""
     return renamed(changed(record, 0, msgspec.structs.replace(record.events[0], **fields)))
 
@@ -57,8 +57,8 @@ UNCHECKED = {
     "no constants": (restarted(parameters="no JSON"), "parameters", "malformed"),
     "not all constants": (restarted(parameters="{}"), "parameters", "'{}'"),
     "constants in nests": (restarted(parameters="[" * 100_000), "parameters", "Expected `object`"),
-    "another name": (RunRecord("run", HONEST.times_us, HONEST.caused_by, HONEST.events), "run_id", "'run'"),
-    "no beginning": (RunRecord("run", HONEST.times_us[:1], [None], HONEST.events[1:2]), "type", "RobotJoined.v1"),
+    "another name": (LedgerRun("run", HONEST.times_us, HONEST.caused_by, HONEST.events), "run_id", "'run'"),
+    "no beginning": (LedgerRun("run", HONEST.times_us[:1], [None], HONEST.events[1:2]), "type", "RobotJoined.v1"),
 }
 
 
@@ -163,7 +163,7 @@ def test_a_forged_decision_ends_the_command_with_3(call: Call, tmp_path: Path) -
 def test_commands_given_from_outside_cannot_be_replayed_and_end_with_3(call: Call, tmp_path: Path) -> None:  # noqa: F811
     live = commanded()
     started = msgspec.structs.replace(live.events[0], kind="live", scenario=None)
-    record = renamed(RunRecord("", live.times_us, live.caused_by, [started, *live.events[1:]]))
+    record = renamed(LedgerRun("", live.times_us, live.caused_by, [started, *live.events[1:]]))
     called = call("verify", committed(tmp_path / "ledger", record), "--replay")
     assert called.code == 3
     assert "a live run, whose commands are not stored, so the run cannot be replayed" in called.err

@@ -15,7 +15,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, Scenario
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, RobotCameBack, RobotWentOff
-from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode
 from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.architectures.fsar.execution import decide_routine
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
@@ -27,7 +27,7 @@ CONSTANTS = Constants()
 OUTAGES = Constants(outages=Outages(0.02, 8.0, 0.03, 6.0, 0.002))
 
 
-def stored(record: RunRecord) -> RunRecord:
+def stored(record: LedgerRun) -> LedgerRun:
     """The run as it comes back from Parquet."""
     sink = io.BytesIO()
     pq.write_table(encode([record]), sink)
@@ -36,7 +36,7 @@ def stored(record: RunRecord) -> RunRecord:
 
 
 def resumed(
-    spec: RunSpec, record: RunRecord, position: int, constants: Constants
+    spec: RunSpec, record: LedgerRun, position: int, constants: Constants
 ) -> tuple[list[int], list[int | None], list[object]]:
     one = kernel(spec, constants)
     one.restore(record.times_us[:position], record.caused_by[:position], record.events[:position])

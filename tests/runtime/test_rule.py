@@ -16,7 +16,7 @@ from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.architectures import REGISTERED
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
@@ -185,7 +185,7 @@ def test_when_all_robots_are_offline_no_task_succeeds() -> None:
 
 def metric(name: str, architecture: Architecture, structure: Structure, runs: int = 25) -> float:
     constants = Constants(structure=structure)
-    records: list[RunRecord] = [
+    records: list[LedgerRun] = [
         simulate_run(RunSpec(11, architecture, "full", scenario, 4, run), constants)
         for scenario in SCENARIOS
         for run in range(runs)

@@ -11,7 +11,7 @@ from fsar_ledger.events import UPCASTS
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.retired import RunStartedV1
-from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify.verify import verify
@@ -110,7 +110,7 @@ def test_a_run_from_outside_is_stored_with_what_it_has(tmp_path: Path) -> None:
         scenario="Ward 3, night",
         source="traffic log of a hospital",
     )
-    append_all(tmp_path / "ledger", [[RunRecord("night", [0], [None], [started])]])
+    append_all(tmp_path / "ledger", [[LedgerRun("night", [0], [None], [started])]])
     assert verify(tmp_path / "ledger").ok
     [record] = open_ledger(tmp_path / "ledger").runs()
     assert record.events == [started]

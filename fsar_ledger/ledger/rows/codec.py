@@ -23,7 +23,7 @@ from fsar_ledger.ledger.rows.runs import (
     ALLOWED,
     CAUSE,
     TIME,
-    RunRecord,
+    LedgerRun,
     are_allowed,
     first_unfit,
     refusal,
@@ -43,7 +43,7 @@ from fsar_ledger.ledger.rows.schema import (
     StoredType,
 )
 
-__all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed", "upcast_rows"]
+__all__ = ["SCHEMA", "LedgerRun", "decode", "encode", "encode_hashed", "upcast_rows"]
 
 Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
@@ -89,7 +89,7 @@ class _Rows:
     Raises: InvalidRun, or another error for a value that `first_unfit` names.
     """
 
-    def __init__(self, runs: Sequence[RunRecord]):
+    def __init__(self, runs: Sequence[LedgerRun]):
         require_runs(runs)
         self.sizes = [len(run.events) for run in runs]
         self.size = sum(self.sizes)
@@ -246,7 +246,7 @@ def _require_exact(name: str, numbers: Values) -> None:
 
 
 @contextmanager
-def _refusals(runs: Sequence[RunRecord]) -> Iterator[None]:
+def _refusals(runs: Sequence[LedgerRun]) -> Iterator[None]:
     """Turn an error inside into InvalidRun for the first value at fault; leave it as it is if there is none."""
     try:
         yield
@@ -259,7 +259,7 @@ def _refusals(runs: Sequence[RunRecord]) -> Iterator[None]:
         raise refusal(flaw) from error
 
 
-def encode(runs: Sequence[RunRecord]) -> pa.Table:
+def encode(runs: Sequence[LedgerRun]) -> pa.Table:
     """Encode these runs as rows in order (run, seq), with the columns of `SCHEMA`.
 
     Raises:
@@ -272,7 +272,7 @@ def encode(runs: Sequence[RunRecord]) -> pa.Table:
         return _Rows(runs).table().cast(SCHEMA)
 
 
-def encode_hashed(runs: Sequence[RunRecord]) -> tuple[pa.Table, bytes]:
+def encode_hashed(runs: Sequence[LedgerRun]) -> tuple[pa.Table, bytes]:
     """Encode these runs with the columns of `CODED_SCHEMA`, and return the packed leaf hash of each row too.
 
     Otherwise as `encode`.
@@ -282,7 +282,7 @@ def encode_hashed(runs: Sequence[RunRecord]) -> tuple[pa.Table, bytes]:
         return rows.table(), rows.leaves()
 
 
-def decode(table: pa.Table) -> Iterator[RunRecord]:
+def decode(table: pa.Table) -> Iterator[LedgerRun]:
     """Decode every run of the table, in order, upcasting events of retired types; the inverse of `encode`.
 
     Raises:
@@ -296,7 +296,7 @@ def decode(table: pa.Table) -> Iterator[RunRecord]:
     times_us = table.column("time_us").to_pylist()
     causes = table.column("caused_by").to_pylist()
     for start, end in pairwise([*run_starts(run_ids).tolist(), table.num_rows]):
-        yield RunRecord(run_ids[start].as_py(), times_us[start:end], causes[start:end], events[start:end].tolist())
+        yield LedgerRun(run_ids[start].as_py(), times_us[start:end], causes[start:end], events[start:end].tolist())
 
 
 def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Table | None:
@@ -312,7 +312,7 @@ def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Tab
         range(stored.num_rows),
         [None, *range(stored.num_rows - 1)],
     )  # a place for each row, until it has its own again
-    rows = encode([RunRecord("", times_us, causes, _events(stored).tolist())])
+    rows = encode([LedgerRun("", times_us, causes, _events(stored).tolist())])
     return pa.Table.from_arrays(
         [(stored if name in _PLACE else rows).column(name) for name in SCHEMA.names], schema=SCHEMA
     )

@@ -20,7 +20,7 @@ from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, Field, Kind
 from fsar_ledger.parameters import BadParameters, read_parameters
 
 
-class RunRecord(msgspec.Struct, frozen=True):
+class LedgerRun(msgspec.Struct, frozen=True):
     """One finished run in memory, columns beside structs. The seq of an event is its position."""
 
     run_id: str
@@ -95,7 +95,7 @@ def _are_strings(values: Iterable[object]) -> bool:
     return set(map(type, values)) <= _ONLY_STRINGS
 
 
-def require_runs(runs: Sequence[RunRecord]) -> None:
+def require_runs(runs: Sequence[LedgerRun]) -> None:
     """Check that each run has events, as many times and causes, and a name of its own.
 
     Raises: InvalidRun if not.
@@ -126,7 +126,7 @@ def refusal(flaw: Flaw) -> InvalidRun:
     return InvalidRun(f"{flaw}; nothing was written: correct the run")
 
 
-def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
+def first_unfit(runs: Sequence[LedgerRun]) -> Flaw | None:
     """Find the first value that no row can hold, run by run and event by event."""
     return next(
         (
@@ -139,7 +139,7 @@ def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
     )
 
 
-def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:
+def unreadable(runs: Sequence[LedgerRun]) -> Flaw | None:
     """Find the first run whose parameters cannot be read as constants.
 
     Readers accept it, because 0.1.0 and 0.2.0 stored any text.
@@ -154,7 +154,7 @@ def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:
     return None
 
 
-def _unfit(run: RunRecord, seq: int) -> Iterator[tuple[str, str, str]]:
+def _unfit(run: LedgerRun, seq: int) -> Iterator[tuple[str, str, str]]:
     """Return what is wrong with this event: field, found, expected."""
     for name, value, allowed in (("time_us", run.times_us[seq], TIME), ("caused_by", run.caused_by[seq], CAUSE)):
         yield from _unfit_value(name, value, allowed)

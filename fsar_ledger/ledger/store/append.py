@@ -28,7 +28,7 @@ from fsar_ledger.ledger.log.tiles import Tile
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES, MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
 from fsar_ledger.ledger.rows.check import disordered, unprintable
-from fsar_ledger.ledger.rows.codec import RunRecord, encode_hashed
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
 from fsar_ledger.ledger.rows.layout import read_file, read_layout
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import Flaw, refusal, unreadable
@@ -64,7 +64,7 @@ class Staged(msgspec.Struct, frozen=True):
     leaves: bytes
 
 
-def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
+def stage(ledger: Path, runs: Sequence[LedgerRun]) -> Staged:
     """Encode these runs and write them to the staging folder, durably; they are not yet part of the ledger.
 
     Needs no lock and no order: workers may stage at the same time, while a Writer is open; one that is alone when it
@@ -86,7 +86,7 @@ def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
     return stage_rows(ledger, runs, table, leaves)
 
 
-def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves: bytes) -> Staged:
+def stage_rows(ledger: Path, runs: Sequence[LedgerRun], table: pa.Table, leaves: bytes) -> Staged:
     """Stage runs that were encoded, without a look at their names and order, as 0.1.0 did. Raises: As `stage`."""
     data = segment.to_parquet(table)
     for found, most, what in (

@@ -176,7 +176,7 @@ class LedgerView(msgspec.Struct, frozen=True):
         """
         return canonical.leaves(self._table(number))
 
-    def runs(self) -> Iterator[codec.RunRecord]:
+    def runs(self) -> Iterator[codec.LedgerRun]:
         """Yield every run, in order, its events as their newest versions.
 
         Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events.
