@@ -98,12 +98,11 @@ class Database:
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
         # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the
         # answer is the same anywhere.
-        for setting in (
-            f"parquet_metadata_cache = {str(caches_files).lower()}",
-            "TimeZone = 'UTC'",
-            "enable_progress_bar = false",
-        ):
+        for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'"):
             self._connection.execute(f"SET {setting}")
+        # In a notebook without ipywidgets the bar is off, and DuckDB refuses to hear of it.
+        if self._connection.execute("SELECT current_setting('enable_progress_bar')").fetchone() != (False,):
+            self._connection.execute("SET enable_progress_bar = false")
         # Who reads a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder. What it
         # does not count is for the process.
         self._connection.execute("SET temp_directory = ''")
