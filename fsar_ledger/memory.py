@@ -16,7 +16,7 @@ CHECK_S = 0.02
 """Seconds between two checks: memory fills at some GiB a second."""
 
 NET_BYTES = 4 << 30
-"""How far beyond the limit the operating system lets a process reserve; libraries alone reserve 1.6 GiB."""
+"""How far beyond the limit and what is reserved already the operating system lets a process reserve."""
 
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _PEAK_UNIT = 1024 if os.uname().sysname == "Linux" else 1  # of ru_maxrss
@@ -51,10 +51,11 @@ def limited(most: int, excess: Callable[[], None]) -> Iterator[None]:
     before, _limit = _limit, most
     stopped = threading.Event()
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    net = min([most + NET_BYTES, *(one for one in (soft, hard) if one != resource.RLIM_INFINITY)])
+    # The watch first: a thread that finds no room for its stack never says that it began, and `start` waits for ever.
+    threading.Thread(target=_watch, args=(bytes_held() + most, excess, stopped), name="memory", daemon=True).start()
+    net = min([bytes_reserved() + most + NET_BYTES, *(one for one in (soft, hard) if one != resource.RLIM_INFINITY)])
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (net, hard))
-    threading.Thread(target=_watch, args=(bytes_held() + most, excess, stopped), name="memory", daemon=True).start()
     try:
         yield
     finally:
@@ -77,6 +78,13 @@ def bytes_held() -> int:
     if own is None:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _PEAK_UNIT
     return own + sum(_held_by(child) or 0 for child in children())
+
+
+def bytes_reserved() -> int:
+    """Return the bytes that RLIMIT_DATA counts of this process, 0 where the system does not say."""
+    with suppress(OSError), open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[5]) * _PAGE_BYTES
+    return 0
 
 
 def children() -> list[str]:

@@ -84,6 +84,18 @@ def test_what_is_asked_for_at_once_is_refused_by_the_system(tmp_path: Path) -> N
     assert "LimitReached: memory: this needs more than 256 MiB" in done.stderr
 
 
+def test_a_process_that_has_reserved_much_already_is_limited_like_another(tmp_path: Path) -> None:
+    code = (
+        "import mmap\nfrom pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\n"
+        "reserved = [mmap.mmap(-1, 1 << 30, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) for _ in range(8)]\n"
+        "with bounded(256, Path('ledger')):\n    kept = bytearray(32 << 20)\nprint('done')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
+
+
 def test_duckdb_counts_for_itself_and_spills_nowhere(tmp_path: Path) -> None:
     with bounded(512, tmp_path), from_rows([]) as database:
         settings = {row["name"]: row["value"] for row in database.rows("SELECT name, value FROM duckdb_settings()")}

@@ -37,6 +37,15 @@ TESTS = tuple(
         "test_append",
         "test_append_refused",
         "test_evolution",
+        "test_read",
+        "test_recover",
+        "test_recover_again",
+        "test_recover_beside",
+        "test_recover_damage",
+        "test_recover_refused",
+        "test_refused_runs",
+        "test_refused_commits",
+        "test_unprintable",
     )
 )
 SLOW = (

@@ -110,6 +110,34 @@ def test_verify_recover_readers_and_writers_say_the_same_of_the_same_damage(
     assert str(reader.value).startswith(f"{path}/{said}; restore ")
 
 
+def test_a_segment_that_its_writer_moves_meanwhile_is_examined_where_it_is_now(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record, place = record_of(path, 2), segment_path(path, 2)
+    staged = staged_path(path, record.segment_sha256)
+    place.rename(staged)
+    read = walk.read_segment
+
+    def moved(ledger: Path, file: str, *rest: object, **named: object) -> object:
+        if staged.exists():
+            staged.rename(place)
+        return read(ledger, file, *rest, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(verify_segment, "read_segment", moved)
+    facts = verify_segment.examine(str(path), 2, record)
+    assert (facts.problems, facts.file, facts.rows) == ((), f"segments/{LAST}.parquet", SIZES[2])
+
+
+def test_a_segment_that_is_gone_whenever_it_is_read_is_a_problem(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*_: object, **__: object) -> None:
+        raise FileNotFoundError(2, "No such file or directory")
+
+    monkeypatch.setattr(verify_segment, "read_segment", gone)
+    facts = verify_segment.examine(str(path), 2, record_of(path, 2))
+    assert [problem.where for problem in facts.problems] == [f"segments/{LAST}.parquet"]
+    assert "FileNotFoundError" in facts.problems[0].found
+
+
 def test_a_missing_segment_of_an_unreadable_record_is_the_records_problem(path: Path) -> None:
     commit_path(path, 2).write_bytes(b"{}")
     segment_path(path, 2).unlink()

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
@@ -65,6 +66,15 @@ def test_no_row_is_read_from_a_segment_that_is_not_as_committed(path: Path, read
     }
     with pytest.raises(LedgerCorrupted, match="found SHA-256"):
         reads[read]()
+
+
+def test_memory_that_the_machine_lacks_is_no_damage_to_the_segment(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lack(*_: object, **__: object) -> None:
+        raise pa.ArrowMemoryError("malloc of size 1099511627776 failed")
+
+    monkeypatch.setattr("fsar_ledger.ledger.rows.segment.pq.ParquetFile", lack)
+    with pytest.raises(MemoryError, match="malloc of size"):
+        list(open_ledger(path).tables())
 
 
 def test_a_segment_that_changes_after_it_was_found_right_is_read_again(path: Path) -> None:

@@ -59,19 +59,34 @@ def examine_file(ledger: str, number: int, record: CommitRecord | None) -> Segme
     return _guarded(_examine_file, Path(ledger), number, record)
 
 
-def _guarded(
-    check: Callable[[Path, str, int, CommitRecord], SegmentFacts],
-    ledger: Path,
-    number: int,
-    record: CommitRecord | None,
-) -> SegmentFacts:
+_Check = Callable[[Path, str, int, CommitRecord], SegmentFacts]
+
+
+def _guarded(check: _Check, ledger: Path, number: int, record: CommitRecord | None) -> SegmentFacts:
     if record is None:
         return SegmentFacts(segment_file(number))
+    try:
+        return _checked(check, ledger, number, record)
+    except FileNotFoundError:  # its writer moved it into place meanwhile
+        try:
+            return _checked(check, ledger, number, record)
+        except FileNotFoundError as error:
+            return SegmentFacts(segment_file(number), (unexpected(segment_file(number), number, error),))
+
+
+def _checked(check: _Check, ledger: Path, number: int, record: CommitRecord) -> SegmentFacts:
+    """Check the segment where it is found.
+
+    Raises:
+        FileNotFoundError: It was found, and then was no longer there.
+    """
     found = find_segment(ledger, number, record)
     if found.problem is not None:
         return SegmentFacts(found.file, (found.problem,))
     try:
         return check(ledger, found.file, number, record)
+    except FileNotFoundError:
+        raise
     except (Exception, RecursionError) as error:
         return SegmentFacts(found.file, (unexpected(found.file, number, error),))
 
