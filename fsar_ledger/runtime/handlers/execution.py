@@ -17,8 +17,10 @@ from fsar_ledger.events.execution import (
 )
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RobotCameBack, RobotWentOff, RoutineDue
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.execution import Action, Execution
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.world import World
 
 from .actors import body, named, nobody
 from .attribution import is_injected, parties
@@ -58,12 +60,12 @@ def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> 
     return (start_action(event.subject.action_id, action.capability, 0, (way,)),)
 
 
-def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
+def started(fleet: Fleet, world: World, action: Action, command: StartAction) -> ExecutionStarted:
     """Return the fact that the action runs from now to its planned end."""
-    duration_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.drawn
+    duration_us = fleet.structure.injected_execution_us if is_injected(action) else command.drawn
     return ExecutionStarted(
         subject=action.subject,
-        principals=parties(state, action),
+        principals=parties(fleet, world, action),
         robot=action.robot,
         on_behalf_of=action.on_behalf_of,
         capability=action.capability,
@@ -84,9 +86,9 @@ def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or action.ends_us != command.ends_us:
         return ()
-    if action.capability != NAVIGATION and not actuator_holds(state, action.robot, command.drawn):
+    if action.capability != NAVIGATION and not actuator_holds(state.world, action.robot, command.drawn):
         return (_failed(action, "degradation", command.now_us),)
-    return (_finished(state, action),)
+    return (_finished(state.fleet, state.world, action),)
 
 
 def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event, ...]:
@@ -125,10 +127,10 @@ def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
         or command.action_id in state.recovery
     ):
         return ()
-    if action.stage == "preempted" and not (action.has_begun and holds_robot(state, action)):
+    if action.stage == "preempted" and not (action.has_begun and holds_robot(state.execution, action)):
         return ()
     if action.remaining_us == 0:
-        return (_finished(state, action),)
+        return (_finished(state.fleet, state.world, action),)
     return (ExecutionResumed(action.subject, action.robot, command.now_us + action.remaining_us),)
 
 
@@ -144,21 +146,21 @@ def _failed(action: Action, cause: Any, now_us: int) -> ExecutionFailed:
     )
 
 
-def _finished(state: State, action: Action) -> ExecutionFinished:
-    return ExecutionFinished(action.subject, parties(state, action), action.robot)
+def _finished(fleet: Fleet, world: World, action: Action) -> ExecutionFinished:
+    return ExecutionFinished(action.subject, parties(fleet, world, action), action.robot)
 
 
-def holds_robot(state: State, action: Action) -> bool:
+def holds_robot(execution: Execution, action: Action) -> bool:
     """Tell whether the robot serves this action and no other."""
-    return state.execution.current.get(action.robot) == action.action_id
+    return execution.current.get(action.robot) == action.action_id
 
 
-def next_turn(state: State, robot: Robot) -> tuple[Scheduled, ...]:
+def next_turn(execution: Execution, robot: Robot) -> tuple[Scheduled, ...]:
     """Schedule the turn of the action that now holds the robot, or resume one that was preempted.
 
     Paper: eq:override.
     """
-    action = state.execution.actions.get(state.execution.current.get(robot, ""))
+    action = execution.actions.get(execution.current.get(robot, ""))
     if action is None or action.stage not in ("queued", "preempted"):
         return ()
     if action.stage == "preempted" and action.has_begun:
@@ -173,7 +175,7 @@ def _on_queue(
 ) -> tuple[Scheduled, ...]:
     if isinstance(event, ExecutionQueued) and state.execution.current.get(event.robot) != event.subject.action_id:
         return ()
-    return next_turn(state, event.robot)
+    return next_turn(state.execution, event.robot)
 
 
 def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:

@@ -30,11 +30,15 @@ def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ..
 def _started_unchecked(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the action as soon as its robot is there for it."""
     action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "approaching", "preempted") or not holds_robot(state, action):
+    if (
+        action is None
+        or action.stage not in ("queued", "approaching", "preempted")
+        or not holds_robot(state.execution, action)
+    ):
         return ()
     if action.stage == "preempted" and action.has_approach:  # it has to come back first
         return ()
-    return (started(state, action, command),)
+    return (started(state.fleet, state.world, action, command),)
 
 
 def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
@@ -56,7 +60,7 @@ def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
 
 def _moved_unchecked(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     robot = command.robot
-    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot))
+    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state.fleet, state.world, robot))
     return (RoutinePerformed(parties.decided(robot), robot, command.operation),)
 
 

@@ -17,7 +17,9 @@ from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.request import GapDetected, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import SyncPhaseSet
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.knowledge import Knowledge
 from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import nobody
@@ -55,10 +57,10 @@ def to_coordinator(action_id: str, item: str, draw: Draw) -> Scheduled:
     return Scheduled(ReachCoordinator(action_id, item), 0, (draw,))
 
 
-def until_next_sync_us(state: State, now_us: int) -> int:
+def until_next_sync_us(fleet: Fleet, knowledge: Knowledge, now_us: int) -> int:
     """Return the time until just after the copies are next refreshed. Units: microseconds."""
-    period_us = state.fleet.structure.sync_period_us
-    offset_us = state.knowledge.sync_phase_ppm * period_us // 1_000_000
+    period_us = fleet.structure.sync_period_us
+    offset_us = knowledge.sync_phase_ppm * period_us // 1_000_000
     return period_us - (now_us - offset_us) % period_us + 1
 
 
@@ -81,7 +83,11 @@ def copied_rule(state: State, robot: Robot) -> PolicyOutcome:
 def candidates_of(state: State, action_id: str) -> tuple[Robot, ...]:
     """Return whom the coordinator considers for a step: its own robot, or every other capable one."""
     request = state.request[action_id]
-    return capable(state, request.capability, request.requester) if request.is_delegated else (request.requester,)
+    return (
+        capable(state.fleet, state.registry, request.capability, request.requester)
+        if request.is_delegated
+        else (request.requester,)
+    )
 
 
 def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
@@ -102,7 +108,7 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
             local_review=shown(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
             fleet_deny=shown(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
             fleet_review=shown(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
-            busy=shown(copy.busy, [robot for robot in robots if not is_idle(state, robot)]),
+            busy=shown(copy.busy, [robot for robot in robots if not is_idle(state.execution, robot)]),
             degraded=shown(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
         ),
     )

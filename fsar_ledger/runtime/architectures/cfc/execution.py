@@ -17,7 +17,9 @@ from fsar_ledger.events.envelope import (
 )
 from fsar_ledger.events.execution import ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed
+from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.authority import released
@@ -57,18 +59,18 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage not in ("queued", "approaching"):
         return ()
-    return (started(state, action, command),)
+    return (started(state.fleet, state.world, action, command),)
 
 
 def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     """Let the robot claim override over its actions, and both supervisors claim supervision where a window opened."""
     claimed: list[Event] = []
-    for action_id in _held(state, command.robot):
+    for action_id in _held(state.authority, state.request, command.robot):
         task_id = state.request[action_id].task_id
         wanted: list[tuple[Dimension, Principal, str]] = [("override", command.robot, "safe stop")]
         if command.window is not None:
             wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
-            if on_shift(state, command.robot) is not None:
+            if on_shift(state.fleet, state.world, command.robot) is not None:
                 wanted.append(("audit", local_supervisor(command.robot), command.window))
         known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
         claimed += [
@@ -79,11 +81,11 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     return tuple(claimed)
 
 
-def _held(state: State, robot: Robot) -> list[str]:
+def _held(authority: Authority, requests: Requests, robot: Robot) -> list[str]:
     """Return the robot's actions whose execution the coordinator claims."""
     held = []
-    for action_id, claims in state.authority.claims.items():
-        request = state.request.get(action_id)
+    for action_id, claims in authority.claims.items():
+        request = requests.get(action_id)
         if request is None or robot not in (request.requester, request.target or request.requester):
             continue
         if any(claim.dimension == "execution" and claim.claimant == COORDINATOR for claim in claims):
@@ -109,7 +111,11 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
 
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
     paused = pause_running(state, event, now_us)
-    return (*paused, Scheduled(SafeStop(event.robot, event.window))) if _held(state, event.robot) else paused
+    return (
+        (*paused, Scheduled(SafeStop(event.robot, event.window)))
+        if _held(state.authority, state.request, event.robot)
+        else paused
+    )
 
 
 def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> tuple[Scheduled, ...]:
@@ -123,7 +129,7 @@ def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Schedu
     return (
         Scheduled(
             ReachCoordinator(event.subject.action_id, "replan"),
-            until_next_sync_us(state, now_us),
+            until_next_sync_us(state.fleet, state.knowledge, now_us),
             (at_once(event.robot),),
         ),
     )

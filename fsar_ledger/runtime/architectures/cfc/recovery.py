@@ -91,7 +91,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
 def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
     """Send a helper that the copy shows idle, trusted or not; call H_F where there is none."""
     subject, principals = Subject(action.task_id, None), by_coordinator(action.robot)
-    for helper in helpers(state, action, recovery.cause):
+    for helper in helpers(state.fleet, state.registry, action, recovery.cause):
         if helper not in state.knowledge.copy.busy and helper not in recovery.tried:
             return (
                 AssistanceRequested(
@@ -120,11 +120,11 @@ def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """End the ordered retry, which resolved the failure or did not."""
-    failure = open_failure(state, command.action_id)
+    failure = open_failure(state.execution, state.recovery, command.action_id)
     if failure is None:
         return ()
     action, recovery = failure
-    if attempt_succeeds(state, recovery, command):
+    if attempt_succeeds(state.world, recovery, command):
         return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
     return (
         RecoveryAttemptFailed(
@@ -135,13 +135,13 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
 
 def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
     """Admit the request for help, or decline it while the helper is busy."""
-    failure = open_failure(state, command.action_id)
+    failure = open_failure(state.execution, state.recovery, command.action_id)
     if failure is None:
         return ()
     action, recovery = failure
     if recovery.awaited != command.helper:  # another was asked meanwhile, or H_F
         return ()
-    if not is_idle(state, command.helper):
+    if not is_idle(state.execution, command.helper):
         return (AssistanceDeclined(action.subject, action.robot, command.helper, recovery.failure),)
     return (
         AssistanceAdmitted(
@@ -163,7 +163,7 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
 
 def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, ...]:
     """Give the coordinator the failure again when the helper has not answered in time. Reading: R44."""
-    failure = open_failure(state, command.action_id)
+    failure = open_failure(state.execution, state.recovery, command.action_id)
     if failure is None or (failure[1].failure, failure[1].awaited) != (command.failure, command.helper):
         return ()
     return reach_coordinator(state, ReachCoordinator(command.action_id, NO_ANSWER, now_us=command.now_us))

@@ -27,7 +27,7 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.request import Request, Requests
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.actors import named, nobody, target
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
@@ -97,7 +97,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
         case "step" | "again":
             return _match(state, command)
         case "completion":
-            return _complete(state, command)
+            return _complete(state.request, command)
         case _:
             return recovery.process(state, command)
 
@@ -188,7 +188,7 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
     ):  # taken back, or a second one
         return ()
     is_second = request.is_delegated and not request.seen_busy
-    running = pending_of_other_task(state, robot, request.task_id) if is_second else None
+    running = pending_of_other_task(state.execution, robot, request.task_id) if is_second else None
     if running is None:
         return (_queued(request, robot),)
     task_id = state.execution.actions[running].task_id
@@ -246,9 +246,9 @@ def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
     return released(claim for claim in claims if (claim.dimension, claim.claimant) != ("override", COORDINATOR))
 
 
-def _complete(state: State, command: ProcessWork) -> tuple[Event, ...]:
+def _complete(requests: Requests, command: ProcessWork) -> tuple[Event, ...]:
     """Close the step at the coordinator."""
-    request = state.request.get(command.action_id)
+    request = requests.get(command.action_id)
     if request is None:
         return ()
     closed = AuthorityReleased(request.subject, "override", COORDINATOR, "command")
@@ -278,7 +278,9 @@ def _on_denial(state: State, event: RequestDenied | RequestUnanswered, now_us: i
     task = state.task.get(event.subject.task_id or "")
     if task is None or (isinstance(event, RequestDenied) and event.reason == NO_TIME):
         return ()
-    return (Scheduled(ReachCoordinator(task.action_id, "again"), until_next_sync_us(state, now_us)),)
+    return (
+        Scheduled(ReachCoordinator(task.action_id, "again"), until_next_sync_us(state.fleet, state.knowledge, now_us)),
+    )
 
 
 def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:

@@ -9,8 +9,9 @@ from fsar_ledger.events.envelope import AgentKind, Parties, RequestSubject, Subj
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.request import RequestAdmitted, RequestIssued
 from fsar_ledger.events.world import OutsiderRequestInjected
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.actors import body, target
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 
@@ -47,9 +48,9 @@ class RunOutsider(Command):
     action_id: str
 
 
-def _under_contract(state: State, action_id: str, contract: int) -> Action | None:
+def _under_contract(execution: Execution, requests: Requests, action_id: str, contract: int) -> Action | None:
     """Return the action while this round's contract holds it."""
-    action, request = state.execution.actions.get(action_id), state.request.get(action_id)
+    action, request = execution.actions.get(action_id), requests.get(action_id)
     if action is None or request is None or request.round != contract or action.stage == "withdrawn":
         return None
     return action
@@ -57,7 +58,7 @@ def _under_contract(state: State, action_id: str, contract: int) -> Action | Non
 
 def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
     """Let the receiver claim execution as well."""
-    action = _under_contract(state, command.action_id, command.round)
+    action = _under_contract(state.execution, state.request, command.action_id, command.round)
     if action is None:
         return ()
     receiver = agent(action.robot, command.receiver)
@@ -66,7 +67,7 @@ def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
 
 def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[Event, ...]:
     """Release the sender's claim on execution."""
-    action = _under_contract(state, command.action_id, command.round)
+    action = _under_contract(state.execution, state.request, command.action_id, command.round)
     if action is None:
         return ()
     sender = agent(action.robot, command.sender)
@@ -79,7 +80,7 @@ def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[
 
 def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
     """Resolve the double booking."""
-    return released(state, command.action_id, "double booking")
+    return released(state.authority, command.action_id, "double booking")
 
 
 def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
@@ -120,7 +121,7 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     contract = (event.subject.action_id, request.round)
     match event.reason:
         case "double booking" if event.claimant == agent(robot, "execution"):
-            said, record = talk(state, robot, SETTLEMENT, key, "settle")
+            said, record = talk(state.fleet, robot, SETTLEMENT, key, "settle")
             return (
                 Scheduled(
                     SettleBooking(event.subject.action_id),
@@ -130,18 +131,23 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
                 record,
             )
         case "acceptance":
-            return _heard(talk(state, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING))
+            return _heard(
+                talk(state.fleet, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING)
+            )
         case "planning":
             acknowledged = _heard(
-                talk(state, robot, FROM_PLANNING, key, "acknowledged"), AcknowledgeExecution(*contract, "communication")
+                talk(state.fleet, robot, FROM_PLANNING, key, "acknowledged"),
+                AcknowledgeExecution(*contract, "communication"),
             )
             return (
                 *acknowledged,
-                *_heard(talk(state, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)),
+                *_heard(
+                    talk(state.fleet, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)
+                ),
             )
         case "execution":
             return _heard(
-                talk(state, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning")
+                talk(state.fleet, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning")
             )
         case _:
             return ()
@@ -154,7 +160,7 @@ def _heard(said: Said, command: Command) -> tuple[Scheduled, ...]:
 
 
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    said, record = talk(state, event.robot, CALL, event.task_id, "query")
+    said, record = talk(state.fleet, event.robot, CALL, event.task_id, "query")
     return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.robot, event.task_id, 0))), record)
 
 

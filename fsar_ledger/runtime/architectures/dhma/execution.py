@@ -55,8 +55,8 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    robot, outcome = request.requester, snapshot(state, request.requester)
-    supervisor = on_shift(state, robot)
+    robot, outcome = request.requester, snapshot(state.knowledge, request.requester)
+    supervisor = on_shift(state.fleet, state.world, robot)
     parties = Parties(requested_by=robot, executed_by=robot, supervised_by=supervisor)
     principals = parties.decided(*path(robot, ("planning",)))
     if command.action_id not in state.supervision.approved:
@@ -76,7 +76,9 @@ def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     return (
         ExecutionQueued(
             subject=request.subject,
-            principals=Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot)),
+            principals=Parties(
+                requested_by=robot, executed_by=robot, supervised_by=on_shift(state.fleet, state.world, robot)
+            ),
             robot=robot,
             on_behalf_of=robot,
             capability=request.capability,
@@ -97,11 +99,11 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is not None and request.is_questioned and command.action_id not in state.supervision.approved:
         return (
-            *released(state, action.action_id),
+            *released(state.authority, action.action_id),
             ContractVoided(action.subject, action.robot),
             ExecutionWithdrawn(action.subject, action.robot),
         )
-    return (started(state, action, command),)
+    return (started(state.fleet, state.world, action, command),)
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
@@ -109,7 +111,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
 
     A motion engages the planner; the planner and the execution agent each record a half of it.
     """
-    robot, supervisor = command.robot, on_shift(state, command.robot)
+    robot, supervisor = command.robot, on_shift(state.fleet, state.world, command.robot)
     if command.operation == "sensing":
         return (
             RoutinePerformed(
@@ -121,7 +123,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
             ),
         )
     parties = Parties(requested_by=robot, executed_by=None, supervised_by=supervisor)
-    kind = RoutinePerformed if snapshot(state, robot) == "allow" else RoutineWithheld
+    kind = RoutinePerformed if snapshot(state.knowledge, robot) == "allow" else RoutineWithheld
     return (
         kind(parties.decided(*path(robot, ("planning",))), robot, "motion"),
         RoutineReported(Parties(requested_by=None, executed_by=robot, supervised_by=None), robot),
@@ -149,7 +151,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     said, record = talk(
-        state, state.request[event.subject.action_id].requester, OWN_STEP, event.subject.action_id, "own"
+        state.fleet, state.request[event.subject.action_id].requester, OWN_STEP, event.subject.action_id, "own"
     )
     return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said), record)
 
@@ -159,11 +161,11 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     structure = state.fleet.structure
     action = state.execution.actions[event.subject.action_id]
     key = f"{event.subject.action_id}/replan{action.segments}"
-    said, record = talk(state, action.robot, REPLANNING, key, "own")
+    said, record = talk(state.fleet, action.robot, REPLANNING, key, "own")
     if not action.is_delegated:
         return (Scheduled(ResumeAction(event.subject.action_id), structure.replan_us, said), record)
     agreed, other = talk(
-        state,
+        state.fleet,
         action.on_behalf_of,
         RENEGOTIATION,
         key,

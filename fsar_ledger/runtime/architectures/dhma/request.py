@@ -21,10 +21,11 @@ from fsar_ledger.events.request import (
     RequestUnanswered,
 )
 from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
-from fsar_ledger.projections.world import is_linked
+from fsar_ledger.projections.world import World, is_linked
 from fsar_ledger.runtime.handlers.actors import named, requester, target
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
 from fsar_ledger.runtime.handlers.commands import (
@@ -114,7 +115,7 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     return (
         GapDetected(
             request.subject,
-            Parties(requested_by=robot, executed_by=None, supervised_by=on_shift(state, robot)),
+            Parties(requested_by=robot, executed_by=None, supervised_by=on_shift(state.fleet, state.world, robot)),
             request.capability,
         ),
     )
@@ -125,8 +126,8 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    robot, supervisor = request.requester, on_shift(state, request.requester)
-    candidates = capable(state, request.capability, robot)
+    robot, supervisor = request.requester, on_shift(state.fleet, state.world, request.requester)
+    candidates = capable(state.fleet, state.registry, request.capability, robot)
     asking = Parties(requested_by=robot, executed_by=None, supervised_by=supervisor)  # whoever is awarded executes
     return (
         RegistryQueried(
@@ -145,8 +146,8 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    robot, outcome = command.robot, snapshot(state, command.robot)
-    judging = _parties(state, request, robot, None).decided(
+    robot, outcome = command.robot, snapshot(state.knowledge, command.robot)
+    judging = _parties(state.fleet, state.world, request, robot, None).decided(
         *path(robot, EVALUATION)
     )  # a candidate is not yet the executor
     decided: Event
@@ -158,7 +159,11 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
         decided,
         BidSubmitted(
             request.task_id,
-            Parties(requested_by=request.requester, executed_by=None, supervised_by=on_shift(state, robot)),
+            Parties(
+                requested_by=request.requester,
+                executed_by=None,
+                supervised_by=on_shift(state.fleet, state.world, robot),
+            ),
             robot,
             outcome,
         ),
@@ -191,7 +196,11 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
     return (
         AwardMade(
             request.task_id,
-            Parties(requested_by=request.requester, executed_by=None, supervised_by=on_shift(state, request.requester)),
+            Parties(
+                requested_by=request.requester,
+                executed_by=None,
+                supervised_by=on_shift(state.fleet, state.world, request.requester),
+            ),
             best[0],
         ),
     )
@@ -220,7 +229,7 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
         return ()
     if best_bid(request) is not None:
         return award(state, Award(command.action_id, now_us=command.now_us))
-    return (_unanswered(state, request, None),)
+    return (_unanswered(state.fleet, state.world, request, None),)
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
@@ -228,12 +237,12 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.round != command.round or request.target is None or request.is_accepted:
         return ()
-    return (_unanswered(state, request, request.target),)
+    return (_unanswered(state.fleet, state.world, request, request.target),)
 
 
-def _unanswered(state: State, request: Request, executor: Robot | None) -> RequestUnanswered:
+def _unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | None) -> RequestUnanswered:
     robot = request.requester
-    principals = _parties(state, request, robot, executor).decided(*path(robot, ("communication",)))
+    principals = _parties(fleet, world, request, robot, executor).decided(*path(robot, ("communication",)))
     return RequestUnanswered(request.subject, principals, request.capability)
 
 
@@ -243,13 +252,13 @@ def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
     if request is None or request.target is None:
         return ()
     robot = request.target
-    parties = _parties(state, request, robot, robot)
+    parties = _parties(state.fleet, state.world, request, robot, robot)
     principals = parties.decided(*path(robot, ("communication",)))  # the other agents have still to hear of it
     made: list[Event] = [RequestAccepted(request.request_subject, principals)]
-    if not is_idle(state, robot):
+    if not is_idle(state.execution, robot):
         made.append(RequestDeferred(request.request_subject, principals))
     made.append(_claim(request, "execution", agent(robot, "communication"), "acceptance"))
-    if pending_of_other_task(state, robot, request.task_id) is not None:
+    if pending_of_other_task(state.execution, robot, request.task_id) is not None:
         made += [
             _claim(request, "override", agent(robot, kind), "double booking") for kind in ("communication", "execution")
         ]
@@ -274,9 +283,9 @@ def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -
     return AuthorityClaimed(request.subject, dimension, claimant, reason)
 
 
-def _parties(state: State, request: Request, near: Robot, executor: Robot | None) -> Parties:
+def _parties(fleet: Fleet, world: World, request: Request, near: Robot, executor: Robot | None) -> Parties:
     """Return whom a record of the request names, under the supervisor of the robot that keeps it."""
-    return Parties(requested_by=request.requester, executed_by=executor, supervised_by=on_shift(state, near))
+    return Parties(requested_by=request.requester, executed_by=executor, supervised_by=on_shift(fleet, world, near))
 
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
@@ -284,7 +293,7 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
-    parties = _parties(state, request, request.target, request.target)
+    parties = _parties(state.fleet, state.world, request, request.target, request.target)
     principals = parties.decided(*path(request.requester, ("communication",)))
     return (RequestClosed(request.request_subject, principals),)
 

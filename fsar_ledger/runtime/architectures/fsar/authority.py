@@ -8,6 +8,7 @@ from fsar_ledger.events.knowledge import PeerRemembered
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued
 from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, PeersMet
+from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.world import is_linked
@@ -37,14 +38,14 @@ class RememberPeer(Command):
     peer: Robot
 
 
-def released(state: State, action_id: str) -> tuple[AuthorityReleased, ...]:
+def released(authority: Authority, action_id: str) -> tuple[AuthorityReleased, ...]:
     """Release every open claim on the action."""
-    return end_claims(state.authority.claims.get(action_id, ()))
+    return end_claims(authority.claims.get(action_id, ()))
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
     """End authority over the finished execution."""
-    return released(state, command.action_id)
+    return released(state.authority, command.action_id)
 
 
 def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
@@ -68,7 +69,7 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
         return ()
     task_id, robot, peer = request.task_id, request.requester, request.target
     if "trust-evaluation" not in state.fleet.without:
-        supervisor = on_shift(state, robot)
+        supervisor = on_shift(state.fleet, state.world, robot)
         return (
             _refused(state, task_id, robot, peer, request.capability),
             RequestDenied(
@@ -130,7 +131,9 @@ def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: 
     by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
     return RegistryQueried(
         subject=Subject(task_id, task_id),
-        principals=Parties(requested_by=robot, executed_by=peer, supervised_by=on_shift(state, robot)),
+        principals=Parties(
+            requested_by=robot, executed_by=peer, supervised_by=on_shift(state.fleet, state.world, robot)
+        ),
         capability=capability,
         candidates=(),
         rejected=(peer,),

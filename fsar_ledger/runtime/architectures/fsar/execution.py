@@ -15,8 +15,9 @@ from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.world import in_force
+from fsar_ledger.projections.world import World, in_force
 from fsar_ledger.runtime.handlers.actors import named, requester
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import on_shift, supervisor_of
@@ -55,7 +56,7 @@ def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot = request.requester
-    supervisor = on_shift(state, robot)
+    supervisor = on_shift(state.fleet, state.world, robot)
     parties = Parties(requested_by=robot, executed_by=robot, supervised_by=supervisor)
     return (
         OwnStepDecided(
@@ -90,7 +91,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     if (
         action is None
         or action.stage not in ("queued", "approaching", "held", "polling", "preempted")
-        or not holds_robot(state, action)
+        or not holds_robot(state.execution, action)
     ):
         return ()
     if action.stage == "preempted" and action.has_approach:  # it has to come back first
@@ -99,20 +100,20 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     if local != "allow":
         decided_by = None if action.is_delegated or action.was_denied else action.robot
         clash = conflict(state, action.task_id, action.action_id, action.on_behalf_of, action.robot, action.capability)
-        return (*clash, _held(state, action, local, "local-policy", decided_by))
+        return (*clash, _held(state.fleet, state.world, action, local, "local-policy", decided_by))
     if rule != "allow" and not action.is_delegated:
-        return (_held(state, action, rule, "fleet-rule", None),)
-    return (started(state, action, command),)
+        return (_held(state.fleet, state.world, action, rule, "fleet-rule", None),)
+    return (started(state.fleet, state.world, action, command),)
 
 
 def _held(
-    state: State, action: Action, outcome: PolicyOutcome, reason: str, decided_by: Principal | None
+    fleet: Fleet, world: World, action: Action, outcome: PolicyOutcome, reason: str, decided_by: Principal | None
 ) -> ExecutionHeld:
     principals = Principals(
         decided_by=decided_by,
         requested_by=action.requested_by,
         executed_by=action.executed_by,
-        supervised_by=supervisor_of(state, action),
+        supervised_by=supervisor_of(fleet, world, action),
         path=() if decided_by is None else (decided_by,),
     )
     return ExecutionHeld(action.subject, principals, action.robot, outcome, reason)
@@ -121,10 +122,11 @@ def _held(
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; a motion only if the robot's policy and the fleet's rule are clear."""
     robot = command.robot
-    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot))
+    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state.fleet, state.world, robot))
     principals = parties.decided(robot)
     if command.operation == "motion" and (
-        own_policy(state, robot, None, None) != "allow" or fleet_policy(state, robot, None, None) != "allow"
+        own_policy(state.policy, state.world, robot, None, None) != "allow"
+        or fleet_policy(state.knowledge, state.policy, robot, None, None) != "allow"
     ):
         return (RoutineWithheld(principals, robot, command.operation),)
     return (RoutinePerformed(principals, robot, command.operation),)
