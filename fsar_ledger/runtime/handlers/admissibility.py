@@ -13,7 +13,7 @@ import msgspec
 from fsar_ledger.events.authority import AuthorityGranted, AuthorityRevoked
 from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Robot, TrustScope
 from fsar_ledger.projections.authority import Authority, Later, rank, right_of
-from fsar_ledger.projections.execution import INTERRUPTING, Action, Execution
+from fsar_ledger.projections.execution import INTERRUPTING, Action, Execution, in_hand
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import Policy, ruled
 from fsar_ledger.projections.registry import Registry, advertisement, possesses
@@ -154,7 +154,7 @@ def override_allowed(authority: Authority, registry: Registry, request: Request,
 
 def preemptible(execution: Execution, robot: Robot, override: OverrideLevel) -> Action | None:
     """Return the action that a request of this level takes the robot from, or None. Paper: eq:override."""
-    action = execution.actions.get(execution.current.get(robot, ""))
+    action = in_hand(execution, robot)
     if (
         action is None
         or action.stage not in PREEMPTIBLE

@@ -1,6 +1,6 @@
 """Which supervisor a record can name, and small readings of the state that several handlers need."""
 
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Robot, Supervisor
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principal, Robot, Supervisor
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.registry import Registry, offers, surface
@@ -17,6 +17,13 @@ def on_shift(fleet: Fleet, world: World, robot: Robot) -> Supervisor | None:
     if supervisor is None:
         return FLEET_SUPERVISOR
     return None if supervisor in world.off_shift else supervisor
+
+
+def recorded_by(
+    fleet: Fleet, world: World, robot: Robot, *, requested_by: Principal | None, executed_by: Robot | None
+) -> Parties:
+    """Return whom a record that this robot makes names: besides these two, its supervisor on shift."""
+    return Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=on_shift(fleet, world, robot))
 
 
 def supervisor_of(fleet: Fleet, world: World, action: Action) -> Supervisor | None:

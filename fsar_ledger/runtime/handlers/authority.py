@@ -35,7 +35,7 @@ from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.trust import is_about
 
 from .actors import named, nobody
-from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
+from .commands import Actors, CloseExecution, Command, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_supervisor, unknown_word
 from .trust import trusts
 
@@ -81,6 +81,17 @@ class RevokeDistrusted(Command):
 
     robot: Robot
     peer: Robot
+
+
+def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
+    """End authority over the finished execution."""
+    return release(state.authority, command.action_id)
+
+
+def release(authority: Authority, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:
+    """Release the open claims on the action, all of them or those made for this reason."""
+    claims = authority.claims.get(action_id, ())
+    return released(claim for claim in claims if reason is None or claim.reason == reason)
 
 
 def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...]:

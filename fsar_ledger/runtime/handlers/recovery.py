@@ -6,9 +6,9 @@ Paper: sec:model:recovery.
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Result, Robot, Supervisor
+from fsar_ledger.events.envelope import FailureCause, Principals, RecoveryLevel, Result, Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed
-from fsar_ledger.events.recovery import RecoveryBudgetSet
+from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed, RecoveryBudgetSet
 from fsar_ledger.projections.budget import Budget, Budgets
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fleet import Fleet
@@ -17,7 +17,7 @@ from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.world import World
 
-from .commands import Actors, Decides, EndAttempt, PublicCommand, Reacts
+from .commands import Actors, Decides, Draw, EndAttempt, PublicCommand, Reacts, Scheduled
 from .rejection import not_in_charge, rejected, unknown_robot
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
@@ -94,6 +94,18 @@ def _impossible(command: SetRecoveryBudget) -> str | None:
     return None
 
 
+def failed(action: Action, cause: FailureCause, now_us: int) -> ExecutionFailed:
+    """Return the fact that the running action fails now, with what was left of its execution."""
+    return ExecutionFailed(
+        subject=action.subject,
+        robot=action.robot,
+        failure=action.failures + 1,
+        cause=cause,
+        remaining_us=max(0, action.ends_us - now_us),
+        detected_us=now_us,
+    )
+
+
 def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
     """Fail the running execution as its own robot reports; recovery begins from there. Paper: sec:model:recovery."""
     refused = unknown_robot(state.fleet, command.robot)
@@ -109,17 +121,7 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
         refused = f"cause {command.cause}, expected one of {', '.join(get_args(FailureCause))}"
     if refused is not None or action is None or cause is None:
         return rejected(command, command.action_id, refused or "", command.robot)
-    remaining_us = max(0, action.ends_us - command.now_us)
-    return (
-        ExecutionFailed(
-            subject=action.subject,
-            robot=action.robot,
-            failure=action.failures + 1,
-            cause=cause,
-            remaining_us=remaining_us,
-            detected_us=command.now_us,
-        ),
-    )
+    return (failed(action, cause, command.now_us),)
 
 
 def open_failure(execution: Execution, recoveries: Recoveries, action_id: str) -> tuple[Action, Recovery] | None:
@@ -144,7 +146,41 @@ def attempt_succeeds(world: World, recovery: Recovery, command: EndAttempt) -> b
     return actuator_holds(world, recovery.robot, command.drawn)
 
 
-def attempt_result(
+def attempted(action: Action, recovery: Recovery, principals: Principals, deadline_us: int) -> RecoveryAttempted:
+    """Return the fact that the robot's next own attempt begins. Units: `deadline_us` run time."""
+    return RecoveryAttempted(
+        subject=action.subject,
+        principals=principals,
+        robot=action.robot,
+        failure=recovery.failure,
+        number=recovery.number + 1,
+        level="local",
+        deadline_us=deadline_us,
+        failed_action=action.action_id,
+    )
+
+
+def attempt_failed(registry: Registry, world: World, action: Action, recovery: Recovery) -> RecoveryAttemptFailed:
+    """Return the fact that the attempt has failed, with its result and the postconditions that hold after it."""
+    result, achieved = _attempt_result(registry, world, action, recovery)
+    return RecoveryAttemptFailed(
+        subject=action.subject,
+        robot=action.robot,
+        failure=recovery.failure,
+        number=recovery.number,
+        result=result,
+        achieved=achieved,
+    )
+
+
+def end_of_attempt(fleet: Fleet, event: RecoveryAttempted) -> Scheduled:
+    """Schedule the end of an attempt that the robot makes by itself, once it has prepared."""
+    key = f"{event.failed_action}/{event.failure}/{event.number}"
+    end, preparation_us = EndAttempt(event.failed_action, event.number), fleet.structure.retry_preparation_us
+    return Scheduled(end, preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key))
+
+
+def _attempt_result(
     registry: Registry, world: World, action: Action, recovery: Recovery
 ) -> tuple[Result, tuple[str, ...]]:
     """Return the result of an attempt that did not succeed, and the postconditions that hold after it.

@@ -10,7 +10,7 @@ from typing import Literal, get_args
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import OverrideLevel, Parties, Principal, Robot, Subject
+from fsar_ledger.events.envelope import OverrideLevel, Principal, Robot, Subject
 from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
 from fsar_ledger.projections.execution import Execution
 from fsar_ledger.projections.fleet import Fleet
@@ -20,7 +20,7 @@ from fsar_ledger.projections.registry import Advertisement, Offers, enclosing, o
 from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.projections.world import World
 
-from .attribution import is_idle, nearest_first, on_shift
+from .attribution import is_idle, nearest_first, recorded_by
 from .commands import Actors, Decides, PublicCommand, Reacts
 from .matching import is_in_range, is_range, is_suitable
 from .rejection import rejected, unknown_robot
@@ -246,10 +246,12 @@ def queried(
     """Return the record of the registry's answer; the executor is the robot that the answer leads to, if any."""
     return RegistryQueried(
         subject=Subject(task_id, action_id),
-        principals=Parties(
+        principals=recorded_by(
+            fleet,
+            world,
+            query.requester,
             requested_by=query.requester,
             executed_by=answer.candidates[0] if answer.candidates else None,
-            supervised_by=on_shift(fleet, world, query.requester),
         ),
         capability=query.capability,
         candidates=answer.candidates,

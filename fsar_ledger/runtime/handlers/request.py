@@ -16,7 +16,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.request import Request, Requests
 
-from .attribution import on_shift, parties
+from .attribution import on_shift, parties, recorded_by
 from .commands import Actors, Decides, PublicCommand, Reacts
 from .policy import own_policy
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_word
@@ -151,12 +151,8 @@ def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
     return (
         OfferAnswered(
             request.request_subject,
-            Principals(
-                decided_by=robot,
-                requested_by=robot,
-                executed_by=request.candidates[0],
-                supervised_by=on_shift(state.fleet, state.world, robot),
-                path=(robot,),
+            recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=request.candidates[0]).decided(
+                robot
             ),
             request.offers,
             command.is_accepted,

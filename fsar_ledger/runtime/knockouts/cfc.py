@@ -19,8 +19,15 @@ from fsar_ledger.runtime.architectures.cfc.recovery import REACTS, GoOnWithoutHe
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import parties
-from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Draw, EndAttempt, React, Scheduled
-from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succeeds, budget, open_failure
+from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, EndAttempt, React, Scheduled
+from fsar_ledger.runtime.handlers.recovery import (
+    attempt_failed,
+    attempt_succeeds,
+    attempted,
+    budget,
+    end_of_attempt,
+    open_failure,
+)
 
 from .knockout import Knockout, decided_by, in_every_decision, in_no_time, nothing, seeing
 
@@ -44,16 +51,9 @@ def _may_try(budgets: Budgets, fleet: Fleet, recovery: Recovery, tried: int, now
 
 
 def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
-    return RecoveryAttempted(
-        subject=action.subject,
-        principals=parties(state.fleet, state.world, action).decided(action.robot),
-        robot=action.robot,
-        failure=recovery.failure,
-        number=recovery.number + 1,
-        level="local",
-        deadline_us=recovery.detected_us + budget(state.budget, state.fleet, action.robot, "local").t_max_us,
-        failed_action=action.action_id,
-    )
+    by_robot = parties(state.fleet, state.world, action).decided(action.robot)
+    allowed = budget(state.budget, state.fleet, action.robot, "local")
+    return attempted(action, recovery, by_robot, recovery.detected_us + allowed.t_max_us)
 
 
 def _retry_alone(state: State, command: RetryAlone) -> tuple[Event, ...]:
@@ -69,15 +69,7 @@ def _end_own_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     action, recovery = failure
     if attempt_succeeds(state.world, recovery, command):
         return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
-    result, achieved = attempt_result(state.registry, state.world, action, recovery)
-    failed = RecoveryAttemptFailed(
-        subject=action.subject,
-        robot=action.robot,
-        failure=recovery.failure,
-        number=command.number,
-        result=result,
-        achieved=achieved,
-    )
+    failed = attempt_failed(state.registry, state.world, action, recovery)
     if _may_try(state.budget, state.fleet, recovery, command.number, command.now_us):
         return (failed, _retried(state, action, recovery))
     return (failed,)
@@ -92,13 +84,7 @@ def _on_own_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[
 def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tuple[Scheduled, ...]:
     if event.principals.decided_by == COORDINATOR:  # it orders one where the robot may not try at all
         return REACTS[RecoveryAttempted](state, event, now_us)
-    key = f"{event.failed_action}/{event.failure}/{event.number}"
-    end = EndAttempt(event.failed_action, event.number)
-    return (
-        Scheduled(
-            end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)
-        ),
-    )
+    return (end_of_attempt(state.fleet, event),)
 
 
 def _on_own_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) -> tuple[Scheduled, ...]:

@@ -36,7 +36,7 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     message,
 )
-from fsar_ledger.runtime.handlers.execution import approach, pause_running, started
+from fsar_ledger.runtime.handlers.execution import approach, pause_running, started, waiting
 
 from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_next_sync_us
 
@@ -56,10 +56,8 @@ class EndWatch(Command):
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the execution."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "approaching"):
-        return ()
-    return (started(state.fleet, state.world, action, command),)
+    action = waiting(state.execution, command.action_id)
+    return () if action is None else (started(state.fleet, state.world, action, command),)
 
 
 def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
@@ -104,7 +102,10 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; withhold a motion that the last copy of policy or rule forbids."""
     robot = command.robot
     principals = Parties(requested_by=robot, executed_by=robot, supervised_by=FLEET_SUPERVISOR).decided(robot)
-    if command.operation == "motion" and "deny" in (copied_policy(state, robot), copied_rule(state, robot)):
+    if command.operation == "motion" and "deny" in (
+        copied_policy(state.knowledge.copy, robot),
+        copied_rule(state.knowledge.copy, robot),
+    ):
         return (RoutineWithheld(principals, robot, command.operation),)
     return (RoutinePerformed(principals, robot, command.operation),)
 

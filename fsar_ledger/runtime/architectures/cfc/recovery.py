@@ -67,12 +67,8 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
         return ()
     if command.item == NO_ANSWER and recovery.awaited is None:  # it has answered at last
         return ()
-    copy = state.knowledge.copy
-    if (
-        command.item == "failure"
-        and action.robot not in copy.degraded
-        and copied_policy(state, action.robot) == "allow"
-    ):
+    copy, robot = state.knowledge.copy, action.robot
+    if command.item == "failure" and robot not in copy.degraded and copied_policy(copy, robot) == "allow":
         return (
             RecoveryAttempted(
                 subject=Subject(action.task_id, None),

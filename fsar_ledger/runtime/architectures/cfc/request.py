@@ -31,7 +31,7 @@ from fsar_ledger.projections.request import Request, Requests
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.actors import named, nobody, target
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
-from fsar_ledger.runtime.handlers.authority import released
+from fsar_ledger.runtime.handlers.authority import release, released
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     CloseExecution,
@@ -43,6 +43,7 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     message,
 )
+from fsar_ledger.runtime.handlers.execution import queued
 
 from . import recovery
 from .coordinator import (
@@ -107,7 +108,7 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.task_id not in state.task:
         return ()
-    asked = candidates_of(state, command.action_id)
+    asked = candidates_of(state.fleet, state.registry, request)
     candidates = tuple(robot for robot in asked if robot not in request.silent) or asked
     idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
     robot = idle[0] if idle else candidates[0]
@@ -121,7 +122,7 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
             )
         )
         records += [CandidateMatched(request.task_id, by_coordinator(None), request.capability) for _ in asked]
-    outcome = stricter(copied_policy(state, robot), in_force(state.world.fleet, robot))
+    outcome = stricter(copied_policy(state.knowledge.copy, robot), in_force(state.world.fleet, robot))
     if outcome == "deny":
         return (
             *records,
@@ -205,7 +206,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
         return ()
     return (
         RequestUnanswered(request.subject, by_coordinator(command.robot), request.capability),
-        *released(state.authority.claims.get(request.action_id, ())),
+        *release(state.authority, request.action_id),
     )
 
 
@@ -221,23 +222,13 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
         if claim.reason == AGAIN + request.action_id
     )
     if request.task_id not in state.task:  # given up meanwhile
-        return (*ended, *released(state.authority.claims.get(request.action_id, ())))
+        return (*ended, *release(state.authority, request.action_id))
     return (*ended, _queued(request, request.target or request.requester))
 
 
 def _queued(request: Request, robot: Robot) -> ExecutionQueued:
-    return ExecutionQueued(
-        subject=request.subject,
-        principals=Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=FLEET_SUPERVISOR),
-        robot=robot,
-        on_behalf_of=request.requester,
-        capability=request.capability,
-        step=request.step,
-        attempt=request.attempt,
-        is_delegated=request.is_delegated,
-        has_approach=request.is_delegated,
-        is_supervised=True,
-    )
+    parties = Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=FLEET_SUPERVISOR)
+    return queued(request, parties, robot)
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:

@@ -3,7 +3,7 @@
 from typing import Any
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import Agent, PolicyOutcome, Robot, agent
 from fsar_ledger.events.knowledge import PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.request import ContractQuestioned
@@ -16,7 +16,7 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import is_injected
-from fsar_ledger.runtime.handlers.authority import released as end_claims
+from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled
 from fsar_ledger.runtime.handlers.execution import pause_running
 
@@ -91,18 +91,6 @@ def claims(
         for claimant in claimants
         if (dimension, claimant, reason) not in known
     ]
-
-
-def released(authority: Authority, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:
-    """Release the open claims on the action, all of them or those made for this reason."""
-    return end_claims(
-        claim for claim in authority.claims.get(action_id, ()) if reason is None or claim.reason == reason
-    )
-
-
-def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
-    """End authority over the finished execution."""
-    return released(state.authority, command.action_id)
 
 
 def _first_snapshot(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:

@@ -13,9 +13,9 @@ from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.actors import body, target
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 
-from .agents import released
 from .talk import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION, TO_PLANNING, Said, path, talk
 
 
@@ -80,7 +80,7 @@ def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[
 
 def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
     """Resolve the double booking."""
-    return released(state.authority, command.action_id, "double booking")
+    return release(state.authority, command.action_id, "double booking")
 
 
 def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:

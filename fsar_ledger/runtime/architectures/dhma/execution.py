@@ -4,7 +4,6 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principals, RequestSubject
 from fsar_ledger.events.execution import (
     ExecutionPaused,
-    ExecutionQueued,
     ExecutionWithdrawn,
     OwnStepDecided,
     RoutinePerformed,
@@ -17,7 +16,8 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.actors import requester
-from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.attribution import on_shift, recorded_by
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     BeginStep,
@@ -32,9 +32,9 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     message,
 )
-from fsar_ledger.runtime.handlers.execution import approach, started
+from fsar_ledger.runtime.handlers.execution import approach, queued, started, waiting
 
-from .agents import released, snapshot
+from .agents import snapshot
 from .talk import OWN_STEP, RENEGOTIATION, REPLANNING, path, talk
 
 
@@ -56,8 +56,7 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot, outcome = request.requester, snapshot(state.knowledge, request.requester)
-    supervisor = on_shift(state.fleet, state.world, robot)
-    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=supervisor)
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(*path(robot, ("planning",)))
     if command.action_id not in state.supervision.approved:
         if outcome == "deny":
@@ -73,33 +72,19 @@ def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot = request.requester
-    return (
-        ExecutionQueued(
-            subject=request.subject,
-            principals=Parties(
-                requested_by=robot, executed_by=robot, supervised_by=on_shift(state.fleet, state.world, robot)
-            ),
-            robot=robot,
-            on_behalf_of=robot,
-            capability=request.capability,
-            step=request.step,
-            attempt=request.attempt,
-            is_delegated=False,
-            has_approach=False,
-            is_supervised=True,
-        ),
-    )
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    return (queued(request, parties, robot),)
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the execution, or void the contract if a party's context has changed since the award."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "approaching"):
+    action = waiting(state.execution, command.action_id)
+    if action is None:
         return ()
     request = state.request.get(command.action_id)
     if request is not None and request.is_questioned and command.action_id not in state.supervision.approved:
         return (
-            *released(state.authority, action.action_id),
+            *release(state.authority, action.action_id),
             ContractVoided(action.subject, action.robot),
             ExecutionWithdrawn(action.subject, action.robot),
         )

@@ -17,10 +17,11 @@ from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import parties
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAttempt, Reacts, Scheduled
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted, open_failure
 
-from .agents import claims, planner, released
+from .agents import claims, planner
 from .talk import RECOVERY, Talk, path, talk
 
 DISPUTE = "dispute"
@@ -72,16 +73,8 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
 
 
 def _attempted(fleet: Fleet, world: World, action: Action, recovery: Recovery) -> RecoveryAttempted:
-    return RecoveryAttempted(
-        subject=action.subject,
-        principals=_heard_by(fleet, world, action),
-        robot=action.robot,
-        failure=recovery.failure,
-        number=recovery.number + 1,
-        level="local",
-        deadline_us=recovery.detected_us + fleet.structure.local_budget_us,
-        failed_action=action.action_id,
-    )
+    deadline_us = recovery.detected_us + fleet.structure.local_budget_us
+    return attempted(action, recovery, _heard_by(fleet, world, action), deadline_us)
 
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
@@ -93,7 +86,7 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
         case action, recovery if recovery.number == command.number and recovery.level == "local":
             if attempt_succeeds(state.world, recovery, command):
                 resolved = FailureResolved(action.subject, action.robot, recovery.failure, "local")
-                return (resolved, *released(state.authority, action.action_id, DISPUTE))
+                return (resolved, *release(state.authority, action.action_id, DISPUTE))
             if _is_disputed(state.authority, action.action_id):
                 return (
                     RecoveryAttemptFailed(
@@ -113,7 +106,7 @@ def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
         case action, recovery if recovery.level == "local":
             return (
                 *_escalated(state.fleet, state.world, action, recovery, ("recovery",)),
-                *released(state.authority, action.action_id, DISPUTE),
+                *release(state.authority, action.action_id, DISPUTE),
             )
         case _:
             return ()

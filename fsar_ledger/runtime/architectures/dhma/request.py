@@ -5,7 +5,6 @@ from typing import Any
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, PolicyOutcome, Principal, Robot, agent
-from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
@@ -27,7 +26,7 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.world import World, is_linked
 from fsar_ledger.runtime.handlers.actors import named, requester, target
-from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
+from fsar_ledger.runtime.handlers.attribution import capable, is_idle, pending_of_other_task, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     CloseRequest,
@@ -35,6 +34,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Decides,
     Reacts,
 )
+from fsar_ledger.runtime.handlers.execution import queued
 
 from .agents import snapshot
 from .talk import CALL, EVALUATION, path
@@ -111,14 +111,8 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    robot = request.requester
-    return (
-        GapDetected(
-            request.subject,
-            Parties(requested_by=robot, executed_by=None, supervised_by=on_shift(state.fleet, state.world, robot)),
-            request.capability,
-        ),
-    )
+    parties = _parties(state.fleet, state.world, request, request.requester, None)
+    return (GapDetected(request.subject, parties, request.capability),)
 
 
 def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
@@ -126,9 +120,9 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    robot, supervisor = request.requester, on_shift(state.fleet, state.world, request.requester)
+    robot = request.requester
     candidates = capable(state.fleet, state.registry, request.capability, robot)
-    asking = Parties(requested_by=robot, executed_by=None, supervised_by=supervisor)  # whoever is awarded executes
+    asking = _parties(state.fleet, state.world, request, robot, None)  # whoever is awarded executes
     return (
         RegistryQueried(
             subject=request.subject, principals=asking, capability=request.capability, candidates=candidates
@@ -147,27 +141,14 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot, outcome = command.robot, snapshot(state.knowledge, command.robot)
-    judging = _parties(state.fleet, state.world, request, robot, None).decided(
-        *path(robot, EVALUATION)
-    )  # a candidate is not yet the executor
+    parties = _parties(state.fleet, state.world, request, robot, None)  # a candidate is not yet the executor
+    judging = parties.decided(*path(robot, EVALUATION))
     decided: Event
     if outcome == "deny":
         decided = RequestDenied(request.request_subject, judging, "bid")
     else:
         decided = RequestAdmitted(subject=request.request_subject, principals=judging, outcome=outcome)
-    return (
-        decided,
-        BidSubmitted(
-            request.task_id,
-            Parties(
-                requested_by=request.requester,
-                executed_by=None,
-                supervised_by=on_shift(state.fleet, state.world, robot),
-            ),
-            robot,
-            outcome,
-        ),
-    )
+    return (decided, BidSubmitted(request.task_id, parties, robot, outcome))
 
 
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
@@ -193,17 +174,8 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
         return ()
     if best[1] == "review" and command.action_id not in state.supervision.approved:
         return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
-    return (
-        AwardMade(
-            request.task_id,
-            Parties(
-                requested_by=request.requester,
-                executed_by=None,
-                supervised_by=on_shift(state.fleet, state.world, request.requester),
-            ),
-            best[0],
-        ),
-    )
+    parties = _parties(state.fleet, state.world, request, request.requester, None)
+    return (AwardMade(request.task_id, parties, best[0]),)
 
 
 def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
@@ -262,21 +234,7 @@ def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
         made += [
             _claim(request, "override", agent(robot, kind), "double booking") for kind in ("communication", "execution")
         ]
-    made.append(
-        ExecutionQueued(
-            subject=request.subject,
-            principals=parties,
-            robot=robot,
-            on_behalf_of=request.requester,
-            capability=request.capability,
-            step=request.step,
-            attempt=request.attempt,
-            is_delegated=True,
-            has_approach=True,
-            is_supervised=True,
-        )
-    )
-    return tuple(made)
+    return (*made, queued(request, parties, robot))
 
 
 def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -> AuthorityClaimed:
@@ -285,7 +243,7 @@ def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -
 
 def _parties(fleet: Fleet, world: World, request: Request, near: Robot, executor: Robot | None) -> Parties:
     """Return whom a record of the request names, under the supervisor of the robot that keeps it."""
-    return Parties(requested_by=request.requester, executed_by=executor, supervised_by=on_shift(fleet, world, near))
+    return recorded_by(fleet, world, near, requested_by=request.requester, executed_by=executor)
 
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:

@@ -1,20 +1,19 @@
 """FSAR: authority ends with the execution; a revocation waits for the request boundary. Paper: sec:model:authority."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, REGISTRY, Parties, Principals, RequestSubject, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import PeerRemembered
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued
 from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, PeersMet
-from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.world import is_linked
 from fsar_ledger.runtime.handlers.actors import named, nobody
-from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.authority import released as end_claims
+from fsar_ledger.runtime.handlers.attribution import on_shift, recorded_by
+from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.registry import Query, rejecting_filter
 
@@ -36,16 +35,6 @@ class RememberPeer(Command):
 
     robot: Robot
     peer: Robot
-
-
-def released(authority: Authority, action_id: str) -> tuple[AuthorityReleased, ...]:
-    """Release every open claim on the action."""
-    return end_claims(authority.claims.get(action_id, ()))
-
-
-def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
-    """End authority over the finished execution."""
-    return released(state.authority, command.action_id)
 
 
 def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
@@ -131,9 +120,7 @@ def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: 
     by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
     return RegistryQueried(
         subject=Subject(task_id, task_id),
-        principals=Parties(
-            requested_by=robot, executed_by=peer, supervised_by=on_shift(state.fleet, state.world, robot)
-        ),
+        principals=recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=peer),
         capability=capability,
         candidates=(),
         rejected=(peer,),

@@ -4,7 +4,7 @@ Paper: sec:model:request, phases 1 and 2.
 """
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Principals, Robot
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, PeerSought, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
@@ -14,7 +14,7 @@ from fsar_ledger.projections.registry import Registry, advertisement, offers
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.actors import nobody, requester
-from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, on_shift
+from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, recorded_by
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.registry import Answer, Query, candidates, queried, rejecting_filter
 from fsar_ledger.runtime.handlers.trust import trusts
@@ -115,11 +115,7 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     return (
         GapDetected(
             request.subject,
-            Parties(
-                requested_by=request.requester,
-                executed_by=None,
-                supervised_by=on_shift(state.fleet, state.world, request.requester),
-            ),
+            recorded_by(state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=None),
             request.capability,
         ),
         *found,
@@ -154,10 +150,9 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
 def unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | None = None) -> RequestUnanswered:
     """Record that nobody is known to ask, or that this executor did not answer."""
     robot = request.requester
-    supervisor = on_shift(fleet, world, robot)
     return RequestUnanswered(
         request.subject,
-        Principals(decided_by=robot, requested_by=robot, executed_by=executor, supervised_by=supervisor, path=(robot,)),
+        recorded_by(fleet, world, robot, requested_by=robot, executed_by=executor).decided(robot),
         request.capability,
     )
 

@@ -1,11 +1,10 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY, Parties, PolicyOutcome, Principal, Principals, Robot
+from fsar_ledger.events.envelope import POLICY, PolicyOutcome, Principal, Principals, Robot
 from fsar_ledger.events.execution import (
     ExecutionHeld,
     ExecutionPaused,
-    ExecutionQueued,
     OwnStepDecided,
     RoutinePerformed,
     RoutineWithheld,
@@ -14,13 +13,13 @@ from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.execution import Action, Execution, in_hand
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, in_force
 from fsar_ledger.runtime.handlers.actors import named, requester
 from fsar_ledger.runtime.handlers.admissibility import holding
-from fsar_ledger.runtime.handlers.attribution import on_shift, supervisor_of
+from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
@@ -32,7 +31,7 @@ from fsar_ledger.runtime.handlers.commands import (
     StartAction,
     message,
 )
-from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, start_action, started
+from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, queued, start_action, started
 from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_policy
 
 
@@ -56,27 +55,22 @@ def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot = request.requester
-    supervisor = on_shift(state.fleet, state.world, robot)
-    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=supervisor)
-    return (
-        OwnStepDecided(
-            request.subject,
-            parties.decided(robot),
-            request.capability,
-        ),
-        ExecutionQueued(
-            subject=request.subject,
-            principals=parties,
-            robot=robot,
-            on_behalf_of=robot,
-            capability=request.capability,
-            step=request.step,
-            attempt=request.attempt,
-            is_delegated=False,
-            has_approach=False,
-            is_supervised=True,
-        ),
-    )
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    decided = OwnStepDecided(request.subject, parties.decided(robot), request.capability)
+    return (decided, queued(request, parties, robot))
+
+
+def ready(execution: Execution, action_id: str) -> Action | None:
+    """Return the action if it has its robot and may be started, or None."""
+    action = execution.actions.get(action_id)
+    if (
+        action is None
+        or action.stage not in ("queued", "approaching", "held", "polling", "preempted")
+        or not holds_robot(execution, action)
+        or (action.stage == "preempted" and action.has_approach)  # it has to come back first
+    ):
+        return None
+    return action
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
@@ -87,14 +81,8 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
 
     Paper: sec:architecture:fleet (never a silent override).
     """
-    action = state.execution.actions.get(command.action_id)
-    if (
-        action is None
-        or action.stage not in ("queued", "approaching", "held", "polling", "preempted")
-        or not holds_robot(state.execution, action)
-    ):
-        return ()
-    if action.stage == "preempted" and action.has_approach:  # it has to come back first
+    action = ready(state.execution, command.action_id)
+    if action is None:
         return ()
     local, rule = holding(state, action)
     if local != "allow":
@@ -122,7 +110,7 @@ def _held(
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; a motion only if the robot's policy and the fleet's rule are clear."""
     robot = command.robot
-    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state.fleet, state.world, robot))
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(robot)
     if command.operation == "motion" and (
         own_policy(state.policy, state.world, robot, None, None) != "allow"
@@ -168,7 +156,7 @@ def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: in
 
 def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
     """Start what the robot's own policy held, if nothing holds it any more."""
-    action = state.execution.actions.get(state.execution.current.get(robot, ""))
+    action = in_hand(state.execution, robot)
     if action is None or action.stage != "held" or holding(state, action)[0] != "allow":
         return ()
     return (start_action(action.action_id, action.capability),)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import Parties, PolicyOutcome, Robot
+from fsar_ledger.events.envelope import PolicyOutcome, Robot
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.projections.authority import Authority, right_of
 from fsar_ledger.projections.execution import Action, Execution
@@ -32,7 +32,7 @@ from fsar_ledger.runtime.handlers.attribution import (
     is_reachable,
     kin,
     means,
-    on_shift,
+    recorded_by,
     stand_ins,
 )
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
@@ -92,10 +92,8 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
     return (
         RegistryQueried(
             subject=action.subject,
-            principals=Parties(
-                requested_by=action.robot,
-                executed_by=action.executed_by,
-                supervised_by=on_shift(state.fleet, state.world, action.robot),
+            principals=recorded_by(
+                state.fleet, state.world, action.robot, requested_by=action.robot, executed_by=action.executed_by
             ),
             capability=family(action.capability),
             candidates=fit,

@@ -4,7 +4,7 @@ A failure creates no authority: the trust and the policy from before it decide w
 """
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, Parties, Principals, RecoveryLevel, Robot
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, Principals, RecoveryLevel, Robot
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -13,7 +13,6 @@ from fsar_ledger.events.recovery import (
     FailureResolved,
     ReassignmentDecided,
     RecoveryAttempted,
-    RecoveryAttemptFailed,
     RecoveryEscalated,
     TaskStateTransferred,
 )
@@ -24,11 +23,10 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.task import checkpoint
-from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers import recovery as shared
 from fsar_ledger.runtime.handlers.actors import body, nobody
-from fsar_ledger.runtime.handlers.attribution import is_cross_robot, on_shift, parties, supervisor_of
+from fsar_ledger.runtime.handlers.attribution import is_cross_robot, parties, recorded_by, supervisor_of
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
@@ -41,10 +39,16 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     message,
 )
-from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succeeds, budget, open_failure
+from fsar_ledger.runtime.handlers.recovery import (
+    attempt_failed,
+    attempt_succeeds,
+    attempted,
+    budget,
+    end_of_attempt,
+    open_failure,
+)
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 
-from .authority import released
 from .availability import found_silent
 from .helpers import Found, peer, peer_query, reassignee
 
@@ -110,19 +114,6 @@ def _escalated(
     )
 
 
-def _attempted(fleet: Fleet, world: World, action: Action, recovery: Recovery, deadline_us: int) -> RecoveryAttempted:
-    return RecoveryAttempted(
-        subject=action.subject,
-        principals=parties(fleet, world, action).decided(action.robot),
-        robot=action.robot,
-        failure=recovery.failure,
-        number=recovery.number + 1,
-        level="local",
-        deadline_us=deadline_us,
-        failed_action=action.action_id,
-    )
-
-
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """Start the robot's own recovery, if it may; without layered recovery, call H_F at once.
 
@@ -138,7 +129,7 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
             deadline_us = recovery.detected_us + allowed.t_max_us
             if allowed.n_max == 0 or command.now_us >= deadline_us:
                 return (_escalated(action, recovery, by_robot, "peer", EXHAUSTED),)
-            return (_attempted(state.fleet, state.world, action, recovery, deadline_us),)
+            return (attempted(action, recovery, by_robot, deadline_us),)
         case _:
             return ()
 
@@ -149,21 +140,11 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
         case action, recovery if recovery.number == command.number and recovery.level == "local":
             if attempt_succeeds(state.world, recovery, command):
                 return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
-            result, achieved = attempt_result(state.registry, state.world, action, recovery)
-            failed = RecoveryAttemptFailed(
-                subject=action.subject,
-                robot=action.robot,
-                failure=recovery.failure,
-                number=command.number,
-                result=result,
-                achieved=achieved,
-            )
-            if (
-                recovery.number < budget(state.budget, state.fleet, action.robot, "local").n_max
-                and command.now_us < recovery.deadline_us
-            ):
-                return (failed, _attempted(state.fleet, state.world, action, recovery, recovery.deadline_us))
+            failed = attempt_failed(state.registry, state.world, action, recovery)
             by_robot = parties(state.fleet, state.world, action).decided(action.robot)
+            allowed = budget(state.budget, state.fleet, action.robot, "local")
+            if recovery.number < allowed.n_max and command.now_us < recovery.deadline_us:
+                return (failed, attempted(action, recovery, by_robot, recovery.deadline_us))
             return (failed, _escalated(action, recovery, by_robot, "peer", EXHAUSTED))
         case _:
             return ()
@@ -198,10 +179,8 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
                     _escalated(action, recovery, by_service, "fleet", reason),
                     *found_silent(state.fleet, state.registry, silent),
                 )
-            admitting = Parties(
-                requested_by=action.requested_by,
-                executed_by=action.executed_by,
-                supervised_by=on_shift(state.fleet, state.world, helper),
+            admitting = recorded_by(
+                state.fleet, state.world, helper, requested_by=action.requested_by, executed_by=action.executed_by
             )
             return (
                 *query,
@@ -280,17 +259,15 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
     done = state.task[action.task_id].steps[: action.step - 1]
     return (
         FailureResolved(action.subject, action.robot, recovery.failure, "fleet"),
-        *released(state.authority, action.action_id),
+        *release(state.authority, action.action_id),
         ExecutionWithdrawn(action.subject, action.robot),
         TaskStateTransferred(
             subject=action.subject, robot=action.robot, helper=helper, checkpoint=resume_at, completed=done
         ),
         ExecutionQueued(
             subject=action.subject,
-            principals=Parties(
-                requested_by=action.on_behalf_of,
-                executed_by=helper,
-                supervised_by=on_shift(state.fleet, state.world, helper),
+            principals=recorded_by(
+                state.fleet, state.world, helper, requested_by=action.on_behalf_of, executed_by=helper
             ),
             robot=helper,
             on_behalf_of=action.on_behalf_of,
@@ -334,13 +311,7 @@ def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Sc
 
 
 def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
-    key = f"{event.failed_action}/{event.failure}/{event.number}"
-    end = EndAttempt(event.failed_action, event.number)
-    return (
-        Scheduled(
-            end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)
-        ),
-    )
+    return (end_of_attempt(state.fleet, event),)
 
 
 def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
@@ -391,7 +362,6 @@ def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Sched
 
 
 DECIDES: Decides = {
-    **shared.DECIDES,
     StartRecovery: start_recovery,
     EndAttempt: end_attempt,
     AskPeers: ask_peers,

@@ -6,12 +6,10 @@ from fsar_ledger.events.envelope import (
     COORDINATION,
     FLEET_SUPERVISOR,
     Parties,
-    Principals,
     RequestSubject,
     Robot,
-    Subject,
 )
-from fsar_ledger.events.execution import ApproachStarted, ExecutionPreempted, ExecutionQueued
+from fsar_ledger.events.execution import ApproachStarted, ExecutionPreempted
 from fsar_ledger.events.request import (
     RequestAccepted,
     RequestAdmitted,
@@ -32,7 +30,7 @@ from fsar_ledger.projections.task import Tasks
 from fsar_ledger.projections.world import World, stricter
 from fsar_ledger.runtime.handlers.actors import asked, nobody, relay, requester
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
-from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     CloseRequest,
@@ -41,7 +39,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Reacts,
     TakeTurn,
 )
-from fsar_ledger.runtime.handlers.execution import holds_robot
+from fsar_ledger.runtime.handlers.execution import holds_robot, queued
 from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
 from fsar_ledger.runtime.handlers.trust import trusts
@@ -94,19 +92,13 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     if not request.candidates:
         return (unanswered(state.fleet, state.world, request),)
     robot, executor = request.requester, request.candidates[0]
-    carried = own_policy(state.policy, state.world, robot, request.capability, request.task_id)
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=executor)
     return (
         RequestIssued(
             subject=request.request_subject,
-            principals=Principals(
-                decided_by=robot,
-                requested_by=robot,
-                executed_by=executor,
-                supervised_by=on_shift(state.fleet, state.world, robot),
-                path=(robot,),
-            ),
+            principals=parties.decided(robot),
             capability=request.capability,
-            carried_policy=carried,
+            carried_policy=own_policy(state.policy, state.world, robot, request.capability, request.task_id),
             relay=request.relay,
         ),
     )
@@ -120,10 +112,8 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     if request.silent:  # too late, as of an executor
         return report_back(state, ReportBack(request.silent[0]))
     relay, about = request.relay, (request.capability, request.task_id)
-    parties = Parties(
-        requested_by=request.requester,
-        executed_by=request.candidates[0],
-        supervised_by=on_shift(state.fleet, state.world, relay),
+    parties = recorded_by(
+        state.fleet, state.world, relay, requested_by=request.requester, executed_by=request.candidates[0]
     )
     subject, principals = request.request_subject, parties.decided(request.requester, relay)
     if not trusts(state, relay, request.requester, *about):
@@ -155,12 +145,10 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
         return ()
     executor = request.candidates[0]
     if not command.approves:
-        return (
-            RequestDenied(request.request_subject, _principals(state.fleet, state.world, request, executor), "review"),
-        )
-    return _judged(
-        state, request, evaluate(state, request, executor, is_reviewed=True), command.now_us, is_reviewed=True
-    )
+        by_executor = _parties(state.fleet, state.world, request, executor).decided(executor)
+        return (RequestDenied(request.request_subject, by_executor, "review"),)
+    found = evaluate(state, request, executor, is_reviewed=True)
+    return _judged(state, request, found, command.now_us, is_reviewed=True)
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
@@ -199,7 +187,8 @@ def _judged(
     state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False
 ) -> tuple[Event, ...]:
     executor = request.candidates[0]
-    subject, principals = request.request_subject, _principals(state.fleet, state.world, request, executor)
+    subject = request.request_subject
+    principals = _parties(state.fleet, state.world, request, executor).decided(executor)
     if found.verdict == "reject":
         clash = (
             conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability)
@@ -218,12 +207,7 @@ def _judged(
 
 def _parties(fleet: Fleet, world: World, request: Request, executor: Robot) -> Parties:
     """Return whom the record of what the executor does with the request names."""
-    return Parties(requested_by=request.requester, executed_by=executor, supervised_by=on_shift(fleet, world, executor))
-
-
-def _principals(fleet: Fleet, world: World, request: Request, executor: Robot) -> Principals:
-    """Return the principals of what the executor decides about the request."""
-    return _parties(fleet, world, request, executor).decided(executor)
+    return recorded_by(fleet, world, executor, requested_by=request.requester, executed_by=executor)
 
 
 def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
@@ -241,31 +225,16 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
         override=found.override,
         is_audited=found.is_audited,
     )
-    queued = ExecutionQueued(
-        subject=request.subject,
-        principals=parties,
-        robot=executor,
-        on_behalf_of=request.requester,
-        capability=request.capability,
-        step=request.step,
-        attempt=request.attempt,
-        is_delegated=True,
-        has_approach=True,
-        is_supervised=True,
-        override=found.override,
-    )
+    waiting = queued(request, parties, executor, found.override)
     if found.verdict == "defer":
-        return (admitted, RequestDeferred(request.request_subject, principals), queued)
+        return (admitted, RequestDeferred(request.request_subject, principals), waiting)
     interrupted = preemptible(state.execution, executor, found.override)
     if interrupted is None:
-        return (admitted, queued)
+        return (admitted, waiting)
     remaining_us = {"running": max(0, interrupted.ends_us - now_us), "paused": interrupted.remaining_us}.get(
         interrupted.stage
     )
-    preempted = ExecutionPreempted(
-        Subject(interrupted.task_id, interrupted.action_id), executor, request.action_id, remaining_us
-    )
-    return (admitted, preempted, queued)
+    return (admitted, ExecutionPreempted(interrupted.subject, executor, request.action_id, remaining_us), waiting)
 
 
 def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
@@ -283,9 +252,7 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
         for claim in state.authority.claims.get(action.action_id, ())
     ):
         return (approach,)
-    parties = Parties(
-        requested_by=action.requested_by, executed_by=robot, supervised_by=on_shift(state.fleet, state.world, robot)
-    )
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=action.requested_by, executed_by=robot)
     return (
         RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
         AuthorityClaimed(action.subject, "execution", robot, "acceptance"),
@@ -299,10 +266,8 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    parties = Parties(
-        requested_by=request.requester,
-        executed_by=request.target,
-        supervised_by=on_shift(state.fleet, state.world, request.requester),
+    parties = recorded_by(
+        state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=request.target
     )
     return (RequestClosed(request.request_subject, parties.decided(COORDINATION), request.result or "success"),)
 
