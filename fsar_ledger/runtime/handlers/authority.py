@@ -22,7 +22,6 @@ from fsar_ledger.events.envelope import (
     OverrideLevel,
     Principal,
     Robot,
-    Subject,
     Supervisor,
 )
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -94,14 +93,14 @@ def release(authority: Authority, action_id: str, reason: str | None = None) -> 
     return released(claim for claim in claims if reason is None or claim.reason == reason)
 
 
+def made_for(authority: Authority, reason: str) -> list[AuthorityClaimed]:
+    """Return the open claims on any action that were made for this reason."""
+    return [claim for claims in authority.claims.values() for claim in claims if claim.reason == reason]
+
+
 def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...]:
     """Release each of these claims."""
-    return tuple(
-        AuthorityReleased(
-            Subject(claim.subject.task_id, claim.subject.action_id), claim.dimension, claim.claimant, claim.reason
-        )
-        for claim in claims
-    )
+    return tuple(AuthorityReleased(claim.subject, claim.dimension, claim.claimant, claim.reason) for claim in claims)
 
 
 def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:

@@ -22,7 +22,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.authority import released
+from fsar_ledger.runtime.handlers.authority import made_for, released
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
@@ -93,36 +93,28 @@ def _held(authority: Authority, requests: Requests, robot: Robot) -> list[str]:
 
 def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
     """Release what the local supervisor watched over in this window."""
-    return released(
-        claim for claims in state.authority.claims.values() for claim in claims if claim.reason == command.window
-    )
+    return released(made_for(state.authority, command.window))
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; withhold a motion that the last copy of policy or rule forbids."""
     robot = command.robot
     principals = Parties(requested_by=robot, executed_by=robot, supervised_by=FLEET_SUPERVISOR).decided(robot)
-    if command.operation == "motion" and "deny" in (
-        copied_policy(state.knowledge.copy, robot),
-        copied_rule(state.knowledge.copy, robot),
-    ):
+    copy = state.knowledge.copy
+    if command.operation == "motion" and "deny" in (copied_policy(copy, robot), copied_rule(copy, robot)):
         return (RoutineWithheld(principals, robot, command.operation),)
     return (RoutinePerformed(principals, robot, command.operation),)
 
 
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
     paused = pause_running(state, event, now_us)
-    return (
-        (*paused, Scheduled(SafeStop(event.robot, event.window)))
-        if _held(state.authority, state.request, event.robot)
-        else paused
-    )
+    if not _held(state.authority, state.request, event.robot):
+        return paused
+    return (*paused, Scheduled(SafeStop(event.robot, event.window)))
 
 
 def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> tuple[Scheduled, ...]:
-    if any(claim.reason == event.window for claims in state.authority.claims.values() for claim in claims):
-        return (Scheduled(EndWatch(event.window)),)
-    return ()
+    return (Scheduled(EndWatch(event.window)),) if made_for(state.authority, event.window) else ()
 
 
 def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:

@@ -170,16 +170,19 @@ def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
     return assistance.end_assistance(state, command, "fleet")
 
 
-def _key(event: ExecutionFailed | AssistanceDeclined | AssistanceFailed | AssistanceRequested, action_id: str) -> str:
-    return f"{action_id}/{event.failure}"
+def _report(
+    event: ExecutionFailed | RecoveryAttemptFailed | AssistanceDeclined | AssistanceFailed,
+    sender: Robot,
+    item: str,
+    hop: str,
+) -> tuple[Scheduled, ...]:
+    """Schedule the robot's word to the coordinator about this failure."""
+    action_id = event.subject.action_id
+    return (to_coordinator(action_id, item, message(sender, f"{action_id}/{event.failure}", hop)),)
 
 
 def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        to_coordinator(
-            event.subject.action_id, "failure", message(event.robot, _key(event, event.subject.action_id), "report")
-        ),
-    )
+    return _report(event, event.robot, "failure", "report")
 
 
 def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -189,17 +192,11 @@ def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[
 
 
 def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        to_coordinator(
-            event.subject.action_id,
-            "retry-failed",
-            message(event.robot, f"{event.subject.action_id}/{event.failure}", "retry-report"),
-        ),
-    )
+    return _report(event, event.robot, "retry-failed", "retry-report")
 
 
 def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
-    order = message(COORDINATOR, _key(event, event.failed_action), f"order/{event.helper}")
+    order = message(COORDINATOR, f"{event.failed_action}/{event.failure}", f"order/{event.helper}")
     late = GoOnWithoutHelp(event.failed_action, event.helper, event.failure)
     return (
         Scheduled(ReachHelper(event.failed_action, event.helper), 0, (order,)),
@@ -208,13 +205,7 @@ def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[S
 
 
 def _on_decline(_state: State, event: AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        to_coordinator(
-            event.subject.action_id,
-            "declined",
-            message(event.helper, _key(event, event.subject.action_id), f"decline/{event.helper}"),
-        ),
-    )
+    return _report(event, event.helper, "declined", f"decline/{event.helper}")
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -222,13 +213,7 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
 
 
 def _on_no_help(_state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        to_coordinator(
-            event.subject.action_id,
-            "no help",
-            message(event.helper, _key(event, event.subject.action_id), f"no help/{event.helper}"),
-        ),
-    )
+    return _report(event, event.helper, "no help", f"no help/{event.helper}")
 
 
 DECIDES: Decides = {

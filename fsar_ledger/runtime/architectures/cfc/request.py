@@ -31,7 +31,7 @@ from fsar_ledger.projections.request import Request, Requests
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.actors import named, nobody, target
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
-from fsar_ledger.runtime.handlers.authority import release, released
+from fsar_ledger.runtime.handlers.authority import made_for, release, released
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     CloseExecution,
@@ -112,32 +112,17 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     candidates = tuple(robot for robot in asked if robot not in request.silent) or asked
     idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
     robot = idle[0] if idle else candidates[0]
+    unnamed = RequestSubject(request.task_id, None, None)
     records: list[Event] = []
     if request.is_delegated and command.item == "step":
-        records.append(
-            RequestIssued(
-                subject=RequestSubject(request.task_id, None, None),
-                principals=by_coordinator(robot),
-                capability=request.capability,
-            )
-        )
+        records.append(RequestIssued(subject=unnamed, principals=by_coordinator(robot), capability=request.capability))
         records += [CandidateMatched(request.task_id, by_coordinator(None), request.capability) for _ in asked]
     outcome = stricter(copied_policy(state.knowledge.copy, robot), in_force(state.world.fleet, robot))
     if outcome == "deny":
-        return (
-            *records,
-            RequestDenied(RequestSubject(request.task_id, None, None), by_coordinator(robot), "policy"),
-        )
+        return (*records, RequestDenied(unnamed, by_coordinator(robot), "policy"))
     if outcome == "review" and command.action_id not in state.supervision.approved:
-        return (
-            *records,
-            SupervisorCalled(
-                subject=Subject(request.task_id, command.action_id),
-                supervisor=FLEET_SUPERVISOR,
-                purpose="review",
-                robot=robot,
-            ),
-        )
+        called = SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review", robot=robot)
+        return (*records, called)
     return (*records, *_commanded(request, robot, not idle))
 
 
@@ -153,13 +138,12 @@ def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...
 
 
 def _commanded(request: Request, robot: Robot, seen_busy: bool) -> tuple[Event, ...]:
-    task_id, action_id = request.task_id, request.action_id
     claims = (
-        AuthorityClaimed(Subject(task_id, action_id), "execution", COORDINATOR, "command"),
-        AuthorityClaimed(Subject(task_id, action_id), "override", COORDINATOR, "command"),
+        AuthorityClaimed(request.subject, "execution", COORDINATOR, "command"),
+        AuthorityClaimed(request.subject, "override", COORDINATOR, "command"),
     )
     if not request.is_delegated:
-        decided = OwnStepDecided(Subject(task_id, None), by_coordinator(robot), request.capability)
+        decided = OwnStepDecided(Subject(request.task_id, None), by_coordinator(robot), request.capability)
         return (decided, *claims)
     subject, principals = request.request_subject, _commanding(robot)
     deferred = (RequestDeferred(subject, principals),) if seen_busy else ()
@@ -182,19 +166,16 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
 
     H_F is asked only when the coordinator's copy did not show the robot as taken.
     """
-    request = state.request.get(command.action_id)
-    robot = command.robot
-    if (
-        request is None or request.is_received or robot != (request.target or request.requester)
-    ):  # taken back, or a second one
-        return ()
+    request, robot = state.request.get(command.action_id), command.robot
+    if request is None or request.is_received or robot != (request.target or request.requester):
+        return ()  # taken back, or a second one
     is_second = request.is_delegated and not request.seen_busy
     running = pending_of_other_task(state.execution, robot, request.task_id) if is_second else None
     if running is None:
         return (_queued(request, robot),)
-    task_id = state.execution.actions[running].task_id
+    other = state.execution.actions[running].subject
     return (
-        AuthorityClaimed(Subject(task_id, running), "execution", request.requester, AGAIN + request.action_id),
+        AuthorityClaimed(other, "execution", request.requester, AGAIN + request.action_id),
         SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="ordering"),
     )
 
@@ -215,12 +196,7 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    ended = released(
-        claim
-        for claims in state.authority.claims.values()
-        for claim in claims
-        if claim.reason == AGAIN + request.action_id
-    )
+    ended = released(made_for(state.authority, AGAIN + request.action_id))
     if request.task_id not in state.task:  # given up meanwhile
         return (*ended, *release(state.authority, request.action_id))
     return (*ended, _queued(request, request.target or request.requester))

@@ -5,7 +5,7 @@ Paper: sec:evaluation:baselines.
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import AgentKind, Parties, RequestSubject, Subject, agent
+from fsar_ledger.events.envelope import AgentKind, Parties, agent
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.request import RequestAdmitted, RequestIssued
 from fsar_ledger.events.world import OutsiderRequestInjected
@@ -72,7 +72,7 @@ def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[
         return ()
     sender = agent(action.robot, command.sender)
     return tuple(
-        AuthorityReleased(Subject(claim.subject.task_id, claim.subject.action_id), "execution", sender, claim.reason)
+        AuthorityReleased(claim.subject, "execution", sender, claim.reason)
         for claim in state.authority.claims.get(command.action_id, ())
         if (claim.dimension, claim.claimant) == ("execution", sender)
     )
@@ -88,14 +88,13 @@ def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
-    task_id, robot, peer = request.task_id, request.requester, request.target
-    subject = RequestSubject(task_id, task_id, task_id)
+    robot, peer, subject = request.requester, request.target, request.request_subject
     unnamed = Parties(requested_by=robot, executed_by=None, supervised_by=None)
     return (
         RequestIssued(subject=subject, principals=unnamed.decided(*path(robot, CALL)), capability=request.capability),
         RequestAdmitted(subject=subject, principals=unnamed.decided(*path(peer, ("communication",))), outcome="allow"),
         ExecutionQueued(
-            subject=Subject(task_id, task_id),
+            subject=request.subject,
             principals=unnamed,
             robot=peer,
             on_behalf_of=robot,

@@ -1,7 +1,7 @@
 """DHMA: the robot's agents plan, start and repair execution among themselves. Paper: sec:evaluation:baselines."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principals, RequestSubject
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, RequestSubject
 from fsar_ledger.events.execution import (
     ExecutionPaused,
     ExecutionWithdrawn,
@@ -16,7 +16,7 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.actors import requester
-from fsar_ledger.runtime.handlers.attribution import on_shift, recorded_by
+from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
@@ -96,18 +96,11 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
 
     A motion engages the planner; the planner and the execution agent each record a half of it.
     """
-    robot, supervisor = command.robot, on_shift(state.fleet, state.world, command.robot)
+    robot = command.robot
     if command.operation == "sensing":
-        return (
-            RoutinePerformed(
-                Principals(
-                    decided_by=robot, requested_by=robot, executed_by=robot, supervised_by=supervisor, path=(robot,)
-                ),
-                robot,
-                "sensing",
-            ),
-        )
-    parties = Parties(requested_by=robot, executed_by=None, supervised_by=supervisor)
+        own = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+        return (RoutinePerformed(own.decided(robot), robot, "sensing"),)
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
     kind = RoutinePerformed if snapshot(state.knowledge, robot) == "allow" else RoutineWithheld
     return (
         kind(parties.decided(*path(robot, ("planning",))), robot, "motion"),

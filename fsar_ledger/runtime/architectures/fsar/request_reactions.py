@@ -1,8 +1,6 @@
 """FSAR: what follows when something happens to a request."""
 
-from fsar_ledger.events.envelope import (
-    REGISTRY,
-)
+from fsar_ledger.events.envelope import REGISTRY
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
