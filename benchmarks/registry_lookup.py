@@ -65,7 +65,7 @@ def scanned(state: State, records: list[Advertisement], query: Query) -> str:
         record for record in records if record.capability == query.capability and record.robot != query.requester
     ]
     admissible = [record.robot for record in matching if rejecting_filter(state, query, record) is None]
-    return nearest_first(state, admissible, query.requester)[0]
+    return nearest_first(state.fleet, admissible, query.requester)[0]
 
 
 def looked_up(state: State, query: Query) -> str:

@@ -144,9 +144,11 @@ def robot_of(agent: Agent) -> Robot:
     return Robot("robot/" + agent.split("/")[1])
 
 
-def as_robot(requester: Principal) -> Robot:
-    """Return the requester of a record that only robots request, as a robot."""
-    return Robot(requester)
+def as_robot(principal: Principal) -> Robot:
+    """Return the principal as the robot that it is. Raises: ValueError where it is none."""
+    if not principal.startswith("robot/"):
+        raise ValueError(f"found the principal {principal!r}, expected a robot such as 'robot/A1'")
+    return Robot(principal)
 
 
 # Open text, in an event (`RunStarted`) and everywhere: the experiment checks it against what is registered.

@@ -96,6 +96,11 @@ class Execution(msgspec.Struct, frozen=True, gc=False):
 INITIAL = Execution()
 
 
+def in_hand(state: Execution, robot: Robot) -> Action | None:
+    """Return the action that holds the robot, or None where nothing does or it helps with one."""
+    return state.actions.get(state.current.get(robot, ""))
+
+
 def evolve(state: Execution, event: HANDLES) -> Execution:
     """Return the robots and actions after the event."""
     match event:

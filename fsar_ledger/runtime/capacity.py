@@ -13,8 +13,7 @@ from math import ceil
 from typing import NamedTuple
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.designs import Fleet, Workflow
-from fsar_ledger.designs.registered import fleet as registered_fleet
+from fsar_ledger.designs import Fleet, Workflow, registered
 from fsar_ledger.events.configuration import Configuration, lacks
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 
@@ -62,7 +61,7 @@ def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
 @lru_cache(maxsize=4)
 def _founding_of_robot(fleet: Fleet | None) -> int:
     """Return how many events found a robot, at most: it joins, and each capability is installed and advertised."""
-    return 1 + 2 * max(len(robot.capabilities) for robot in (fleet or registered_fleet()).robots)
+    return 1 + 2 * max(len(robot.capabilities) for robot in (fleet or registered.fleet()).robots)
 
 
 def growth_of(architecture: str) -> Growth:

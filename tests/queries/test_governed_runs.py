@@ -64,7 +64,7 @@ def audited(structure: Any = FSAR) -> dict[str, int]:
 def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
     """FSAR's handler without its look at policy."""
     return (
-        (has_started(state, state.execution.actions[command.action_id], command),)
+        (has_started(state.fleet, state.world, state.execution.actions[command.action_id], command),)
         if start_as_fsar(state, command)
         else ()
     )

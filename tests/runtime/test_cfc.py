@@ -249,8 +249,8 @@ def test_the_copy_shows_the_robots_as_they_are_at_the_sync() -> None:
 def test_the_next_sync_is_never_now() -> None:
     state = given("cfc")
     period = state.fleet.structure.sync_period_us
-    assert until_next_sync_us(state, period) == period + 1
-    assert until_next_sync_us(state, period - 1) == 2
+    assert until_next_sync_us(state.fleet, state.knowledge, period) == period + 1
+    assert until_next_sync_us(state.fleet, state.knowledge, period - 1) == 2
 
 
 def test_a_step_given_up_before_the_coordinator_comes_to_it_is_denied_by_the_coordinator() -> None:

@@ -45,7 +45,7 @@ def test_the_teams_of_robots_that_join_later_are_as_far_away_as_their_numbers_sa
         *(RobotJoined(robot=Robot(f"robot/E{team}"), role="E", team=team, supervisor=None) for team in (2, 3, 4)),
     )
     near = [Robot(f"robot/{name}") for name in ("B1", "E2", "E3", "E4")]
-    assert nearest_first(state, near, Robot("robot/E3")) == ("robot/E3", "robot/E4", "robot/B1", "robot/E2")
+    assert nearest_first(state.fleet, near, Robot("robot/E3")) == ("robot/E3", "robot/E4", "robot/B1", "robot/E2")
 
 
 def test_a_robot_without_a_supervisor_of_its_own_may_join() -> None:

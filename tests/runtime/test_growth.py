@@ -95,9 +95,9 @@ def test_robots_of_other_teams_on_the_floor_are_in_the_way_as_often_as_there_are
 def test_candidates_are_of_the_own_team_then_of_the_floor_then_of_other_floors() -> None:
     state = fold(founding(32))
     doors = [Robot(f"robot/B{team}") for team in range(1, 9)]
-    order = [int(name[7:]) for name in nearest_first(state, doors, Robot("robot/A3"))]
+    order = [int(name[7:]) for name in nearest_first(state.fleet, doors, Robot("robot/A3"))]
     assert order == [3, 4, 1, 2, 5, 6, 7, 8]
-    assert [int(name[7:]) for name in nearest_first(fold(founding(16)), doors[:4], Robot("robot/A3"))] == [
+    assert [int(name[7:]) for name in nearest_first(fold(founding(16)).fleet, doors[:4], Robot("robot/A3"))] == [
         3,
         4,
         1,

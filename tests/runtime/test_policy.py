@@ -136,7 +136,10 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
     )
     apply(state, event)
     apply(state, RobotJoined(robot=Robot("robot/B7"), role="B", team=7, supervisor=None, domain="hall"))
-    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, Robot("robot/B7"), Robot("robot/B8"), A)] == [
+    assert [
+        fleet_policy(state.knowledge, state.policy, robot, DOOR, None)
+        for robot in (B, Robot("robot/B7"), Robot("robot/B8"), A)
+    ] == [
         "allow",
         "deny",
         "deny",
@@ -145,7 +148,8 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
     [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
     apply(state, event)
     assert [
-        fleet_policy(state, robot, DOOR, None) for robot in (B, *(Robot(f"robot/B{team}") for team in (7, 8, 9)))
+        fleet_policy(state.knowledge, state.policy, robot, DOOR, None)
+        for robot in (B, *(Robot(f"robot/B{team}") for team in (7, 8, 9)))
     ] == [
         "allow",
         "deny",
@@ -210,7 +214,8 @@ def test_composition_is_the_strictest_of_all_parts_so_that_allow_loosens_nothing
 def test_a_rule_about_a_capability_or_a_task_leaves_others_alone() -> None:
     state = given("fsar", rule("deny", capability=DOOR, context="A1-1"))
     assert [
-        own_policy(state, B, *about) for about in ((DOOR, "A1-1"), (DOOR, "A1-2"), ("door.open.basic", "A1-1"))
+        own_policy(state.policy, state.world, B, *about)
+        for about in ((DOOR, "A1-1"), (DOOR, "A1-2"), ("door.open.basic", "A1-1"))
     ] == ["deny", "allow", "allow"]
 
 

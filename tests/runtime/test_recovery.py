@@ -91,8 +91,8 @@ def test_a_robots_own_budget_replaces_the_fleets() -> None:
         "peer",
         "budget exhausted",
     )
-    assert budget(state, A, "local").n_max == 1
-    assert budget(state, B, "local").n_max == Constants().structure.local_attempts
+    assert budget(state.budget, state.fleet, A, "local").n_max == 1
+    assert budget(state.budget, state.fleet, B, "local").n_max == Constants().structure.local_attempts
 
 
 @pytest.mark.parametrize("spent", [(0, 2), (30_000_000, 0)])

@@ -12,14 +12,14 @@ import msgspec
 
 from fsar_ledger.events.authority import AuthorityGranted, AuthorityRevoked
 from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Robot, TrustScope
-from fsar_ledger.projections.authority import Later, rank, right_of
-from fsar_ledger.projections.execution import INTERRUPTING, Action
+from fsar_ledger.projections.authority import Authority, Later, rank, right_of
+from fsar_ledger.projections.execution import INTERRUPTING, Action, Execution, in_hand
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.policy import ruled
-from fsar_ledger.projections.registry import advertisement, possesses
+from fsar_ledger.projections.policy import Policy, ruled
+from fsar_ledger.projections.registry import Registry, advertisement, possesses
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.trust import covers, scope_of
-from fsar_ledger.projections.world import stricter
+from fsar_ledger.projections.world import World, stricter
 
 from .attribution import is_idle
 from .policy import compose, fleet_policy, is_ruled_out, own_policy
@@ -72,12 +72,15 @@ def evaluate(state: State, request: Request, executor: Robot, is_reviewed: bool 
         return Evaluation("reject", conjunct, trust, conjunct not in ("trust", "authority"), False, "none")
     asked: OverrideLevel = "none"
     if request.override != "none":
-        asked, allowed = override_asked(state, request, executor), override_allowed(state, request, executor)
+        asked, allowed = (
+            override_asked(state.authority, request, executor),
+            override_allowed(state.authority, state.registry, request, executor),
+        )
         if rank(asked) > rank(allowed):
             return Evaluation("negotiate", None, trust, True, False, allowed)
     if outcome == "review":
         return Evaluation("review", None, trust, True, False, asked)
-    is_free = is_idle(state, executor) or preemptible(state, executor, asked) is not None
+    is_free = is_idle(state.execution, executor) or preemptible(state.execution, executor, asked) is not None
     return Evaluation("accept" if is_free else "defer", None, trust, True, True, asked)
 
 
@@ -108,50 +111,50 @@ def failing(
         return "policy"
     if request.directives or record.availability in ("offline", "restricted"):
         return "local-execution"
-    if request.task_id in state.context or is_revoked(state, request, executor):
+    if request.task_id in state.context or is_revoked(state.authority, request, executor):
         return "authority"
     return None
 
 
-def is_revoked(state: State, request: Request, executor: Robot) -> bool:
+def is_revoked(authority: Authority, request: Request, executor: Robot) -> bool:
     """Tell whether the requester, or the relay that asks for it, may no longer ask this of the executor.
 
     Paper: sec:model:authority.
     """
-    if not state.authority.rights:
+    if not authority.rights:
         return False
     about = (executor, request.capability, request.task_id)
     return any(
-        isinstance(right_of(state.authority, robot, *about), AuthorityRevoked)
+        isinstance(right_of(authority, robot, *about), AuthorityRevoked)
         for robot in {request.requester, asker(request)}
     )
 
 
-def override_asked(state: State, request: Request, executor: Robot) -> OverrideLevel:
+def override_asked(authority: Authority, request: Request, executor: Robot) -> OverrideLevel:
     """Return the level that the request asks for; emergency-only without a supervisor's grant is none.
 
     Paper: eq:override.
     """
     if request.override != "emergency-only":
         return request.override
-    right = right_of(state.authority, request.requester, executor, request.capability, request.task_id)
+    right = right_of(authority, request.requester, executor, request.capability, request.task_id)
     return "emergency-only" if isinstance(right, AuthorityGranted) and right.override == "emergency-only" else "none"
 
 
-def override_allowed(state: State, request: Request, executor: Robot) -> OverrideLevel:
+def override_allowed(authority: Authority, registry: Registry, request: Request, executor: Robot) -> OverrideLevel:
     """Return the highest level that the executor's advertisement, and a grant if there is one, allows.
 
     Paper: eq:override, eq:adv.
     """
-    record = advertisement(state.registry, executor, request.capability)
+    record = advertisement(registry, executor, request.capability)
     allowed: OverrideLevel = "none" if record is None else record.override_allowed
-    right = right_of(state.authority, request.requester, executor, request.capability, request.task_id)
+    right = right_of(authority, request.requester, executor, request.capability, request.task_id)
     return min(allowed, right.override, key=rank) if isinstance(right, AuthorityGranted) else allowed
 
 
-def preemptible(state: State, robot: Robot, override: OverrideLevel) -> Action | None:
+def preemptible(execution: Execution, robot: Robot, override: OverrideLevel) -> Action | None:
     """Return the action that a request of this level takes the robot from, or None. Paper: eq:override."""
-    action = state.execution.actions.get(state.execution.current.get(robot, ""))
+    action = in_hand(execution, robot)
     if (
         action is None
         or action.stage not in PREEMPTIBLE
@@ -169,21 +172,21 @@ def holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome]
     override).
     """
     about = (action.robot, action.capability, action.task_id)
-    own, fleet = own_policy(state, *about), fleet_policy(state, *about)
+    own, fleet = own_policy(state.policy, state.world, *about), fleet_policy(state.knowledge, state.policy, *about)
     later = state.authority.approvals.get(action.action_id)
     if later is None:
         return own, fleet
-    own_later, fleet_later = _came_later(state, action, later)
+    own_later, fleet_later = _came_later(state.policy, state.world, action, later)
     return own if own == "deny" else own_later, fleet if fleet == "deny" else fleet_later
 
 
-def _came_later(state: State, action: Action, later: Later) -> tuple[PolicyOutcome, PolicyOutcome]:
+def _came_later(policy: Policy, world: World, action: Action, later: Later) -> tuple[PolicyOutcome, PolicyOutcome]:
     """Compose only what the executor's own policy and the fleet's rule have said since the approval."""
     about = (action.robot, action.capability, action.task_id)
-    own = ruled(state.policy, "local", *about, among=later.rules) or "allow"
-    for window, outcome in state.world.local.get(action.robot, ()):
+    own = ruled(policy, "local", *about, among=later.rules) or "allow"
+    for window, outcome in world.local.get(action.robot, ()):
         if window in later.windows:
             own = stricter(own, outcome)
     return own, stricter(
-        later.heard.get(action.robot, "allow"), ruled(state.policy, "fleet", *about, among=later.rules) or "allow"
+        later.heard.get(action.robot, "allow"), ruled(policy, "fleet", *about, among=later.rules) or "allow"
     )

@@ -24,7 +24,15 @@ from fsar_ledger.events.registry import (
     CapabilityWithdrawn,
 )
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, Contract, Module, advertisement, surface
+from fsar_ledger.projections.registry import (
+    NO_ANSWER,
+    Advertisement,
+    Contract,
+    Module,
+    Registry,
+    advertisement,
+    surface,
+)
 
 from .actors import named
 from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
@@ -107,7 +115,9 @@ class FinishRollOut(Command):
 def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Event, ...]:
     """Advertise what the robot possesses, in terms that its module keeps. Paper: eq:advertise."""
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state, robot) or not_possessed(state, robot, capability) or _unheard_of(command)
+    wrong = (
+        unknown_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability) or _unheard_of(command)
+    )
     if wrong is None:
         module = state.registry.modules[robot][capability]
         contract = _contract(command, module)
@@ -137,7 +147,9 @@ def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Ev
 
 def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Event, ...]:
     """Take the capability off the robot's surface."""
-    wrong = unknown_robot(state, command.robot) or _not_advertised(state, command.robot, command.capability)
+    wrong = unknown_robot(state.fleet, command.robot) or _not_advertised(
+        state.registry, command.robot, command.capability
+    )
     if wrong is not None:
         return rejected(command, command.capability, wrong, command.issued_by)
     return (CapabilityWithdrawn(command.robot, command.capability, command.reason),)
@@ -146,9 +158,9 @@ def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Even
 def report_availability(state: State, command: ReportAvailability) -> tuple[Event, ...]:
     """Tell the registry how available the robot says it is. Paper: sec:architecture:registry."""
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state, robot) or _unknown("availability", command.availability, get_args(Availability))
+    wrong = unknown_robot(state.fleet, robot) or _unknown("availability", command.availability, get_args(Availability))
     if wrong is None and capability is not None:
-        wrong = _not_advertised(state, robot, capability)
+        wrong = _not_advertised(state.registry, robot, capability)
     elif wrong is None and not any(surface(state.registry, robot)):
         wrong = f"{robot} advertises nothing, expected something whose availability can change"
     if wrong is None and command.reason == NO_ANSWER:
@@ -168,7 +180,7 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
     Paper: sec:discussion:continuity.
     """
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state, robot) or _not_advertised(state, robot, capability)
+    wrong = unknown_robot(state.fleet, robot) or _not_advertised(state.registry, robot, capability)
     if wrong is None:
         record = advertisement(state.registry, robot, capability)
         assert record is not None
@@ -191,12 +203,14 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
     Paper: sec:architecture:registry.
     """
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state, robot) or not_possessed(state, robot, capability)
+    wrong = unknown_robot(state.fleet, robot) or not_possessed(state.registry, robot, capability)
     if wrong is None:
         module = state.registry.modules[robot][capability]
         contract = _contract(command, module)
         wrong = (
-            _not_newer(command.version, module.version) or contradiction(contract) or in_use(state, robot, capability)
+            _not_newer(command.version, module.version)
+            or contradiction(contract)
+            or in_use(state.execution, robot, capability)
         )
     record = advertisement(state.registry, robot, capability)
     if wrong is None and record is not None and record.availability in ("restricted", "offline"):
@@ -226,7 +240,7 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
 
     The availability that the robot has reported meanwhile is kept.
     """
-    record = _rolling_out(state, command.robot, command.capability)
+    record = _rolling_out(state.registry, command.robot, command.capability)
     if record is None:
         return ()
     module = state.registry.modules[command.robot][command.capability]
@@ -249,11 +263,11 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     )
 
 
-def _rolling_out(state: State, robot: Robot, capability: str) -> Advertisement | None:
+def _rolling_out(registry: Registry, robot: Robot, capability: str) -> Advertisement | None:
     """Return the record of another version than the installed one, if there is one."""
     module, record = (
-        state.registry.modules.get(robot, {}).get(capability),
-        advertisement(state.registry, robot, capability),
+        registry.modules.get(robot, {}).get(capability),
+        advertisement(registry, robot, capability),
     )
     return None if module is None or record is None or record.version == module.version else record
 
@@ -285,11 +299,9 @@ def _unknown(name: str, value: str, known: Iterable[str]) -> str | None:
     return None if value in known else f"{name} {value!r} is unknown, expected one of {', '.join(known)}"
 
 
-def _not_advertised(state: State, robot: Robot, capability: str) -> str | None:
+def _not_advertised(registry: Registry, robot: Robot, capability: str) -> str | None:
     return (
-        None
-        if advertisement(state.registry, robot, capability) is not None
-        else f"{robot} does not advertise {capability}"
+        None if advertisement(registry, robot, capability) is not None else f"{robot} does not advertise {capability}"
     )
 
 
@@ -305,7 +317,7 @@ def _on_installation(state: State, event: CapabilityInstalled, _now_us: int) -> 
 
     The availability is the one from before the record was restricted.
     """
-    record = _rolling_out(state, event.robot, event.capability)
+    record = _rolling_out(state.registry, event.robot, event.capability)
     return () if record is None else (Scheduled(FinishRollOut(event.robot, event.capability, record.availability)),)
 
 

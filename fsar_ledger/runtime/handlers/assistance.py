@@ -4,9 +4,10 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Robot
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, AssistanceFailed, FailureResolved
 from fsar_ledger.events.world import ObstructionAppeared
-from fsar_ledger.projections.execution import HELPING, Action
+from fsar_ledger.projections.execution import HELPING, Action, Execution
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.projections.recovery import Recoveries, Recovery
+from fsar_ledger.projections.world import World
 
 from .actors import helping
 from .commands import Actors, Decides, Draw, EndAssistance, Reacts, Scheduled, StopAssistance
@@ -16,9 +17,9 @@ from .recovery import actuator_holds, open_failure
 
 def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -> tuple[Event, ...]:
     """Resolve the failure by means of this level, or record that the helper could not; free the helper."""
-    match _helped(state, command.action_id, command.helper):
+    match _helped(state.execution, state.recovery, command.action_id, command.helper):
         case action, recovery if recovery.failure == command.failure:
-            cause = _hindrance(state, recovery, command)
+            cause = _hindrance(state.world, recovery, command)
             if cause is not None:
                 return (_failed(action, recovery, command.helper, cause),)
             return (
@@ -31,7 +32,7 @@ def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -
 
 def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
     """End the help because something is in the helper's own way."""
-    match _helped(state, command.action_id, command.helper):
+    match _helped(state.execution, state.recovery, command.action_id, command.helper):
         case action, recovery if state.world.obstructions.get(command.helper):
             return (_failed(action, recovery, command.helper, "obstruction"),)
         case _:
@@ -47,19 +48,19 @@ def end_of(event: AssistanceAdmitted, after_us: int, draws: tuple[Draw, ...] = (
     return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, draws, ask)
 
 
-def _helped(state: State, action_id: str, who: Robot) -> tuple[Action, Recovery] | None:
+def _helped(execution: Execution, recoveries: Recoveries, action_id: str, who: Robot) -> tuple[Action, Recovery] | None:
     """Return the action that the robot helps with and its failure, or None when it helps with none."""
-    return open_failure(state, action_id) if state.execution.current.get(who) == HELPING + action_id else None
+    return open_failure(execution, recoveries, action_id) if execution.current.get(who) == HELPING + action_id else None
 
 
-def _hindrance(state: State, recovery: Recovery, command: EndAssistance) -> FailureCause | None:
+def _hindrance(world: World, recovery: Recovery, command: EndAssistance) -> FailureCause | None:
     """Return what keeps the helper from helping, or None.
 
     Clearing a way takes a body that moves; standing in for an actuator also takes one that holds.
     """
-    if state.world.obstructions.get(command.helper):
+    if world.obstructions.get(command.helper):
         return "obstruction"
-    if recovery.cause == "degradation" and not actuator_holds(state, command.helper, command.drawn):
+    if recovery.cause == "degradation" and not actuator_holds(world, command.helper, command.drawn):
         return "degradation"
     return None
 
@@ -90,7 +91,7 @@ def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> t
 
 
 def _on_end(state: State, event: AssistanceEnded | AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return next_turn(state, event.helper)
+    return next_turn(state.execution, event.helper)
 
 
 DECIDES: Decides = {StopAssistance: stop_assistance}

@@ -1,38 +1,47 @@
 """Which supervisor a record can name, and small readings of the state that several handlers need."""
 
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Robot, Supervisor
-from fsar_ledger.projections.execution import Action
-from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import offers, surface
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principal, Robot, Supervisor
+from fsar_ledger.projections.execution import Action, Execution
+from fsar_ledger.projections.fleet import Fleet
+from fsar_ledger.projections.registry import Registry, offers, surface
+from fsar_ledger.projections.task import Tasks
+from fsar_ledger.projections.world import World
 
 
-def on_shift(state: State, robot: Robot) -> Supervisor | None:
+def on_shift(fleet: Fleet, world: World, robot: Robot) -> Supervisor | None:
     """Return the robot's own supervisor H_i, None while off shift; H_F for a robot without one.
 
     Paper: eq:supervision.
     """
-    supervisor = state.fleet.robots[robot].supervisor
+    supervisor = fleet.robots[robot].supervisor
     if supervisor is None:
         return FLEET_SUPERVISOR
-    return None if supervisor in state.world.off_shift else supervisor
+    return None if supervisor in world.off_shift else supervisor
 
 
-def supervisor_of(state: State, action: Action) -> Supervisor | None:
+def recorded_by(
+    fleet: Fleet, world: World, robot: Robot, *, requested_by: Principal | None, executed_by: Robot | None
+) -> Parties:
+    """Return whom a record that this robot makes names: besides these two, its supervisor on shift."""
+    return Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=on_shift(fleet, world, robot))
+
+
+def supervisor_of(fleet: Fleet, world: World, action: Action) -> Supervisor | None:
     """Return the supervisor whom a record of the execution names.
 
     H_F if it was queued under H_F, else the robot's own while on shift.
     """
     if not action.is_supervised:
         return None
-    return FLEET_SUPERVISOR if action.supervised_by == FLEET_SUPERVISOR else on_shift(state, action.robot)
+    return FLEET_SUPERVISOR if action.supervised_by == FLEET_SUPERVISOR else on_shift(fleet, world, action.robot)
 
 
-def parties(state: State, action: Action) -> Parties:
+def parties(fleet: Fleet, world: World, action: Action) -> Parties:
     """Return whom a record of the execution names."""
     return Parties(
         requested_by=action.requested_by,
         executed_by=action.executed_by,
-        supervised_by=supervisor_of(state, action),
+        supervised_by=supervisor_of(fleet, world, action),
     )
 
 
@@ -41,17 +50,17 @@ def is_injected(action: Action) -> bool:
     return action.step == 0
 
 
-def is_idle(state: State, robot: Robot) -> bool:
+def is_idle(execution: Execution, robot: Robot) -> bool:
     """Tell whether nothing holds the robot."""
-    return robot not in state.execution.current
+    return robot not in execution.current
 
 
-def nearest_first(state: State, robots: list[Robot], near: Robot) -> tuple[Robot, ...]:
+def nearest_first(fleet: Fleet, robots: list[Robot], near: Robot) -> tuple[Robot, ...]:
     """Return the robots in order of distance: same team, then same place, then the others.
 
     Among equals by team, cyclic.
     """
-    teams, members = state.fleet.teams, state.fleet.robots
+    teams, members = fleet.teams, fleet.robots
     home, place = members[near].team, members[near].place
 
     def distance(name: Robot) -> tuple[bool, bool, int, str]:
@@ -61,43 +70,37 @@ def nearest_first(state: State, robots: list[Robot], near: Robot) -> tuple[Robot
     return tuple(sorted(robots, key=distance))
 
 
-def capable(state: State, capability: str, requester: Robot) -> tuple[Robot, ...]:
+def capable(fleet: Fleet, registry: Registry, capability: str, requester: Robot) -> tuple[Robot, ...]:
     """Return every other robot that has the capability, nearest team first. Paper: eq:possess."""
     return nearest_first(
-        state,
-        [offer.robot for offer in offers(state.registry.offers, capability) if offer.robot != requester],
+        fleet,
+        [offer.robot for offer in offers(registry.offers, capability) if offer.robot != requester],
         requester,
     )
 
 
-def helpers(state: State, action: Action, cause: str) -> tuple[Robot, ...]:
+def helpers(fleet: Fleet, registry: Registry, action: Action, cause: str) -> tuple[Robot, ...]:
     """Return every robot whose body could help with the failure, nearest team first.
 
     Paper: sec:model:recovery, level 2.
     """
     if cause == "obstruction":
-        able = [
-            name
-            for name, robot in state.fleet.robots.items()
-            if robot.role in state.fleet.bodies and name != action.robot
-        ]
-        return nearest_first(state, able, action.robot)
-    return stand_ins(state, action)
+        able = [name for name, robot in fleet.robots.items() if robot.role in fleet.bodies and name != action.robot]
+        return nearest_first(fleet, able, action.robot)
+    return stand_ins(fleet, registry, action)
 
 
-def stand_ins(state: State, action: Action) -> tuple[Robot, ...]:
+def stand_ins(fleet: Fleet, registry: Registry, action: Action) -> tuple[Robot, ...]:
     """Return every other robot that offers the capability or a substitute for it, nearest team first."""
     able = {
-        offer.robot
-        for capability in means(state, action.capability)
-        for offer in offers(state.registry.offers, capability)
+        offer.robot for capability in means(fleet, action.capability) for offer in offers(registry.offers, capability)
     }
-    return nearest_first(state, [name for name in able if name != action.robot], action.robot)
+    return nearest_first(fleet, [name for name in able if name != action.robot], action.robot)
 
 
-def means(state: State, capability: str) -> tuple[str, ...]:
+def means(fleet: Fleet, capability: str) -> tuple[str, ...]:
     """Return the capabilities with which the step can be done: itself, and its substitute if the fleet has one."""
-    substitute = state.fleet.substitutes.get(capability)
+    substitute = fleet.substitutes.get(capability)
     return (capability,) if substitute is None else (capability, substitute)
 
 
@@ -106,44 +109,40 @@ def family(capability: str) -> str:
     return capability.partition(".")[0] + ".*"
 
 
-def kin(state: State, robot: Robot, capability: str) -> tuple[Robot, ...]:
+def kin(fleet: Fleet, registry: Registry, robot: Robot, capability: str) -> tuple[Robot, ...]:
     """Return every other robot that advertises something of the capability's family, nearest team first."""
     stem = family(capability)[:-1]
-    others = [name for name in state.fleet.robots if name != robot]
+    others = [name for name in fleet.robots if name != robot]
     return nearest_first(
-        state,
-        [
-            name
-            for name in others
-            if any(record.capability.startswith(stem) for record in surface(state.registry, name))
-        ],
+        fleet,
+        [name for name in others if any(record.capability.startswith(stem) for record in surface(registry, name))],
         robot,
     )
 
 
-def is_reachable(state: State, robot: Robot) -> bool:
+def is_reachable(registry: Registry, robot: Robot) -> bool:
     """Tell whether some capability that the robot advertises is not offline or restricted.
 
     Paper: eq:adv (availability).
     """
-    reported = [record.availability for record in surface(state.registry, robot)]
+    reported = [record.availability for record in surface(registry, robot)]
     return not reported or any(availability not in ("offline", "restricted") for availability in reported)
 
 
-def is_cross_robot(state: State, action: Action) -> bool:
+def is_cross_robot(tasks: Tasks, action: Action) -> bool:
     """Tell whether a failure of the action concerns more than its robot.
 
     The action was delegated, or the task is another robot's. Paper: sec:model:supervision.
     """
-    task = state.task.get(action.task_id)
+    task = tasks.get(action.task_id)
     return action.is_delegated or task is None or task.robot != action.robot
 
 
-def pending_of_other_task(state: State, robot: Robot, task_id: str) -> str | None:
+def pending_of_other_task(execution: Execution, robot: Robot, task_id: str) -> str | None:
     """Return the first unfinished delegated action of another task at the robot, if any."""
-    held = state.execution.current.get(robot)
-    for name in ((held,) if held else ()) + state.execution.queues.get(robot, ()):
-        action = state.execution.actions.get(name)
+    held = execution.current.get(robot)
+    for name in ((held,) if held else ()) + execution.queues.get(robot, ()):
+        action = execution.actions.get(name)
         if action is not None and action.is_delegated and action.task_id != task_id:
             return name
     return None

@@ -22,18 +22,19 @@ from fsar_ledger.events.envelope import (
     OverrideLevel,
     Principal,
     Robot,
-    Subject,
     Supervisor,
 )
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
-from fsar_ledger.projections.authority import LEVELS, Right
+from fsar_ledger.projections.authority import LEVELS, Authority, Right
 from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.trust import is_about
 
 from .actors import named, nobody
-from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
+from .commands import Actors, CloseExecution, Command, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_supervisor, unknown_word
 from .trust import trusts
 
@@ -81,14 +82,25 @@ class RevokeDistrusted(Command):
     peer: Robot
 
 
+def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
+    """End authority over the finished execution."""
+    return release(state.authority, command.action_id)
+
+
+def release(authority: Authority, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:
+    """Release the open claims on the action, all of them or those made for this reason."""
+    claims = authority.claims.get(action_id, ())
+    return released(claim for claim in claims if reason is None or claim.reason == reason)
+
+
+def made_for(authority: Authority, reason: str) -> list[AuthorityClaimed]:
+    """Return the open claims on any action that were made for this reason."""
+    return [claim for claims in authority.claims.values() for claim in claims if claim.reason == reason]
+
+
 def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...]:
     """Release each of these claims."""
-    return tuple(
-        AuthorityReleased(
-            Subject(claim.subject.task_id, claim.subject.action_id), claim.dimension, claim.claimant, claim.reason
-        )
-        for claim in claims
-    )
+    return tuple(AuthorityReleased(claim.subject, claim.dimension, claim.claimant, claim.reason) for claim in claims)
 
 
 def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
@@ -96,7 +108,7 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
 
     Paper: eq:auth, eq:override.
     """
-    reason = _unknown(state, command)
+    reason = _unknown(state.fleet, state.registry, command)
     robot = state.fleet.robots.get(command.executor) if command.executor is not None else None
     if (
         reason is None
@@ -108,9 +120,11 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
             f"expected {FLEET_SUPERVISOR} or the executor's own"
         )
     reason = (
-        reason or unknown_word("override level", command.override, LEVELS) or expired_context(state, command.context)
+        reason
+        or unknown_word("override level", command.override, LEVELS)
+        or expired_context(state.context, command.context)
     )
-    if reason is None and command.supervisor != FLEET_SUPERVISOR and _is_revoked_by_fleet(state, command):
+    if reason is None and command.supervisor != FLEET_SUPERVISOR and _is_revoked_by_fleet(state.authority, command):
         reason = f"{FLEET_SUPERVISOR} has revoked it, expected {FLEET_SUPERVISOR} to lift that"
     if reason is not None:
         return rejected(command, command.requester, reason, command.supervisor)
@@ -131,13 +145,13 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
 
     It takes effect at the next evaluation. Paper: sec:model:authority.
     """
-    reason = _unknown(state, command)
+    reason = _unknown(state.fleet, state.registry, command)
     if reason is None and command.supervisor != FLEET_SUPERVISOR:
         parties = [state.fleet.robots[name] for name in (command.requester, command.executor) if name is not None]
         if all(robot.supervisor != command.supervisor for robot in parties):
             reason = f"{command.supervisor} supervises neither robot, expected {FLEET_SUPERVISOR} or one's own"
     reason = reason or unknown_word("reason", command.reason, get_args(RevocationReason))
-    if reason is None and isinstance(_standing(state, command), AuthorityRevoked):
+    if reason is None and isinstance(_standing(state.authority, command), AuthorityRevoked):
         reason = "it is revoked already, expected a right that stands"
     if reason is not None:
         return rejected(command, command.requester, reason, command.supervisor)
@@ -180,7 +194,7 @@ def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevok
             reason="context expired",
             decided_by=TRUST,
         )
-        for right in _in_context(state, command.context)
+        for right in _in_context(state.authority, command.context)
     )
 
 
@@ -201,19 +215,19 @@ def revoke_distrusted(state: State, command: RevokeDistrusted) -> tuple[Authorit
         )
         for capability, context in about
     )
-    return tuple(right for right in revoked if not isinstance(_latest(state, right), AuthorityRevoked))
+    return tuple(right for right in revoked if not isinstance(_latest(state.authority, right), AuthorityRevoked))
 
 
-def _unknown(state: State, command: GrantAuthority | RevokeAuthority) -> str | None:
-    reason = unknown_supervisor(state, command.supervisor) or unknown_robot(state, command.requester, command.executor)
+def _unknown(fleet: Fleet, registry: Registry, command: GrantAuthority | RevokeAuthority) -> str | None:
+    reason = unknown_supervisor(fleet, command.supervisor) or unknown_robot(fleet, command.requester, command.executor)
     if reason is None and command.requester == command.executor:
         reason = f"{command.requester} needs nobody's authority to ask itself, expected two robots"
-    return reason or unknown_capability(state, command.capability)
+    return reason or unknown_capability(registry, command.capability)
 
 
-def _latest(state: State, about: AuthorityRevoked) -> Right | None:
+def _latest(authority: Authority, about: AuthorityRevoked) -> Right | None:
     """Return the last right about exactly this."""
-    return next((right for right in reversed(state.authority.rights) if _subject(right) == _subject(about)), None)
+    return next((right for right in reversed(authority.rights) if _subject(right) == _subject(about)), None)
 
 
 def _subject(right: Right) -> tuple[str, str | None, str | None, str | None]:
@@ -240,9 +254,9 @@ def _overlaps(right: Right, command: GrantAuthority) -> bool:
     return right.requested_by == command.requester and all(None in pair or pair[0] == pair[1] for pair in pairs)
 
 
-def _standing(state: State, command: RevokeAuthority) -> Right | None:
+def _standing(authority: Authority, command: RevokeAuthority) -> Right | None:
     """Return the last right about all that the command is about, if no later one is about a part of it."""
-    for right in reversed(state.authority.rights):
+    for right in reversed(authority.rights):
         if _covers(right, command):
             return right
         if right.requested_by == command.requester and isinstance(right, AuthorityGranted):
@@ -250,17 +264,17 @@ def _standing(state: State, command: RevokeAuthority) -> Right | None:
     return None
 
 
-def _is_revoked_by_fleet(state: State, command: GrantAuthority) -> bool:
+def _is_revoked_by_fleet(authority: Authority, command: GrantAuthority) -> bool:
     """Tell whether the grant would lift something that H_F has revoked and not granted again."""
-    for right in reversed(state.authority.rights):
+    for right in reversed(authority.rights):
         if right.decided_by == FLEET_SUPERVISOR and _overlaps(right, command):
             return isinstance(right, AuthorityRevoked)
     return False
 
 
-def _in_context(state: State, context: str) -> tuple[AuthorityGranted, ...]:
+def _in_context(authority: Authority, context: str) -> tuple[AuthorityGranted, ...]:
     """Return the grants for this context, each once, that nothing has revoked since."""
-    last = {_subject(right): right for right in state.authority.rights if right.context == context}
+    last = {_subject(right): right for right in authority.rights if right.context == context}
     return tuple(right for right in last.values() if isinstance(right, AuthorityGranted))
 
 
@@ -287,7 +301,7 @@ def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
 def _on_end(state: State, event: TaskCompleted | TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
     return (
         (Scheduled(ExpireContext(event.task_id)),)
-        if state.authority.rights and _in_context(state, event.task_id)
+        if state.authority.rights and _in_context(state.authority, event.task_id)
         else ()
     )
 

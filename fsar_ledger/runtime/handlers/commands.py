@@ -12,6 +12,7 @@ import msgspec
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Operation, Robot
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 
 
@@ -79,14 +80,14 @@ def at_once(sender: str | None) -> Draw:
     return Draw("message", "", 0, sender or "")
 
 
-def hop(state: State, key: str, ordinal: int | str) -> Draw:
+def hop(fleet: Fleet, key: str, ordinal: int | str) -> Draw:
     """Return the latency of one internal hop between two agents of a robot."""
-    return Draw("message", f"{key}/hop{ordinal}", state.fleet.structure.hop_ppm)
+    return Draw("message", f"{key}/hop{ordinal}", fleet.structure.hop_ppm)
 
 
-def hops(state: State, key: str, name: str, count: int) -> tuple[Draw, ...]:
+def hops(fleet: Fleet, key: str, name: str, count: int) -> tuple[Draw, ...]:
     """Return the latencies of several internal hops in a row."""
-    return tuple(hop(state, key, f"{name}{ordinal}") for ordinal in range(count))
+    return tuple(hop(fleet, key, f"{name}{ordinal}") for ordinal in range(count))
 
 
 class BeginStep(Command):

@@ -1,12 +1,11 @@
 """What bodies do under every architecture: turns, starts, obstructions, ends. Paper: sec:evaluation:simulator."""
 
-from typing import Any
+from collections.abc import Callable
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.envelope import OverrideLevel, Parties, Robot
 from fsar_ledger.events.execution import (
     ApproachStarted,
-    ExecutionFailed,
     ExecutionFinished,
     ExecutionHalted,
     ExecutionPaused,
@@ -17,13 +16,17 @@ from fsar_ledger.events.execution import (
 )
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RobotCameBack, RobotWentOff, RoutineDue
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.execution import Action, Execution, Stage, in_hand
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.world import World
 
 from .actors import body, named, nobody
 from .attribution import is_injected, parties
 from .commands import (
     Actors,
+    Command,
     DecideRoutine,
     Decides,
     DetectObstruction,
@@ -37,7 +40,7 @@ from .commands import (
     StartAction,
     TakeTurn,
 )
-from .recovery import actuator_holds
+from .recovery import actuator_holds, failed
 
 NAVIGATION = "navigate.indoor"
 
@@ -58,12 +61,35 @@ def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> 
     return (start_action(event.subject.action_id, action.capability, 0, (way,)),)
 
 
-def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
+def queued(request: Request, parties: Parties, robot: Robot, override: OverrideLevel = "none") -> ExecutionQueued:
+    """Return the fact that the step waits for its turn at the robot, which approaches for another's step first."""
+    return ExecutionQueued(
+        subject=request.subject,
+        principals=parties,
+        robot=robot,
+        on_behalf_of=request.requester,
+        capability=request.capability,
+        step=request.step,
+        attempt=request.attempt,
+        is_delegated=request.is_delegated,
+        has_approach=request.is_delegated,
+        is_supervised=True,
+        override=override,
+    )
+
+
+def waiting(execution: Execution, action_id: str) -> Action | None:
+    """Return the action if it has not started and nothing but its turn or its robot's approach is waited for."""
+    action = execution.actions.get(action_id)
+    return action if action is not None and action.stage in ("queued", "approaching") else None
+
+
+def started(fleet: Fleet, world: World, action: Action, command: StartAction) -> ExecutionStarted:
     """Return the fact that the action runs from now to its planned end."""
-    duration_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.drawn
+    duration_us = fleet.structure.injected_execution_us if is_injected(action) else command.drawn
     return ExecutionStarted(
         subject=action.subject,
-        principals=parties(state, action),
+        principals=parties(fleet, world, action),
         robot=action.robot,
         on_behalf_of=action.on_behalf_of,
         capability=action.capability,
@@ -84,9 +110,9 @@ def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or action.ends_us != command.ends_us:
         return ()
-    if action.capability != NAVIGATION and not actuator_holds(state, action.robot, command.drawn):
-        return (_failed(action, "degradation", command.now_us),)
-    return (_finished(state, action),)
+    if action.capability != NAVIGATION and not actuator_holds(state.world, action.robot, command.drawn):
+        return (failed(action, "degradation", command.now_us),)
+    return (_finished(state.fleet, state.world, action),)
 
 
 def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event, ...]:
@@ -94,7 +120,7 @@ def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event,
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or not state.world.obstructions.get(action.robot):
         return ()
-    return (_failed(action, "obstruction", command.now_us),)
+    return (failed(action, "obstruction", command.now_us),)
 
 
 def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
@@ -125,40 +151,28 @@ def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
         or command.action_id in state.recovery
     ):
         return ()
-    if action.stage == "preempted" and not (action.has_begun and holds_robot(state, action)):
+    if action.stage == "preempted" and not (action.has_begun and holds_robot(state.execution, action)):
         return ()
     if action.remaining_us == 0:
-        return (_finished(state, action),)
+        return (_finished(state.fleet, state.world, action),)
     return (ExecutionResumed(action.subject, action.robot, command.now_us + action.remaining_us),)
 
 
-def _failed(action: Action, cause: Any, now_us: int) -> ExecutionFailed:
-    remaining_us = max(0, action.ends_us - now_us)
-    return ExecutionFailed(
-        subject=action.subject,
-        robot=action.robot,
-        failure=action.failures + 1,
-        cause=cause,
-        remaining_us=remaining_us,
-        detected_us=now_us,
-    )
+def _finished(fleet: Fleet, world: World, action: Action) -> ExecutionFinished:
+    return ExecutionFinished(action.subject, parties(fleet, world, action), action.robot)
 
 
-def _finished(state: State, action: Action) -> ExecutionFinished:
-    return ExecutionFinished(action.subject, parties(state, action), action.robot)
-
-
-def holds_robot(state: State, action: Action) -> bool:
+def holds_robot(execution: Execution, action: Action) -> bool:
     """Tell whether the robot serves this action and no other."""
-    return state.execution.current.get(action.robot) == action.action_id
+    return execution.current.get(action.robot) == action.action_id
 
 
-def next_turn(state: State, robot: Robot) -> tuple[Scheduled, ...]:
+def next_turn(execution: Execution, robot: Robot) -> tuple[Scheduled, ...]:
     """Schedule the turn of the action that now holds the robot, or resume one that was preempted.
 
     Paper: eq:override.
     """
-    action = state.execution.actions.get(state.execution.current.get(robot, ""))
+    action = in_hand(execution, robot)
     if action is None or action.stage not in ("queued", "preempted"):
         return ()
     if action.stage == "preempted" and action.has_begun:
@@ -173,7 +187,7 @@ def _on_queue(
 ) -> tuple[Scheduled, ...]:
     if isinstance(event, ExecutionQueued) and state.execution.current.get(event.robot) != event.subject.action_id:
         return ()
-    return next_turn(state, event.robot)
+    return next_turn(state.execution, event.robot)
 
 
 def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:
@@ -185,15 +199,21 @@ def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us
     return (finish,)
 
 
+def _in_stage(
+    execution: Execution, robot: Robot, stage: Stage, command: Callable[[str], Command]
+) -> tuple[Scheduled, ...]:
+    """Schedule the command about what the robot has in hand, if that is in this stage."""
+    action = in_hand(execution, robot)
+    return (Scheduled(command(action.action_id)),) if action is not None and action.stage == stage else ()
+
+
 def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> tuple[Scheduled, ...]:
-    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
-    return (Scheduled(DetectObstruction(action.action_id)),) if action is not None and action.stage == "running" else ()
+    return _in_stage(state.execution, event.robot, "running", DetectObstruction)
 
 
 def pause_running(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule a pause for a robot whose context changes while it executes."""
-    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
-    return (Scheduled(PauseAction(action.action_id)),) if action is not None and action.stage == "running" else ()
+    return _in_stage(state.execution, event.robot, "running", PauseAction)
 
 
 def _on_resolved(_state: State, event: FailureResolved, _now_us: int) -> tuple[Scheduled, ...]:
@@ -206,13 +226,11 @@ def _on_routine(state: State, event: RoutineDue, _now_us: int) -> tuple[Schedule
 
 
 def _on_off(state: State, event: RobotWentOff, _now_us: int) -> tuple[Scheduled, ...]:
-    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
-    return (Scheduled(HaltAction(action.action_id)),) if action is not None and action.stage == "running" else ()
+    return _in_stage(state.execution, event.robot, "running", HaltAction)
 
 
 def _on_back(state: State, event: RobotCameBack, _now_us: int) -> tuple[Scheduled, ...]:
-    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
-    return (Scheduled(ResumeAction(action.action_id)),) if action is not None and action.stage == "halted" else ()
+    return _in_stage(state.execution, event.robot, "halted", ResumeAction)
 
 
 DECIDES: Decides = {

@@ -11,8 +11,10 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import CapabilityInstalled, CapabilityRemoved
+from fsar_ledger.projections.execution import Execution
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import Contract, path_of, possesses, surface
+from fsar_ledger.projections.registry import Contract, Registry, path_of, possesses, surface
+from fsar_ledger.projections.world import World
 
 from .commands import Actors, Decides, PublicCommand, Reacts
 from .matching import contradiction, version_of
@@ -70,16 +72,14 @@ def execution_state(state: State, robot: Robot) -> ExecutionState:
     action, recovery = state.execution.actions.get(held), state.recovery.get(held)
     if (action is not None and action.stage == "failed") or (recovery is not None and recovery.level != "local"):
         return "failed"
-    if is_degraded(state, robot):
+    if is_degraded(state.registry, state.world, robot):
         return "degraded"
     return "executing" if held else "idle"
 
 
-def is_degraded(state: State, robot: Robot) -> bool:
+def is_degraded(registry: Registry, world: World, robot: Robot) -> bool:
     """Tell whether the robot's actuator is degraded, or it says so of something that it advertises."""
-    return robot in state.world.degraded or any(
-        record.availability == "degraded" for record in surface(state.registry, robot)
-    )
+    return robot in world.degraded or any(record.availability == "degraded" for record in surface(registry, robot))
 
 
 def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
@@ -120,7 +120,7 @@ def _is_robots_name(name: str) -> bool:
 def install_capability(state: State, command: InstallCapability) -> tuple[Event, ...]:
     """Install the capability, advertised to nobody. Paper: sec:model:capability."""
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state, robot)
+    wrong = unknown_robot(state.fleet, robot)
     if wrong is None and possesses(state.registry, robot, capability):
         wrong = (
             f"{robot} possesses version {state.registry.modules[robot][capability].version} already, "
@@ -149,21 +149,25 @@ def install_capability(state: State, command: InstallCapability) -> tuple[Event,
 def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, ...]:
     """Remove the capability and its advertisement."""
     robot, capability = command.robot, command.capability
-    wrong = unknown_robot(state, robot) or not_possessed(state, robot, capability) or in_use(state, robot, capability)
+    wrong = (
+        unknown_robot(state.fleet, robot)
+        or not_possessed(state.registry, robot, capability)
+        or in_use(state.execution, robot, capability)
+    )
     if wrong is not None:
         return rejected(command, capability, wrong, command.issued_by)
     return (CapabilityRemoved(robot, capability),)
 
 
-def not_possessed(state: State, robot: Robot, capability: str) -> str | None:
+def not_possessed(registry: Registry, robot: Robot, capability: str) -> str | None:
     """Return why to reject what needs the capability at the robot, or None while it possesses it."""
-    return None if possesses(state.registry, robot, capability) else f"{robot} does not possess {capability}"
+    return None if possesses(registry, robot, capability) else f"{robot} does not possess {capability}"
 
 
-def in_use(state: State, robot: Robot, capability: str) -> str | None:
+def in_use(execution: Execution, robot: Robot, capability: str) -> str | None:
     """Return why to leave the capability alone, an action at the robot that needs it, or None."""
-    for name in (state.execution.current.get(robot, ""), *state.execution.queues.get(robot, ())):
-        action = state.execution.actions.get(name)
+    for name in (execution.current.get(robot, ""), *execution.queues.get(robot, ())):
+        action = execution.actions.get(name)
         if action is not None and action.capability == capability:
             return f"{capability} is in use by {name}, expected it to be over"
     return None

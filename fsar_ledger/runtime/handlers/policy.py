@@ -13,10 +13,12 @@ from fsar_ledger.events.envelope import (
     Supervisor,
 )
 from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.policy import ruled
+from fsar_ledger.projections.knowledge import Knowledge
+from fsar_ledger.projections.policy import Policy, ruled
 from fsar_ledger.projections.trust import is_within
-from fsar_ledger.projections.world import in_force, stricter
+from fsar_ledger.projections.world import World, in_force, stricter
 
 from .commands import Actors, Decides, PublicCommand, Reacts
 from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot, unknown_word
@@ -45,24 +47,22 @@ class SetRolePolicyRule(PublicCommand):
     context: str | None = None
 
 
-def own_policy(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
+def own_policy(
+    policy: Policy, world: World, robot: Robot, capability: str | None, context: str | None
+) -> PolicyOutcome:
     """Return P_i(e, sigma): the strictest of the robot's open windows and of its rules. Paper: app:foundations."""
-    window = in_force(state.world.local, robot)
+    window = in_force(world.local, robot)
     return (
-        window
-        if state.policy.is_empty
-        else stricter(window, ruled(state.policy, "local", robot, capability, context) or "allow")
+        window if policy.is_empty else stricter(window, ruled(policy, "local", robot, capability, context) or "allow")
     )
 
 
-def fleet_policy(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
+def fleet_policy(
+    knowledge: Knowledge, policy: Policy, robot: Robot, capability: str | None, context: str | None
+) -> PolicyOutcome:
     """Return the strictest of the fleet's rules for the robot and the rule for its zone as last heard."""
-    heard = state.knowledge.fleet_rule.get(robot, "allow")
-    return (
-        heard
-        if state.policy.is_empty
-        else stricter(heard, ruled(state.policy, "fleet", robot, capability, context) or "allow")
-    )
+    heard = knowledge.fleet_rule.get(robot, "allow")
+    return heard if policy.is_empty else stricter(heard, ruled(policy, "fleet", robot, capability, context) or "allow")
 
 
 def compose(
@@ -75,10 +75,10 @@ def compose(
     alone: what the ablation removes is composition between robots, so a robot's own steps and routine keep the fleet's
     rule.
     """
-    own = own_policy(state, executor, capability, context)
+    own = own_policy(state.policy, state.world, executor, capability, context)
     if "policy-composition" in state.fleet.without:
         return own
-    return stricter(carried, stricter(own, fleet_policy(state, executor, capability, context)))
+    return stricter(carried, stricter(own, fleet_policy(state.knowledge, state.policy, executor, capability, context)))
 
 
 def is_ruled_out(state: State, carried: PolicyOutcome, executor: Robot, capability: str, context: str | None) -> bool:
@@ -89,7 +89,7 @@ def is_ruled_out(state: State, carried: PolicyOutcome, executor: Robot, capabili
     own = ruled(state.policy, "local", executor, capability, context)
     if "policy-composition" in state.fleet.without:
         return own == "deny"
-    return "deny" in (own, carried, fleet_policy(state, executor, capability, context))
+    return "deny" in (own, carried, fleet_policy(state.knowledge, state.policy, executor, capability, context))
 
 
 def conflict(
@@ -102,10 +102,13 @@ def conflict(
     is_uncomposed = "policy-composition" in state.fleet.without and requester != executor
     if is_uncomposed or ruled(state.policy, "fleet", executor, capability, task_id) is None:
         return ()
-    own, fleet = own_policy(state, executor, capability, task_id), fleet_policy(state, executor, capability, task_id)
+    own, fleet = (
+        own_policy(state.policy, state.world, executor, capability, task_id),
+        fleet_policy(state.knowledge, state.policy, executor, capability, task_id),
+    )
     if (own, fleet) != ("deny", "allow"):
         return ()
-    supervisor = supervisor_for(state, executor, is_cross_robot=requester != executor)
+    supervisor = supervisor_for(state.fleet, state.world, executor, is_cross_robot=requester != executor)
     return (
         PolicyConflictEscalated(
             Subject(task_id, action_id),
@@ -126,11 +129,11 @@ def conflict(
 def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
     """Set the rule: a robot's own by its own supervisor alone, the fleet's by H_F alone. Paper: app:foundations."""
     refused = (
-        unknown_robot(state, command.robot)
-        or unknown_capability(state, command.capability)
-        or expired_context(state, command.context)
+        unknown_robot(state.fleet, command.robot)
+        or unknown_capability(state.registry, command.capability)
+        or expired_context(state.context, command.context)
     )
-    refused = refused or _unfit(state, command)
+    refused = refused or _unfit(state.fleet, command)
     if refused is not None:
         return rejected(command, command.robot or "fleet", refused, command.issued_by)
     return (
@@ -151,11 +154,15 @@ def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Even
     A rule about the same for the very robot goes before it. Paper: app:foundations.
     """
     inside = [robot for robot in state.fleet.robots.values() if is_within(robot.domain, command.domain)]
-    refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
+    refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
     if refused is None and not inside:
         refused = f"unknown domain {command.domain}, expected one that a member is in"
     refused = refused or unknown_word("role", command.role, sorted({robot.role for robot in inside}))
-    refused = refused or unknown_capability(state, command.capability) or expired_context(state, command.context)
+    refused = (
+        refused
+        or unknown_capability(state.registry, command.capability)
+        or expired_context(state.context, command.context)
+    )
     refused = refused or unknown_word("outcome", command.outcome, get_args(PolicyOutcome))
     if refused is not None:
         return rejected(command, command.role, refused, command.issued_by)
@@ -172,16 +179,16 @@ def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Even
     )
 
 
-def _unfit(state: State, command: SetPolicyRule) -> str | None:
+def _unfit(fleet: Fleet, command: SetPolicyRule) -> str | None:
     """Return why this supervisor may not set this rule, or why there is no such rule; or None."""
     if command.scope not in get_args(PolicyScope) or command.outcome not in get_args(PolicyOutcome):
         return f"found {command.scope} {command.outcome}, expected local or fleet, and allow, deny or review"
     if command.scope == "fleet":
-        return not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
+        return not_in_charge(fleet, command.issued_by, None, is_fleet_matter=True)
     if command.robot is None:
         return "a local rule of no robot, expected a robot; what holds for every robot is the fleet's"
-    refused = not_in_charge(state, command.issued_by, command.robot)
-    own = state.fleet.robots[command.robot].supervisor
+    refused = not_in_charge(fleet, command.issued_by, command.robot)
+    own = fleet.robots[command.robot].supervisor
     if refused is None and own is not None and own != command.issued_by:
         return (
             f"{command.issued_by} does not set {command.robot}'s own policy, "

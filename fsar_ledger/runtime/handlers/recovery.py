@@ -6,15 +6,18 @@ Paper: sec:model:recovery.
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Result, Robot, Supervisor
+from fsar_ledger.events.envelope import FailureCause, Principals, RecoveryLevel, Result, Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed
-from fsar_ledger.events.recovery import RecoveryBudgetSet
-from fsar_ledger.projections.budget import Budget
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed, RecoveryBudgetSet
+from fsar_ledger.projections.budget import Budget, Budgets
+from fsar_ledger.projections.execution import Action, Execution
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.projections.recovery import Recoveries, Recovery
+from fsar_ledger.projections.registry import Registry
+from fsar_ledger.projections.world import World
 
-from .commands import Actors, Decides, EndAttempt, PublicCommand, Reacts
+from .commands import Actors, Decides, Draw, EndAttempt, PublicCommand, Reacts, Scheduled
 from .rejection import not_in_charge, rejected, unknown_robot
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
@@ -38,15 +41,15 @@ class ReportFailure(PublicCommand):
     cause: str
 
 
-def budget(state: State, robot: Robot, level: RecoveryLevel) -> Budget:
+def budget(budgets: Budgets, fleet: Fleet, robot: Robot, level: RecoveryLevel) -> Budget:
     """Return (t_max, n_max) of the level: the robot's own Q_i where it was set, else the fleet's structure.
 
     Paper: eq:recovery, app:foundations.
     """
-    own = state.budget.get((robot, level))
+    own = budgets.get((robot, level))
     if own is not None:
         return own
-    structure = state.fleet.structure
+    structure = fleet.structure
     match level:
         case "local":
             return Budget(structure.local_budget_us, structure.local_attempts)
@@ -61,8 +64,8 @@ def budget(state: State, robot: Robot, level: RecoveryLevel) -> Budget:
 def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event, ...]:
     """Set the level's budget, by word of the robot's own supervisor or of H_F. Paper: app:foundations."""
     refused = (
-        unknown_robot(state, command.robot)
-        or not_in_charge(state, command.issued_by, command.robot)
+        unknown_robot(state.fleet, command.robot)
+        or not_in_charge(state.fleet, command.issued_by, command.robot)
         or _impossible(command)
     )
     if refused is not None:
@@ -91,9 +94,21 @@ def _impossible(command: SetRecoveryBudget) -> str | None:
     return None
 
 
+def failed(action: Action, cause: FailureCause, now_us: int) -> ExecutionFailed:
+    """Return the fact that the running action fails now, with what was left of its execution."""
+    return ExecutionFailed(
+        subject=action.subject,
+        robot=action.robot,
+        failure=action.failures + 1,
+        cause=cause,
+        remaining_us=max(0, action.ends_us - now_us),
+        detected_us=now_us,
+    )
+
+
 def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
     """Fail the running execution as its own robot reports; recovery begins from there. Paper: sec:model:recovery."""
-    refused = unknown_robot(state, command.robot)
+    refused = unknown_robot(state.fleet, command.robot)
     action = state.execution.actions.get(command.action_id)
     if refused is None and action is None:
         refused = f"unknown or finished action {command.action_id}, expected one that is executing"
@@ -106,48 +121,74 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
         refused = f"cause {command.cause}, expected one of {', '.join(get_args(FailureCause))}"
     if refused is not None or action is None or cause is None:
         return rejected(command, command.action_id, refused or "", command.robot)
-    remaining_us = max(0, action.ends_us - command.now_us)
-    return (
-        ExecutionFailed(
-            subject=action.subject,
-            robot=action.robot,
-            failure=action.failures + 1,
-            cause=cause,
-            remaining_us=remaining_us,
-            detected_us=command.now_us,
-        ),
-    )
+    return (failed(action, cause, command.now_us),)
 
 
-def open_failure(state: State, action_id: str) -> tuple[Action, Recovery] | None:
+def open_failure(execution: Execution, recoveries: Recoveries, action_id: str) -> tuple[Action, Recovery] | None:
     """Return the action and its failure that is being recovered, or None when there is none any more."""
-    action, recovery = state.execution.actions.get(action_id), state.recovery.get(action_id)
+    action, recovery = execution.actions.get(action_id), recoveries.get(action_id)
     return None if action is None or recovery is None else (action, recovery)
 
 
-def actuator_holds(state: State, robot: Robot, drawn: int) -> bool:
+def actuator_holds(world: World, robot: Robot, drawn: int) -> bool:
     """Tell whether the robot's actuator holds this time.
 
     A sound one always holds, an unreliable one as the world draws, a slipping or lost one never.
     """
-    grade = state.world.degraded.get(robot)
+    grade = world.degraded.get(robot)
     return grade is None or (grade == "unreliable" and bool(drawn))
 
 
-def attempt_succeeds(state: State, recovery: Recovery, command: EndAttempt) -> bool:
+def attempt_succeeds(world: World, recovery: Recovery, command: EndAttempt) -> bool:
     """Tell whether the way is clear, or the degraded actuator held this time."""
     if recovery.cause == "obstruction":
-        return not state.world.obstructions.get(recovery.robot)
-    return actuator_holds(state, recovery.robot, command.drawn)
+        return not world.obstructions.get(recovery.robot)
+    return actuator_holds(world, recovery.robot, command.drawn)
 
 
-def attempt_result(state: State, action: Action, recovery: Recovery) -> tuple[Result, tuple[str, ...]]:
+def attempted(action: Action, recovery: Recovery, principals: Principals, deadline_us: int) -> RecoveryAttempted:
+    """Return the fact that the robot's next own attempt begins. Units: `deadline_us` run time."""
+    return RecoveryAttempted(
+        subject=action.subject,
+        principals=principals,
+        robot=action.robot,
+        failure=recovery.failure,
+        number=recovery.number + 1,
+        level="local",
+        deadline_us=deadline_us,
+        failed_action=action.action_id,
+    )
+
+
+def attempt_failed(registry: Registry, world: World, action: Action, recovery: Recovery) -> RecoveryAttemptFailed:
+    """Return the fact that the attempt has failed, with its result and the postconditions that hold after it."""
+    result, achieved = _attempt_result(registry, world, action, recovery)
+    return RecoveryAttemptFailed(
+        subject=action.subject,
+        robot=action.robot,
+        failure=recovery.failure,
+        number=recovery.number,
+        result=result,
+        achieved=achieved,
+    )
+
+
+def end_of_attempt(fleet: Fleet, event: RecoveryAttempted) -> Scheduled:
+    """Schedule the end of an attempt that the robot makes by itself, once it has prepared."""
+    key = f"{event.failed_action}/{event.failure}/{event.number}"
+    end, preparation_us = EndAttempt(event.failed_action, event.number), fleet.structure.retry_preparation_us
+    return Scheduled(end, preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key))
+
+
+def _attempt_result(
+    registry: Registry, world: World, action: Action, recovery: Recovery
+) -> tuple[Result, tuple[str, ...]]:
     """Return the result of an attempt that did not succeed, and the postconditions that hold after it.
 
     A slipping actuator grips and does not hold: all of the contract is achieved but its last postcondition.
     """
-    if recovery.cause == "degradation" and state.world.degraded.get(action.robot) == "slipping":
-        module = state.registry.modules.get(action.robot, {}).get(action.capability)
+    if recovery.cause == "degradation" and world.degraded.get(action.robot) == "slipping":
+        module = registry.modules.get(action.robot, {}).get(action.capability)
         achieved = () if module is None else module.contract.postconditions[:-1]
         if achieved:
             return "partial", achieved

@@ -10,14 +10,17 @@ from typing import Literal, get_args
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import OverrideLevel, Parties, Principal, Robot, Subject
+from fsar_ledger.events.envelope import OverrideLevel, Principal, Robot, Subject
 from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
+from fsar_ledger.projections.execution import Execution
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.projections.registry import Advertisement, Offers, enclosing, offers
 from fsar_ledger.projections.trust import covers, scope_of
+from fsar_ledger.projections.world import World
 
-from .attribution import is_idle, nearest_first, on_shift
+from .attribution import is_idle, nearest_first, recorded_by
 from .commands import Actors, Decides, PublicCommand, Reacts
 from .matching import is_in_range, is_range, is_suitable
 from .rejection import rejected, unknown_robot
@@ -85,14 +88,15 @@ def candidates(state: State, query: Query, cache_holder: Robot | None = None) ->
         _search(state, query, level, but, cache is None, found, left_out)
         if found:
             break
-    ranked = _nearest(state, found, query)
+    ranked = _nearest(state.fleet, found, query)
     if len(ranked) > 1:
         ranked = tuple(
-            sorted(ranked, key=lambda robot: (_rank(state, found[robot], cache is None), found[robot].is_deprecated))[
-                : query.limit
-            ]
+            sorted(
+                ranked,
+                key=lambda robot: (_rank(state.execution, found[robot], cache is None), found[robot].is_deprecated),
+            )[: query.limit]
         )
-    others = _nearest(state, left_out, query)
+    others = _nearest(state.fleet, left_out, query)
     return Answer(
         ranked,
         tuple(found[robot].capability for robot in ranked),
@@ -103,9 +107,9 @@ def candidates(state: State, query: Query, cache_holder: Robot | None = None) ->
     )
 
 
-def _nearest(state: State, robots: Iterable[Robot], query: Query) -> tuple[Robot, ...]:
+def _nearest(fleet: Fleet, robots: Iterable[Robot], query: Query) -> tuple[Robot, ...]:
     found = list(robots)
-    return nearest_first(state, found, query.requester) if len(found) > 1 else tuple(found)
+    return nearest_first(fleet, found, query.requester) if len(found) > 1 else tuple(found)
 
 
 def _search(
@@ -131,7 +135,7 @@ def _search(
         found[robot] = record
         left_out.pop(robot, None)
         if query.limit is not None:
-            ready += not record.is_deprecated and _rank(state, record, is_present) == 0
+            ready += not record.is_deprecated and _rank(state.execution, record, is_present) == 0
             if ready == query.limit:
                 break
     for robot in [robot for robot, record in found.items() if record.is_deprecated]:
@@ -151,11 +155,11 @@ def _matches(level: Offers, wanted: str, but: str | None) -> Iterator[Advertisem
         yield from offers(level, name, but)
 
 
-def _rank(state: State, record: Advertisement, is_present: bool) -> int:
+def _rank(execution: Execution, record: Advertisement, is_present: bool) -> int:
     """Return 0 for ready, 1 busy, 2 degraded; no copy shows that a robot is executing just now."""
     if record.availability == "degraded":
         return 2
-    return int(record.availability == "busy" or (is_present and not is_idle(state, record.robot)))
+    return int(record.availability == "busy" or (is_present and not is_idle(execution, record.robot)))
 
 
 def rejecting_filter(state: State, query: Query, record: Advertisement, but: Filter | None = None) -> Filter | None:
@@ -231,15 +235,23 @@ _REJECTS: tuple[tuple[Filter, Callable[[State, Query, Advertisement], bool]], ..
 
 
 def queried(
-    state: State, query: Query, answer: Answer, task_id: str | None, action_id: str | None, relay: Robot | None = None
+    fleet: Fleet,
+    world: World,
+    query: Query,
+    answer: Answer,
+    task_id: str | None,
+    action_id: str | None,
+    relay: Robot | None = None,
 ) -> RegistryQueried:
     """Return the record of the registry's answer; the executor is the robot that the answer leads to, if any."""
     return RegistryQueried(
         subject=Subject(task_id, action_id),
-        principals=Parties(
+        principals=recorded_by(
+            fleet,
+            world,
+            query.requester,
             requested_by=query.requester,
             executed_by=answer.candidates[0] if answer.candidates else None,
-            supervised_by=on_shift(state, query.requester),
         ),
         capability=query.capability,
         candidates=answer.candidates,
@@ -267,7 +279,7 @@ class CacheRegistry(PublicCommand):
 def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
     """Answer from the registry; that nobody offers the capability is an answer too."""
     query = command.query
-    wrong = unknown_robot(state, query.requester, command.cache_holder) or _malformed(query)
+    wrong = unknown_robot(state.fleet, query.requester, command.cache_holder) or _malformed(query)
     if wrong is None and command.cache_holder is not None and command.cache_holder not in state.registry.caches:
         wrong = f"{command.cache_holder} has no copy of the registry, expected one that was taken"
     if wrong is not None:
@@ -303,7 +315,7 @@ def _malformed(query: Query) -> str | None:
 
 def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
     """Give the holder a copy as of now."""
-    wrong = unknown_robot(state, command.holder)
+    wrong = unknown_robot(state.fleet, command.holder)
     if wrong is not None:
         return rejected(command, command.holder, wrong, command.holder)
     return (RegistryCached(command.holder, command.now_us),)

@@ -4,7 +4,9 @@ from collections.abc import Iterable
 
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Robot, Supervisor
-from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.context import Over
+from fsar_ledger.projections.fleet import Fleet
+from fsar_ledger.projections.registry import Registry
 
 from .commands import Command
 
@@ -14,48 +16,48 @@ def rejected(command: Command, subject: str, reason: str, issued_by: Principal |
     return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)
 
 
-def unknown_robot(state: State, *robots: str | None) -> str | None:
+def unknown_robot(fleet: Fleet, *robots: str | None) -> str | None:
     """Return why to reject a command that names a robot outside the fleet, or None (None names nobody)."""
     for robot in robots:
-        if robot is not None and robot not in state.fleet.robots:
+        if robot is not None and robot not in fleet.robots:
             return f"unknown robot {robot}, expected a member of the fleet"
     return None
 
 
-def unknown_supervisor(state: State, supervisor: Supervisor | None) -> str | None:
+def unknown_supervisor(fleet: Fleet, supervisor: Supervisor | None) -> str | None:
     """Return why to reject a command in the name of somebody who supervises nothing here, or None."""
     if supervisor == FLEET_SUPERVISOR or (
-        supervisor is not None and any(supervisor == robot.supervisor for robot in state.fleet.robots.values())
+        supervisor is not None and any(supervisor == robot.supervisor for robot in fleet.robots.values())
     ):
         return None
     return f"unknown supervisor {supervisor}, expected {FLEET_SUPERVISOR} or a robot's own"
 
 
 def not_in_charge(
-    state: State, supervisor: Supervisor | None, robot: Robot | None, is_fleet_matter: bool = False
+    fleet: Fleet, supervisor: Supervisor | None, robot: Robot | None, is_fleet_matter: bool = False
 ) -> str | None:
     """Return why this supervisor may not give a command about this robot, or None.
 
     A robot of None: the command is about nobody in particular. H_F may speak for every robot; H_i for its own alone,
     and not where the matter is the fleet's. Paper: sec:model:supervision.
     """
-    if (unknown := unknown_supervisor(state, supervisor)) is not None:
+    if (unknown := unknown_supervisor(fleet, supervisor)) is not None:
         return unknown
     if supervisor == FLEET_SUPERVISOR:
         return None
     if is_fleet_matter:
         return f"{supervisor} supervises one robot, expected {FLEET_SUPERVISOR} for what concerns the fleet"
-    if robot is not None and state.fleet.robots[robot].supervisor != supervisor:
+    if robot is not None and fleet.robots[robot].supervisor != supervisor:
         return (
             f"{supervisor} does not supervise {robot}, "
-            f"expected {state.fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
+            f"expected {fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
         )
     return None
 
 
-def unknown_capability(state: State, capability: str | None) -> str | None:
+def unknown_capability(registry: Registry, capability: str | None) -> str | None:
     """Return why to reject a command about a capability that no robot possesses, or None (None names none)."""
-    if capability is None or any(capability in modules for modules in state.registry.modules.values()):
+    if capability is None or any(capability in modules for modules in registry.modules.values()):
         return None
     return f"unknown capability {capability}, expected one that a member possesses"
 
@@ -66,6 +68,6 @@ def unknown_word(what: str, found: str | None, known: Iterable[str]) -> str | No
     return None if found in known else f"unknown {what} {found}, expected one of {', '.join(known)}"
 
 
-def expired_context(state: State, context: str | None) -> str | None:
+def expired_context(over: Over, context: str | None) -> str | None:
     """Return why to reject a command in the context of a task that is over, or None (None is no context)."""
-    return f"task {context} is over, expected a context that is not" if context in state.context else None
+    return f"task {context} is over, expected a context that is not" if context in over else None

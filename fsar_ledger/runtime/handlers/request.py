@@ -11,11 +11,12 @@ from fsar_ledger.events.envelope import OverrideLevel, Parties, Principals, Requ
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.request import GapDetected, OfferAnswered, RequestIssued
 from fsar_ledger.projections.authority import LEVELS
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.registry import Registry
+from fsar_ledger.projections.request import Request, Requests
 
-from .attribution import on_shift, parties
+from .attribution import on_shift, parties, recorded_by
 from .commands import Actors, Decides, PublicCommand, Reacts
 from .policy import own_policy
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_word
@@ -63,7 +64,7 @@ def request_capability(state: State, command: RequestCapability) -> tuple[Event,
     if reason is not None:
         return rejected(command, command.action_id, reason, command.requester)
     robot, context, action_id = command.requester, command.context, command.action_id
-    supervisor = on_shift(state, robot)
+    supervisor = on_shift(state.fleet, state.world, robot)
     return (
         GapDetected(
             Subject(context, action_id),
@@ -80,7 +81,7 @@ def request_capability(state: State, command: RequestCapability) -> tuple[Event,
                 path=(robot,),
             ),
             capability=command.capability,
-            carried_policy=own_policy(state, robot, command.capability, context),
+            carried_policy=own_policy(state.policy, state.world, robot, command.capability, context),
             override=command.override,
             parent=command.parent,
             directives=command.directives,
@@ -94,13 +95,15 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
 
     Whether it is admissible is for the executor to say.
     """
-    unknown = unknown_robot(state, command.requester, command.executor)
+    unknown = unknown_robot(state.fleet, command.requester, command.executor)
     if unknown is not None:
         return unknown
     if command.requester == command.executor:
         return f"{command.requester} asks itself, expected another robot"
-    unknown = unknown_capability(state, command.capability) or unknown_word("override level", command.override, LEVELS)
-    unknown = unknown or expired_context(state, command.context)
+    unknown = unknown_capability(state.registry, command.capability) or unknown_word(
+        "override level", command.override, LEVELS
+    )
+    unknown = unknown or expired_context(state.context, command.context)
     if unknown is not None:
         return unknown
     if not command.context or not command.action_id:
@@ -110,19 +113,19 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
     task = command.action_id.rpartition("/")[0]
     if command.action_id in state.request or task in state.task or task in state.context:
         return f"the name {command.action_id} is taken, expected a new one"
-    return _broken_chain(state, command)
+    return _broken_chain(state.execution, state.request, command)
 
 
-def _broken_chain(state: State, command: RequestCapability) -> str | None:
+def _broken_chain(execution: Execution, requests: Requests, command: RequestCapability) -> str | None:
     """Return why the requester does not act in the service of the parent, or None. Paper: eq:nontransitive."""
     if command.parent is None:
         return None
-    parent = state.request.get(command.parent)
+    parent = requests.get(command.parent)
     if parent is None:
         return f"unknown parent {command.parent}, expected a request under way"
     if parent.is_over or parent.result is not None:
         return f"the parent {command.parent} is over, expected a request under way"
-    action = state.execution.actions.get(command.parent)
+    action = execution.actions.get(command.parent)
     if action is None or not action.is_delegated or action.robot != command.requester:
         return f"{command.requester} does not execute {command.parent}, expected its executor"
     return None
@@ -148,12 +151,8 @@ def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
     return (
         OfferAnswered(
             request.request_subject,
-            Principals(
-                decided_by=robot,
-                requested_by=robot,
-                executed_by=request.candidates[0],
-                supervised_by=on_shift(state, robot),
-                path=(robot,),
+            recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=request.candidates[0]).decided(
+                robot
             ),
             request.offers,
             command.is_accepted,
@@ -169,13 +168,13 @@ def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
         return rejected(
             command, command.action_id, _not_executed(state.request.get(command.action_id)), command.executor
         )
-    reason = _not_reportable(state, action, command)
+    reason = _not_reportable(state.registry, action, command)
     if reason is not None:
         return rejected(command, command.action_id, reason, command.executor)
     return (
         ExecutionFinished(
             action.subject,
-            parties(state, action),
+            parties(state.fleet, state.world, action),
             robot=action.robot,
             result=command.result,
             achieved=command.achieved,
@@ -191,7 +190,7 @@ def _not_executed(request: Request | None) -> str:
     return "the request has not been admitted, expected one that is being executed"
 
 
-def _not_reportable(state: State, action: Action, command: ReportResult) -> str | None:
+def _not_reportable(registry: Registry, action: Action, command: ReportResult) -> str | None:
     """Return why this is no result that the executor can report now, or None.
 
     A failure is first handled by its own recovery.
@@ -208,7 +207,7 @@ def _not_reportable(state: State, action: Action, command: ReportResult) -> str 
             f"a {command.result} result with {len(command.achieved)} postconditions achieved, "
             "expected some for a partial one and none else"
         )
-    module = state.registry.modules.get(action.robot, {}).get(action.capability)
+    module = registry.modules.get(action.robot, {}).get(action.capability)
     promised = () if module is None else module.contract.postconditions
     unknown = [name for name in command.achieved if promised and name not in promised]
     return (

@@ -14,9 +14,11 @@ from fsar_ledger.events.supervision import (
     SupervisorCalled,
     SupervisorResponded,
 )
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.supervision import density
+from fsar_ledger.projections.supervision import Supervision, density
+from fsar_ledger.projections.world import World
 
 from .actors import nobody
 from .commands import Actors, Decides, Draw, PublicCommand, Reacts, Respond, Scheduled, at_once
@@ -45,24 +47,24 @@ class SetSupervisionDensity(PublicCommand):
     reason: str
 
 
-def supervisor_for(state: State, robot: Robot, is_cross_robot: bool) -> Supervisor:
+def supervisor_for(fleet: Fleet, world: World, robot: Robot, is_cross_robot: bool) -> Supervisor:
     """Return whom to call about the robot: its own H_i on shift about that robot alone, else H_F.
 
     Paper: sec:model:supervision.
     """
-    own = state.fleet.robots[robot].supervisor
-    if is_cross_robot or own is None or own in state.world.off_shift:
+    own = fleet.robots[robot].supervisor
+    if is_cross_robot or own is None or own in world.off_shift:
         return FLEET_SUPERVISOR
     return own
 
 
-def is_due_for_review(state: State, executor: Robot) -> bool:
+def is_due_for_review(supervision: Supervision, executor: Robot) -> bool:
     """Tell whether supervision density puts the executor's next admission before a supervisor.
 
     Paper: sec:model:supervision.
     """
-    every = density(state.supervision, executor)
-    return every > 0 and (state.supervision.admissions.get(executor, 0) + 1) % every == 0
+    every = density(supervision, executor)
+    return every > 0 and (supervision.admissions.get(executor, 0) + 1) % every == 0
 
 
 def requester_of(request: Request) -> Robot | None:
@@ -81,14 +83,14 @@ def respond(state: State, command: Respond, name_requester: NameRequester = requ
         call.subject.action_id not in state.request and call.subject.action_id not in state.execution.actions
     ):
         return ()
-    return _responded(state, call, True, first_in_order(state, call), name_requester)
+    return _responded(state, call, True, first_in_order(state.request, state.task, call), name_requester)
 
 
 def respond_to_call(
     state: State, command: RespondToCall, name_requester: NameRequester = requester_of
 ) -> tuple[Event, ...]:
     """Answer the open call as the supervisor it went to."""
-    unknown = not_in_charge(state, command.supervisor, None)
+    unknown = not_in_charge(state.fleet, command.supervisor, None)
     if unknown is not None:
         return rejected(command, command.action_id, unknown, command.supervisor)
     calls = [call for call in state.supervision.calls.values() if call.subject.action_id == command.action_id]
@@ -149,8 +151,8 @@ def _responded(
 def set_supervision_density(state: State, command: SetSupervisionDensity) -> tuple[Event, ...]:
     """Set the density: of a robot by its own supervisor or H_F, of every robot by H_F. Paper: sec:model:supervision."""
     subject = command.robot or "every robot"
-    refused = unknown_robot(state, command.robot) or not_in_charge(
-        state, command.issued_by, command.robot, is_fleet_matter=command.robot is None
+    refused = unknown_robot(state.fleet, command.robot) or not_in_charge(
+        state.fleet, command.issued_by, command.robot, is_fleet_matter=command.robot is None
     )
     if refused is None and command.review_every < 0:
         refused = f"density {command.review_every}, expected 0 (none) or one in so many"

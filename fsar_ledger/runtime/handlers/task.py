@@ -7,7 +7,8 @@ from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, Tas
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
-from fsar_ledger.projections.task import given_up_us
+from fsar_ledger.projections.request import Requests
+from fsar_ledger.projections.task import Tasks, given_up_us
 
 from .actors import acting, next_in_task, nobody, requester
 from .commands import Actors, BeginStep, CompleteStep, Decides, ExpireTask, PublicCommand, Reacts, Scheduled, at_once
@@ -27,7 +28,7 @@ class SubmitTask(PublicCommand):
 
 def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
     """Record the task, whose first step will begin."""
-    reason = unknown_robot(state, command.robot) or _impossible(state, command)
+    reason = unknown_robot(state.fleet, command.robot) or _impossible(state, command)
     if reason is not None:
         return rejected(command, command.task_id, reason, command.robot)
     team, due_us = state.fleet.robots[command.robot].team, command.now_us + command.budget_us
@@ -49,7 +50,7 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
     """Return why nobody could do the task, or None."""
     if not command.task_id or "/" in command.task_id or ":" in command.task_id:
         return f"task name {command.task_id!r}, expected a name without a slash or a colon"
-    if command.task_id in state.task or command.task_id in state.context or _is_named(state, command.task_id):
+    if command.task_id in state.task or command.task_id in state.context or _is_named(state.request, command.task_id):
         return f"the name {command.task_id} is taken, expected a new one"
     if command.budget_us <= 0 or not command.steps:
         return (
@@ -65,7 +66,10 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
             case [actor, capability]:
                 able = possesses(state.registry, robot_named(actor, team), capability)
             case [actor, capability, target] if target:
-                able = robot_named(actor, team) in state.fleet.robots and unknown_capability(state, capability) is None
+                able = (
+                    robot_named(actor, team) in state.fleet.robots
+                    and unknown_capability(state.registry, capability) is None
+                )
             case _:
                 able = False
         if not able:
@@ -76,9 +80,9 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
     return None
 
 
-def _is_named(state: State, task_id: str) -> bool:
+def _is_named(requests: Requests, task_id: str) -> bool:
     """Tell whether a request has that context, or the name that a step of such a task would have."""
-    return any(request.task_id == task_id or name.startswith(task_id + "/") for name, request in state.request.items())
+    return any(request.task_id == task_id or name.startswith(task_id + "/") for name, request in requests.items())
 
 
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
@@ -118,22 +122,22 @@ def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
     return () if request is None or request.task_id not in state.task else (StepCompleted(request.subject),)
 
 
-def is_critical(state: State, task_id: str) -> bool:
+def is_critical(tasks: Tasks, task_id: str) -> bool:
     """Tell whether the task is open and time-critical."""
-    task = state.task.get(task_id)
+    task = tasks.get(task_id)
     return task is not None and task.is_time_critical
 
 
-def first_in_order(state: State, call: SupervisorCalled) -> str | None:
+def first_in_order(requests: Requests, tasks: Tasks, call: SupervisorCalled) -> str | None:
     """Return which of two competing actions H_F lets go first: the time-critical one, else the earlier one.
 
     Paper: sec:prototype:workflows.
     """
     if call.competing is None:
         return None
-    other = state.request.get(call.competing)
+    other = requests.get(call.competing)
     comes_before = (
-        other is not None and is_critical(state, other.task_id) and not is_critical(state, call.subject.task_id)
+        other is not None and is_critical(tasks, other.task_id) and not is_critical(tasks, call.subject.task_id)
     )
     return call.competing if comes_before else call.subject.action_id
 

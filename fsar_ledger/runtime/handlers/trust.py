@@ -92,10 +92,14 @@ def trusts(state: State, executor: Robot, requester: Robot, capability: str, con
 
 def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
     """Set the robot's trust in the peer, by word of its own supervisor or of H_F. Paper: eq:trust."""
-    refused = unknown_robot(state, command.robot, command.peer) or not_in_charge(
-        state, command.issued_by, command.robot
+    refused = unknown_robot(state.fleet, command.robot, command.peer) or not_in_charge(
+        state.fleet, command.issued_by, command.robot
     )
-    refused = refused or unknown_capability(state, command.capability) or expired_context(state, command.context)
+    refused = (
+        refused
+        or unknown_capability(state.registry, command.capability)
+        or expired_context(state.context, command.context)
+    )
     refused = refused or unknown_word("scope", command.scope, SCOPES)
     if refused is None and command.robot == command.peer:
         refused = f"{command.robot} needs no trust in itself, expected another robot"
@@ -118,12 +122,16 @@ def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
     """Set the trust between the roles, where nothing is set for the very pair. Paper: eq:trust."""
     members = state.fleet.robots.values()
     inside = [robot for robot in members if is_within(robot.domain, command.domain)]
-    refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
+    refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
     if refused is None and not inside:
         refused = f"unknown domain {command.domain}, expected one that a member is in"
     for role in (command.role, command.peer_role):
         refused = refused or unknown_word("role", role, sorted({robot.role for robot in inside}))
-    refused = refused or unknown_capability(state, command.capability) or expired_context(state, command.context)
+    refused = (
+        refused
+        or unknown_capability(state.registry, command.capability)
+        or expired_context(state.context, command.context)
+    )
     refused = refused or unknown_word("scope", command.scope, SCOPES)
     if refused is not None:
         return rejected(command, command.role, refused, command.issued_by)
@@ -143,7 +151,7 @@ def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
 
 def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Event, ...]:
     """Let trust follow the record, by word of H_F. Paper: sec:model:trust."""
-    refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
+    refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
     if refused is None and min(command.promote_after, command.downgrade_after) < 0:
         refused = f"thresholds {command.promote_after} and {command.downgrade_after}, expected 0 (never) or more"
     if refused is not None:

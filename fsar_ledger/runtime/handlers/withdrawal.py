@@ -11,8 +11,10 @@ from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.execution import ExecutionWithdrawn
 from fsar_ledger.events.task import TaskAbandoned
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.authority import Authority
+from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Requests
 
 from .actors import named, nobody
 from .authority import released
@@ -37,9 +39,11 @@ class EndClaims(Command):
 
 def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
     """Withdraw what the robot has of the task and has not begun, with every claim on it."""
-    waiting = [action for action in _waiting(state, command.task_id) if action.robot == command.robot]
-    withdrawn = sorted(waiting, key=lambda action: holds_robot(state, action))
-    ended = _claims(state, command.task_id, {action.action_id for action in withdrawn})
+    waiting = [
+        action for action in _waiting(state.execution, state.request, command.task_id) if action.robot == command.robot
+    ]
+    withdrawn = sorted(waiting, key=lambda action: holds_robot(state.execution, action))
+    ended = _claims(state.authority, command.task_id, {action.action_id for action in withdrawn})
     return (
         *released(ended),
         *(ExecutionWithdrawn(action.subject, action.robot) for action in withdrawn),
@@ -51,22 +55,22 @@ def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
     never = {
         name for name in state.authority.claims if name not in state.execution.actions and name not in state.request
     }
-    return released(_claims(state, command.task_id, never))
+    return released(_claims(state.authority, command.task_id, never))
 
 
-def _waiting(state: State, task_id: str) -> list[Action]:
+def _waiting(execution: Execution, requests: Requests, task_id: str) -> list[Action]:
     """Return what robots have of the task and have not begun."""
     return [
         action
-        for action in state.execution.actions.values()
-        if action.task_id == task_id and _has_not_begun(action) and _is_step(state, action)
+        for action in execution.actions.values()
+        if action.task_id == task_id and _has_not_begun(action) and _is_step(requests, action)
     ]
 
 
-def _claims(state: State, task_id: str, actions: set[str]) -> list[AuthorityClaimed]:
+def _claims(authority: Authority, task_id: str, actions: set[str]) -> list[AuthorityClaimed]:
     return [
         claim
-        for name, claims in state.authority.claims.items()
+        for name, claims in authority.claims.items()
         if name in actions
         for claim in claims
         if claim.subject.task_id == task_id
@@ -77,14 +81,17 @@ def _has_not_begun(action: Action) -> bool:
     return action.stage in WAITING or (action.stage == "preempted" and not action.has_begun)
 
 
-def _is_step(state: State, action: Action) -> bool:
+def _is_step(requests: Requests, action: Action) -> bool:
     """Tell whether this is a step, not a request that a robot issued by itself in the task's context."""
-    request = state.request.get(action.action_id)
+    request = requests.get(action.action_id)
     return request is None or not request.is_adhoc
 
 
 def _on_abandoned(state: State, event: TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
-    asked = {action.robot: action.requested_by or action.on_behalf_of for action in _waiting(state, event.task_id)}
+    asked = {
+        action.robot: action.requested_by or action.on_behalf_of
+        for action in _waiting(state.execution, state.request, event.task_id)
+    }
     told = (_told(event.task_id, robot, by) for robot, by in asked.items())
     return (Scheduled(EndClaims(event.task_id)), *told)
 

@@ -9,7 +9,9 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import COORDINATOR, flat, with_columns
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed
+from fsar_ledger.projections.budget import Budgets
 from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.runtime.architectures.cfc import coordinator, execution, request
@@ -17,8 +19,15 @@ from fsar_ledger.runtime.architectures.cfc.recovery import REACTS, GoOnWithoutHe
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import parties
-from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Draw, EndAttempt, React, Scheduled
-from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succeeds, budget, open_failure
+from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, EndAttempt, React, Scheduled
+from fsar_ledger.runtime.handlers.recovery import (
+    attempt_failed,
+    attempt_succeeds,
+    attempted,
+    budget,
+    end_of_attempt,
+    open_failure,
+)
 
 from .knockout import Knockout, decided_by, in_every_decision, in_no_time, nothing, seeing
 
@@ -35,54 +44,39 @@ class RetryAlone(Command):
     action_id: str
 
 
-def _may_try(state: State, recovery: Recovery, tried: int, now_us: int) -> bool:
+def _may_try(budgets: Budgets, fleet: Fleet, recovery: Recovery, tried: int, now_us: int) -> bool:
     """Tell whether the robot may try again after so many attempts, by the number and the time of its budget."""
-    allowed = budget(state, recovery.robot, "local")
+    allowed = budget(budgets, fleet, recovery.robot, "local")
     return tried < allowed.n_max and now_us < recovery.detected_us + allowed.t_max_us
 
 
 def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
-    return RecoveryAttempted(
-        subject=action.subject,
-        principals=parties(state, action).decided(action.robot),
-        robot=action.robot,
-        failure=recovery.failure,
-        number=recovery.number + 1,
-        level="local",
-        deadline_us=recovery.detected_us + budget(state, action.robot, "local").t_max_us,
-        failed_action=action.action_id,
-    )
+    by_robot = parties(state.fleet, state.world, action).decided(action.robot)
+    allowed = budget(state.budget, state.fleet, action.robot, "local")
+    return attempted(action, recovery, by_robot, recovery.detected_us + allowed.t_max_us)
 
 
 def _retry_alone(state: State, command: RetryAlone) -> tuple[Event, ...]:
-    failure = open_failure(state, command.action_id)
+    failure = open_failure(state.execution, state.recovery, command.action_id)
     return () if failure is None else (_retried(state, *failure),)
 
 
 def _end_own_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """End the robot's attempt; once its budget is spent, the coordinator takes over."""
-    failure = open_failure(state, command.action_id)
+    failure = open_failure(state.execution, state.recovery, command.action_id)
     if failure is None or failure[1].number != command.number:
         return ()
     action, recovery = failure
-    if attempt_succeeds(state, recovery, command):
+    if attempt_succeeds(state.world, recovery, command):
         return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
-    result, achieved = attempt_result(state, action, recovery)
-    failed = RecoveryAttemptFailed(
-        subject=action.subject,
-        robot=action.robot,
-        failure=recovery.failure,
-        number=command.number,
-        result=result,
-        achieved=achieved,
-    )
-    if _may_try(state, recovery, command.number, command.now_us):
+    failed = attempt_failed(state.registry, state.world, action, recovery)
+    if _may_try(state.budget, state.fleet, recovery, command.number, command.now_us):
         return (failed, _retried(state, action, recovery))
     return (failed,)
 
 
 def _on_own_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
-    if _may_try(state, state.recovery[event.subject.action_id], 0, now_us):
+    if _may_try(state.budget, state.fleet, state.recovery[event.subject.action_id], 0, now_us):
         return (Scheduled(RetryAlone(event.subject.action_id)),)
     return REACTS[ExecutionFailed](state, event, now_us)
 
@@ -90,19 +84,13 @@ def _on_own_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[
 def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tuple[Scheduled, ...]:
     if event.principals.decided_by == COORDINATOR:  # it orders one where the robot may not try at all
         return REACTS[RecoveryAttempted](state, event, now_us)
-    key = f"{event.failed_action}/{event.failure}/{event.number}"
-    end = EndAttempt(event.failed_action, event.number)
-    return (
-        Scheduled(
-            end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)
-        ),
-    )
+    return (end_of_attempt(state.fleet, event),)
 
 
 def _on_own_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) -> tuple[Scheduled, ...]:
     """Tell the coordinator of the last failed attempt only."""
-    failure = open_failure(state, event.subject.action_id)
-    if failure is not None and _may_try(state, failure[1], event.number, now_us):
+    failure = open_failure(state.execution, state.recovery, event.subject.action_id)
+    if failure is not None and _may_try(state.budget, state.fleet, failure[1], event.number, now_us):
         return ()
     return REACTS[RecoveryAttemptFailed](state, event, now_us)
 

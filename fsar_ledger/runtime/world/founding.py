@@ -2,12 +2,11 @@
 
 from typing import NamedTuple
 
+from fsar_ledger import designs
 from fsar_ledger.constants import WorldConstants
-from fsar_ledger.designs import Fleet, Robot
-from fsar_ledger.designs.registered import fleet as registered_fleet
+from fsar_ledger.designs import Fleet, registered
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Robot as RobotName
-from fsar_ledger.events.envelope import Supervisor, local_supervisor, robot_named
+from fsar_ledger.events.envelope import Robot, Supervisor, local_supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import RolePolicyRuleSet
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
@@ -19,9 +18,9 @@ FLOOR_TEAMS = WorldConstants().floor_teams
 class Member(NamedTuple):
     """A robot of the fleet: its principal, its team, and what its design says."""
 
-    name: RobotName
+    name: Robot
     team: int
-    design: Robot
+    design: designs.Robot
 
     @property
     def supervisor(self) -> Supervisor | None:
@@ -31,12 +30,12 @@ class Member(NamedTuple):
 
 def team_size(fleet: Fleet | None) -> int:
     """Return how many robots a team has; None is the paper's fleet."""
-    return max(1, len((fleet or registered_fleet()).robots))
+    return max(1, len((fleet or registered.fleet()).robots))
 
 
 def members(fleet_size: int, fleet: Fleet | None = None) -> tuple[Member, ...]:
     """Return every robot, team by team."""
-    robots = (fleet or registered_fleet()).robots
+    robots = (fleet or registered.fleet()).robots
     teams = range(1, fleet_size // len(robots) + 1)
     return tuple(Member(robot_named(robot.name, team), team, robot) for team in teams for robot in robots)
 
@@ -52,7 +51,7 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
     Trust and policy are given by role, so there are as many entries for any number of teams; a fleet that needs one
     floor names no place.
     """
-    design = fleet or registered_fleet()
+    design = fleet or registered.fleet()
     everyone = members(fleet_size, design)
     has_floors = fleet_size > len(design.robots) * floor_teams
     joined: list[Event] = [

@@ -1,17 +1,14 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
 from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
-from fsar_ledger.runtime.handlers import assistance, supervision, task, withdrawal
-from fsar_ledger.runtime.handlers import execution as bodies
+from fsar_ledger.runtime.handlers import assistance
+from fsar_ledger.runtime.handlers.shared import COMMON
 
 from . import answers, coordinator, execution, recovery, request
 
 CFC: HandlerTable = HandlerTable.of(
-    task,
-    bodies,
+    *COMMON,
     assistance,
-    supervision,
-    withdrawal,
     coordinator,
     request,
     execution,

@@ -17,7 +17,11 @@ from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.request import GapDetected, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import SyncPhaseSet
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.knowledge import Knowledge
+from fsar_ledger.projections.registry import Registry
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import nobody
@@ -55,33 +59,32 @@ def to_coordinator(action_id: str, item: str, draw: Draw) -> Scheduled:
     return Scheduled(ReachCoordinator(action_id, item), 0, (draw,))
 
 
-def until_next_sync_us(state: State, now_us: int) -> int:
+def until_next_sync_us(fleet: Fleet, knowledge: Knowledge, now_us: int) -> int:
     """Return the time until just after the copies are next refreshed. Units: microseconds."""
-    period_us = state.fleet.structure.sync_period_us
-    offset_us = state.knowledge.sync_phase_ppm * period_us // 1_000_000
+    period_us = fleet.structure.sync_period_us
+    offset_us = knowledge.sync_phase_ppm * period_us // 1_000_000
     return period_us - (now_us - offset_us) % period_us + 1
 
 
-def copied_policy(state: State, robot: Robot) -> PolicyOutcome:
+def copied_policy(copy: CopySynced, robot: Robot) -> PolicyOutcome:
     """Return the robot's own policy as the copy shows it."""
-    copy = state.knowledge.copy
     if robot in copy.local_deny:
         return "deny"
     return "review" if robot in copy.local_review else "allow"
 
 
-def copied_rule(state: State, robot: Robot) -> PolicyOutcome:
+def copied_rule(copy: CopySynced, robot: Robot) -> PolicyOutcome:
     """Return the fleet's rule for the robot's zone as the copy shows it."""
-    copy = state.knowledge.copy
     if robot in copy.fleet_deny:
         return "deny"
     return "review" if robot in copy.fleet_review else "allow"
 
 
-def candidates_of(state: State, action_id: str) -> tuple[Robot, ...]:
+def candidates_of(fleet: Fleet, registry: Registry, request: Request) -> tuple[Robot, ...]:
     """Return whom the coordinator considers for a step: its own robot, or every other capable one."""
-    request = state.request[action_id]
-    return capable(state, request.capability, request.requester) if request.is_delegated else (request.requester,)
+    if request.is_delegated:
+        return capable(fleet, registry, request.capability, request.requester)
+    return (request.requester,)
 
 
 def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
@@ -102,7 +105,7 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
             local_review=shown(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
             fleet_deny=shown(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
             fleet_review=shown(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
-            busy=shown(copy.busy, [robot for robot in robots if not is_idle(state, robot)]),
+            busy=shown(copy.busy, [robot for robot in robots if not is_idle(state.execution, robot)]),
             degraded=shown(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
         ),
     )
@@ -124,7 +127,8 @@ def reach_coordinator(
     task_id = request.task_id if request is not None else action.task_id  # type: ignore[union-attr]
     structure = state.fleet.structure
     is_matching = command.item in ("step", "again")
-    candidates = len(candidates_of(state, command.action_id)) if is_matching else 0
+    considered = () if request is None else candidates_of(state.fleet, state.registry, request)
+    candidates = len(considered) if is_matching else 0
     service_us = structure.service_us * state.fleet.size // 4
     service_us += service_us * candidates * structure.candidate_cost_ppm // 1_000_000
     ready_us = max(state.knowledge.ready_us, command.now_us) + service_us

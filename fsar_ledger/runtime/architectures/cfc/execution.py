@@ -17,10 +17,12 @@ from fsar_ledger.events.envelope import (
 )
 from fsar_ledger.events.execution import ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed
+from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.authority import released
+from fsar_ledger.runtime.handlers.authority import made_for, released
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
@@ -34,7 +36,7 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     message,
 )
-from fsar_ledger.runtime.handlers.execution import approach, pause_running, started
+from fsar_ledger.runtime.handlers.execution import approach, pause_running, started, waiting
 
 from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_next_sync_us
 
@@ -54,21 +56,19 @@ class EndWatch(Command):
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the execution."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "approaching"):
-        return ()
-    return (started(state, action, command),)
+    action = waiting(state.execution, command.action_id)
+    return () if action is None else (started(state.fleet, state.world, action, command),)
 
 
 def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     """Let the robot claim override over its actions, and both supervisors claim supervision where a window opened."""
     claimed: list[Event] = []
-    for action_id in _held(state, command.robot):
+    for action_id in _held(state.authority, state.request, command.robot):
         task_id = state.request[action_id].task_id
         wanted: list[tuple[Dimension, Principal, str]] = [("override", command.robot, "safe stop")]
         if command.window is not None:
             wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
-            if on_shift(state, command.robot) is not None:
+            if on_shift(state.fleet, state.world, command.robot) is not None:
                 wanted.append(("audit", local_supervisor(command.robot), command.window))
         known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
         claimed += [
@@ -79,11 +79,11 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     return tuple(claimed)
 
 
-def _held(state: State, robot: Robot) -> list[str]:
+def _held(authority: Authority, requests: Requests, robot: Robot) -> list[str]:
     """Return the robot's actions whose execution the coordinator claims."""
     held = []
-    for action_id, claims in state.authority.claims.items():
-        request = state.request.get(action_id)
+    for action_id, claims in authority.claims.items():
+        request = requests.get(action_id)
         if request is None or robot not in (request.requester, request.target or request.requester):
             continue
         if any(claim.dimension == "execution" and claim.claimant == COORDINATOR for claim in claims):
@@ -93,29 +93,28 @@ def _held(state: State, robot: Robot) -> list[str]:
 
 def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
     """Release what the local supervisor watched over in this window."""
-    return released(
-        claim for claims in state.authority.claims.values() for claim in claims if claim.reason == command.window
-    )
+    return released(made_for(state.authority, command.window))
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; withhold a motion that the last copy of policy or rule forbids."""
     robot = command.robot
     principals = Parties(requested_by=robot, executed_by=robot, supervised_by=FLEET_SUPERVISOR).decided(robot)
-    if command.operation == "motion" and "deny" in (copied_policy(state, robot), copied_rule(state, robot)):
+    copy = state.knowledge.copy
+    if command.operation == "motion" and "deny" in (copied_policy(copy, robot), copied_rule(copy, robot)):
         return (RoutineWithheld(principals, robot, command.operation),)
     return (RoutinePerformed(principals, robot, command.operation),)
 
 
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
     paused = pause_running(state, event, now_us)
-    return (*paused, Scheduled(SafeStop(event.robot, event.window))) if _held(state, event.robot) else paused
+    if not _held(state.authority, state.request, event.robot):
+        return paused
+    return (*paused, Scheduled(SafeStop(event.robot, event.window)))
 
 
 def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> tuple[Scheduled, ...]:
-    if any(claim.reason == event.window for claims in state.authority.claims.values() for claim in claims):
-        return (Scheduled(EndWatch(event.window)),)
-    return ()
+    return (Scheduled(EndWatch(event.window)),) if made_for(state.authority, event.window) else ()
 
 
 def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:
@@ -123,7 +122,7 @@ def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Schedu
     return (
         Scheduled(
             ReachCoordinator(event.subject.action_id, "replan"),
-            until_next_sync_us(state, now_us),
+            until_next_sync_us(state.fleet, state.knowledge, now_us),
             (at_once(event.robot),),
         ),
     )

@@ -67,12 +67,8 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
         return ()
     if command.item == NO_ANSWER and recovery.awaited is None:  # it has answered at last
         return ()
-    copy = state.knowledge.copy
-    if (
-        command.item == "failure"
-        and action.robot not in copy.degraded
-        and copied_policy(state, action.robot) == "allow"
-    ):
+    copy, robot = state.knowledge.copy, action.robot
+    if command.item == "failure" and robot not in copy.degraded and copied_policy(copy, robot) == "allow":
         return (
             RecoveryAttempted(
                 subject=Subject(action.task_id, None),
@@ -91,7 +87,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
 def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
     """Send a helper that the copy shows idle, trusted or not; call H_F where there is none."""
     subject, principals = Subject(action.task_id, None), by_coordinator(action.robot)
-    for helper in helpers(state, action, recovery.cause):
+    for helper in helpers(state.fleet, state.registry, action, recovery.cause):
         if helper not in state.knowledge.copy.busy and helper not in recovery.tried:
             return (
                 AssistanceRequested(
@@ -120,11 +116,11 @@ def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """End the ordered retry, which resolved the failure or did not."""
-    failure = open_failure(state, command.action_id)
+    failure = open_failure(state.execution, state.recovery, command.action_id)
     if failure is None:
         return ()
     action, recovery = failure
-    if attempt_succeeds(state, recovery, command):
+    if attempt_succeeds(state.world, recovery, command):
         return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
     return (
         RecoveryAttemptFailed(
@@ -135,13 +131,13 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
 
 def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
     """Admit the request for help, or decline it while the helper is busy."""
-    failure = open_failure(state, command.action_id)
+    failure = open_failure(state.execution, state.recovery, command.action_id)
     if failure is None:
         return ()
     action, recovery = failure
     if recovery.awaited != command.helper:  # another was asked meanwhile, or H_F
         return ()
-    if not is_idle(state, command.helper):
+    if not is_idle(state.execution, command.helper):
         return (AssistanceDeclined(action.subject, action.robot, command.helper, recovery.failure),)
     return (
         AssistanceAdmitted(
@@ -163,7 +159,7 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
 
 def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, ...]:
     """Give the coordinator the failure again when the helper has not answered in time. Reading: R44."""
-    failure = open_failure(state, command.action_id)
+    failure = open_failure(state.execution, state.recovery, command.action_id)
     if failure is None or (failure[1].failure, failure[1].awaited) != (command.failure, command.helper):
         return ()
     return reach_coordinator(state, ReachCoordinator(command.action_id, NO_ANSWER, now_us=command.now_us))
@@ -174,16 +170,19 @@ def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
     return assistance.end_assistance(state, command, "fleet")
 
 
-def _key(event: ExecutionFailed | AssistanceDeclined | AssistanceFailed | AssistanceRequested, action_id: str) -> str:
-    return f"{action_id}/{event.failure}"
+def _report(
+    event: ExecutionFailed | RecoveryAttemptFailed | AssistanceDeclined | AssistanceFailed,
+    sender: Robot,
+    item: str,
+    hop: str,
+) -> tuple[Scheduled, ...]:
+    """Schedule the robot's word to the coordinator about this failure."""
+    action_id = event.subject.action_id
+    return (to_coordinator(action_id, item, message(sender, f"{action_id}/{event.failure}", hop)),)
 
 
 def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        to_coordinator(
-            event.subject.action_id, "failure", message(event.robot, _key(event, event.subject.action_id), "report")
-        ),
-    )
+    return _report(event, event.robot, "failure", "report")
 
 
 def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -193,17 +192,11 @@ def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[
 
 
 def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        to_coordinator(
-            event.subject.action_id,
-            "retry-failed",
-            message(event.robot, f"{event.subject.action_id}/{event.failure}", "retry-report"),
-        ),
-    )
+    return _report(event, event.robot, "retry-failed", "retry-report")
 
 
 def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
-    order = message(COORDINATOR, _key(event, event.failed_action), f"order/{event.helper}")
+    order = message(COORDINATOR, f"{event.failed_action}/{event.failure}", f"order/{event.helper}")
     late = GoOnWithoutHelp(event.failed_action, event.helper, event.failure)
     return (
         Scheduled(ReachHelper(event.failed_action, event.helper), 0, (order,)),
@@ -212,13 +205,7 @@ def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[S
 
 
 def _on_decline(_state: State, event: AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        to_coordinator(
-            event.subject.action_id,
-            "declined",
-            message(event.helper, _key(event, event.subject.action_id), f"decline/{event.helper}"),
-        ),
-    )
+    return _report(event, event.helper, "declined", f"decline/{event.helper}")
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -226,13 +213,7 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
 
 
 def _on_no_help(_state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        to_coordinator(
-            event.subject.action_id,
-            "no help",
-            message(event.helper, _key(event, event.subject.action_id), f"no help/{event.helper}"),
-        ),
-    )
+    return _report(event, event.helper, "no help", f"no help/{event.helper}")
 
 
 DECIDES: Decides = {

@@ -27,11 +27,11 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.request import Request, Requests
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.actors import named, nobody, target
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
-from fsar_ledger.runtime.handlers.authority import released
+from fsar_ledger.runtime.handlers.authority import made_for, release, released
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     CloseExecution,
@@ -43,6 +43,7 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     message,
 )
+from fsar_ledger.runtime.handlers.execution import queued
 
 from . import recovery
 from .coordinator import (
@@ -97,7 +98,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
         case "step" | "again":
             return _match(state, command)
         case "completion":
-            return _complete(state, command)
+            return _complete(state.request, command)
         case _:
             return recovery.process(state, command)
 
@@ -107,36 +108,21 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.task_id not in state.task:
         return ()
-    asked = candidates_of(state, command.action_id)
+    asked = candidates_of(state.fleet, state.registry, request)
     candidates = tuple(robot for robot in asked if robot not in request.silent) or asked
     idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
     robot = idle[0] if idle else candidates[0]
+    unnamed = RequestSubject(request.task_id, None, None)
     records: list[Event] = []
     if request.is_delegated and command.item == "step":
-        records.append(
-            RequestIssued(
-                subject=RequestSubject(request.task_id, None, None),
-                principals=by_coordinator(robot),
-                capability=request.capability,
-            )
-        )
+        records.append(RequestIssued(subject=unnamed, principals=by_coordinator(robot), capability=request.capability))
         records += [CandidateMatched(request.task_id, by_coordinator(None), request.capability) for _ in asked]
-    outcome = stricter(copied_policy(state, robot), in_force(state.world.fleet, robot))
+    outcome = stricter(copied_policy(state.knowledge.copy, robot), in_force(state.world.fleet, robot))
     if outcome == "deny":
-        return (
-            *records,
-            RequestDenied(RequestSubject(request.task_id, None, None), by_coordinator(robot), "policy"),
-        )
+        return (*records, RequestDenied(unnamed, by_coordinator(robot), "policy"))
     if outcome == "review" and command.action_id not in state.supervision.approved:
-        return (
-            *records,
-            SupervisorCalled(
-                subject=Subject(request.task_id, command.action_id),
-                supervisor=FLEET_SUPERVISOR,
-                purpose="review",
-                robot=robot,
-            ),
-        )
+        called = SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review", robot=robot)
+        return (*records, called)
     return (*records, *_commanded(request, robot, not idle))
 
 
@@ -152,13 +138,12 @@ def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...
 
 
 def _commanded(request: Request, robot: Robot, seen_busy: bool) -> tuple[Event, ...]:
-    task_id, action_id = request.task_id, request.action_id
     claims = (
-        AuthorityClaimed(Subject(task_id, action_id), "execution", COORDINATOR, "command"),
-        AuthorityClaimed(Subject(task_id, action_id), "override", COORDINATOR, "command"),
+        AuthorityClaimed(request.subject, "execution", COORDINATOR, "command"),
+        AuthorityClaimed(request.subject, "override", COORDINATOR, "command"),
     )
     if not request.is_delegated:
-        decided = OwnStepDecided(Subject(task_id, None), by_coordinator(robot), request.capability)
+        decided = OwnStepDecided(Subject(request.task_id, None), by_coordinator(robot), request.capability)
         return (decided, *claims)
     subject, principals = request.request_subject, _commanding(robot)
     deferred = (RequestDeferred(subject, principals),) if seen_busy else ()
@@ -181,19 +166,16 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
 
     H_F is asked only when the coordinator's copy did not show the robot as taken.
     """
-    request = state.request.get(command.action_id)
-    robot = command.robot
-    if (
-        request is None or request.is_received or robot != (request.target or request.requester)
-    ):  # taken back, or a second one
-        return ()
+    request, robot = state.request.get(command.action_id), command.robot
+    if request is None or request.is_received or robot != (request.target or request.requester):
+        return ()  # taken back, or a second one
     is_second = request.is_delegated and not request.seen_busy
-    running = pending_of_other_task(state, robot, request.task_id) if is_second else None
+    running = pending_of_other_task(state.execution, robot, request.task_id) if is_second else None
     if running is None:
         return (_queued(request, robot),)
-    task_id = state.execution.actions[running].task_id
+    other = state.execution.actions[running].subject
     return (
-        AuthorityClaimed(Subject(task_id, running), "execution", request.requester, AGAIN + request.action_id),
+        AuthorityClaimed(other, "execution", request.requester, AGAIN + request.action_id),
         SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="ordering"),
     )
 
@@ -205,7 +187,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
         return ()
     return (
         RequestUnanswered(request.subject, by_coordinator(command.robot), request.capability),
-        *released(state.authority.claims.get(request.action_id, ())),
+        *release(state.authority, request.action_id),
     )
 
 
@@ -214,30 +196,15 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    ended = released(
-        claim
-        for claims in state.authority.claims.values()
-        for claim in claims
-        if claim.reason == AGAIN + request.action_id
-    )
+    ended = released(made_for(state.authority, AGAIN + request.action_id))
     if request.task_id not in state.task:  # given up meanwhile
-        return (*ended, *released(state.authority.claims.get(request.action_id, ())))
+        return (*ended, *release(state.authority, request.action_id))
     return (*ended, _queued(request, request.target or request.requester))
 
 
 def _queued(request: Request, robot: Robot) -> ExecutionQueued:
-    return ExecutionQueued(
-        subject=request.subject,
-        principals=Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=FLEET_SUPERVISOR),
-        robot=robot,
-        on_behalf_of=request.requester,
-        capability=request.capability,
-        step=request.step,
-        attempt=request.attempt,
-        is_delegated=request.is_delegated,
-        has_approach=request.is_delegated,
-        is_supervised=True,
-    )
+    parties = Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=FLEET_SUPERVISOR)
+    return queued(request, parties, robot)
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
@@ -246,9 +213,9 @@ def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
     return released(claim for claim in claims if (claim.dimension, claim.claimant) != ("override", COORDINATOR))
 
 
-def _complete(state: State, command: ProcessWork) -> tuple[Event, ...]:
+def _complete(requests: Requests, command: ProcessWork) -> tuple[Event, ...]:
     """Close the step at the coordinator."""
-    request = state.request.get(command.action_id)
+    request = requests.get(command.action_id)
     if request is None:
         return ()
     closed = AuthorityReleased(request.subject, "override", COORDINATOR, "command")
@@ -278,7 +245,9 @@ def _on_denial(state: State, event: RequestDenied | RequestUnanswered, now_us: i
     task = state.task.get(event.subject.task_id or "")
     if task is None or (isinstance(event, RequestDenied) and event.reason == NO_TIME):
         return ()
-    return (Scheduled(ReachCoordinator(task.action_id, "again"), until_next_sync_us(state, now_us)),)
+    return (
+        Scheduled(ReachCoordinator(task.action_id, "again"), until_next_sync_us(state.fleet, state.knowledge, now_us)),
+    )
 
 
 def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:

@@ -3,18 +3,20 @@
 from typing import Any
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import Agent, PolicyOutcome, Robot, agent
 from fsar_ledger.events.knowledge import PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.request import ContractQuestioned
 from fsar_ledger.events.world import ContextChanged, SnapshotPhaseSet
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.authority import Authority
+from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.knowledge import Knowledge
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import is_injected
-from fsar_ledger.runtime.handlers.authority import released as end_claims
+from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled
 from fsar_ledger.runtime.handlers.execution import pause_running
 
@@ -36,9 +38,9 @@ def planner(robot: Robot) -> Agent:
     return agent(robot, "planning")
 
 
-def snapshot(state: State, robot: Robot) -> PolicyOutcome:
+def snapshot(knowledge: Knowledge, robot: Robot) -> PolicyOutcome:
     """Return the robot's own policy as its planner last saw it."""
-    return state.knowledge.snapshot.get(robot, "allow")
+    return knowledge.snapshot.get(robot, "allow")
 
 
 def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
@@ -58,51 +60,37 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
             if robot == action.robot
             else (planner(robot), planner(action.robot))
         )
-        made += claims(state, action, "override", claimants, "context change")
+        made += claims(state.authority, action, "override", claimants, "context change")
     for request in state.request.values():
         if (
             request.target is not None
             and robot in (request.requester, request.target)
-            and not _has_started(state, request)
+            and not _has_started(state.execution, request)
         ):
             made.append(ContractQuestioned(request.subject, robot))
     return tuple(made)
 
 
-def _has_started(state: State, request: Request) -> bool:
+def _has_started(execution: Execution, request: Request) -> bool:
     """Tell whether no contract is left to question: the action runs, has ended, or is an outsider's."""
     if request.step == 0:
         return True
-    action = state.execution.actions.get(request.action_id)
+    action = execution.actions.get(request.action_id)
     if action is None:
         return request.is_accepted
     return action.stage not in ("queued", "approaching")
 
 
 def claims(
-    state: State, action: Action, dimension: Any, claimants: tuple[Agent, ...], reason: str
+    authority: Authority, action: Action, dimension: Any, claimants: tuple[Agent, ...], reason: str
 ) -> list[AuthorityClaimed]:
     """Return the claims that these agents make and do not hold already."""
-    known = {
-        (claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims.get(action.action_id, ())
-    }
+    known = {(claim.dimension, claim.claimant, claim.reason) for claim in authority.claims.get(action.action_id, ())}
     return [
         AuthorityClaimed(action.subject, dimension, claimant, reason)
         for claimant in claimants
         if (dimension, claimant, reason) not in known
     ]
-
-
-def released(state: State, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:
-    """Release the open claims on the action, all of them or those made for this reason."""
-    return end_claims(
-        claim for claim in state.authority.claims.get(action_id, ()) if reason is None or claim.reason == reason
-    )
-
-
-def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
-    """End authority over the finished execution."""
-    return released(state, command.action_id)
 
 
 def _first_snapshot(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:

@@ -5,16 +5,17 @@ Paper: sec:evaluation:baselines.
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import AgentKind, Parties, RequestSubject, Subject, agent
+from fsar_ledger.events.envelope import AgentKind, Parties, agent
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.request import RequestAdmitted, RequestIssued
 from fsar_ledger.events.world import OutsiderRequestInjected
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.actors import body, target
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 
-from .agents import released
 from .talk import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION, TO_PLANNING, Said, path, talk
 
 
@@ -47,9 +48,9 @@ class RunOutsider(Command):
     action_id: str
 
 
-def _under_contract(state: State, action_id: str, contract: int) -> Action | None:
+def _under_contract(execution: Execution, requests: Requests, action_id: str, contract: int) -> Action | None:
     """Return the action while this round's contract holds it."""
-    action, request = state.execution.actions.get(action_id), state.request.get(action_id)
+    action, request = execution.actions.get(action_id), requests.get(action_id)
     if action is None or request is None or request.round != contract or action.stage == "withdrawn":
         return None
     return action
@@ -57,7 +58,7 @@ def _under_contract(state: State, action_id: str, contract: int) -> Action | Non
 
 def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
     """Let the receiver claim execution as well."""
-    action = _under_contract(state, command.action_id, command.round)
+    action = _under_contract(state.execution, state.request, command.action_id, command.round)
     if action is None:
         return ()
     receiver = agent(action.robot, command.receiver)
@@ -66,12 +67,12 @@ def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
 
 def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[Event, ...]:
     """Release the sender's claim on execution."""
-    action = _under_contract(state, command.action_id, command.round)
+    action = _under_contract(state.execution, state.request, command.action_id, command.round)
     if action is None:
         return ()
     sender = agent(action.robot, command.sender)
     return tuple(
-        AuthorityReleased(Subject(claim.subject.task_id, claim.subject.action_id), "execution", sender, claim.reason)
+        AuthorityReleased(claim.subject, "execution", sender, claim.reason)
         for claim in state.authority.claims.get(command.action_id, ())
         if (claim.dimension, claim.claimant) == ("execution", sender)
     )
@@ -79,7 +80,7 @@ def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[
 
 def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
     """Resolve the double booking."""
-    return released(state, command.action_id, "double booking")
+    return release(state.authority, command.action_id, "double booking")
 
 
 def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
@@ -87,14 +88,13 @@ def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
-    task_id, robot, peer = request.task_id, request.requester, request.target
-    subject = RequestSubject(task_id, task_id, task_id)
+    robot, peer, subject = request.requester, request.target, request.request_subject
     unnamed = Parties(requested_by=robot, executed_by=None, supervised_by=None)
     return (
         RequestIssued(subject=subject, principals=unnamed.decided(*path(robot, CALL)), capability=request.capability),
         RequestAdmitted(subject=subject, principals=unnamed.decided(*path(peer, ("communication",))), outcome="allow"),
         ExecutionQueued(
-            subject=Subject(task_id, task_id),
+            subject=request.subject,
             principals=unnamed,
             robot=peer,
             on_behalf_of=robot,
@@ -120,7 +120,7 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     contract = (event.subject.action_id, request.round)
     match event.reason:
         case "double booking" if event.claimant == agent(robot, "execution"):
-            said, record = talk(state, robot, SETTLEMENT, key, "settle")
+            said, record = talk(state.fleet, robot, SETTLEMENT, key, "settle")
             return (
                 Scheduled(
                     SettleBooking(event.subject.action_id),
@@ -130,18 +130,23 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
                 record,
             )
         case "acceptance":
-            return _heard(talk(state, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING))
+            return _heard(
+                talk(state.fleet, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING)
+            )
         case "planning":
             acknowledged = _heard(
-                talk(state, robot, FROM_PLANNING, key, "acknowledged"), AcknowledgeExecution(*contract, "communication")
+                talk(state.fleet, robot, FROM_PLANNING, key, "acknowledged"),
+                AcknowledgeExecution(*contract, "communication"),
             )
             return (
                 *acknowledged,
-                *_heard(talk(state, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)),
+                *_heard(
+                    talk(state.fleet, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)
+                ),
             )
         case "execution":
             return _heard(
-                talk(state, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning")
+                talk(state.fleet, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning")
             )
         case _:
             return ()
@@ -154,7 +159,7 @@ def _heard(said: Said, command: Command) -> tuple[Scheduled, ...]:
 
 
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    said, record = talk(state, event.robot, CALL, event.task_id, "query")
+    said, record = talk(state.fleet, event.robot, CALL, event.task_id, "query")
     return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.robot, event.task_id, 0))), record)
 
 

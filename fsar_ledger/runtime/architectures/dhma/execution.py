@@ -1,10 +1,9 @@
 """DHMA: the robot's agents plan, start and repair execution among themselves. Paper: sec:evaluation:baselines."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principals, RequestSubject
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, RequestSubject
 from fsar_ledger.events.execution import (
     ExecutionPaused,
-    ExecutionQueued,
     ExecutionWithdrawn,
     OwnStepDecided,
     RoutinePerformed,
@@ -17,7 +16,8 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.actors import requester
-from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.attribution import recorded_by
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     BeginStep,
@@ -32,9 +32,9 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     message,
 )
-from fsar_ledger.runtime.handlers.execution import approach, started
+from fsar_ledger.runtime.handlers.execution import approach, queued, started, waiting
 
-from .agents import released, snapshot
+from .agents import snapshot
 from .talk import OWN_STEP, RENEGOTIATION, REPLANNING, path, talk
 
 
@@ -55,9 +55,8 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    robot, outcome = request.requester, snapshot(state, request.requester)
-    supervisor = on_shift(state, robot)
-    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=supervisor)
+    robot, outcome = request.requester, snapshot(state.knowledge, request.requester)
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(*path(robot, ("planning",)))
     if command.action_id not in state.supervision.approved:
         if outcome == "deny":
@@ -73,35 +72,23 @@ def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot = request.requester
-    return (
-        ExecutionQueued(
-            subject=request.subject,
-            principals=Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot)),
-            robot=robot,
-            on_behalf_of=robot,
-            capability=request.capability,
-            step=request.step,
-            attempt=request.attempt,
-            is_delegated=False,
-            has_approach=False,
-            is_supervised=True,
-        ),
-    )
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    return (queued(request, parties, robot),)
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the execution, or void the contract if a party's context has changed since the award."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "approaching"):
+    action = waiting(state.execution, command.action_id)
+    if action is None:
         return ()
     request = state.request.get(command.action_id)
     if request is not None and request.is_questioned and command.action_id not in state.supervision.approved:
         return (
-            *released(state, action.action_id),
+            *release(state.authority, action.action_id),
             ContractVoided(action.subject, action.robot),
             ExecutionWithdrawn(action.subject, action.robot),
         )
-    return (started(state, action, command),)
+    return (started(state.fleet, state.world, action, command),)
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
@@ -109,19 +96,12 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
 
     A motion engages the planner; the planner and the execution agent each record a half of it.
     """
-    robot, supervisor = command.robot, on_shift(state, command.robot)
+    robot = command.robot
     if command.operation == "sensing":
-        return (
-            RoutinePerformed(
-                Principals(
-                    decided_by=robot, requested_by=robot, executed_by=robot, supervised_by=supervisor, path=(robot,)
-                ),
-                robot,
-                "sensing",
-            ),
-        )
-    parties = Parties(requested_by=robot, executed_by=None, supervised_by=supervisor)
-    kind = RoutinePerformed if snapshot(state, robot) == "allow" else RoutineWithheld
+        own = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+        return (RoutinePerformed(own.decided(robot), robot, "sensing"),)
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
+    kind = RoutinePerformed if snapshot(state.knowledge, robot) == "allow" else RoutineWithheld
     return (
         kind(parties.decided(*path(robot, ("planning",))), robot, "motion"),
         RoutineReported(Parties(requested_by=None, executed_by=robot, supervised_by=None), robot),
@@ -149,7 +129,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     said, record = talk(
-        state, state.request[event.subject.action_id].requester, OWN_STEP, event.subject.action_id, "own"
+        state.fleet, state.request[event.subject.action_id].requester, OWN_STEP, event.subject.action_id, "own"
     )
     return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said), record)
 
@@ -159,11 +139,11 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     structure = state.fleet.structure
     action = state.execution.actions[event.subject.action_id]
     key = f"{event.subject.action_id}/replan{action.segments}"
-    said, record = talk(state, action.robot, REPLANNING, key, "own")
+    said, record = talk(state.fleet, action.robot, REPLANNING, key, "own")
     if not action.is_delegated:
         return (Scheduled(ResumeAction(event.subject.action_id), structure.replan_us, said), record)
     agreed, other = talk(
-        state,
+        state.fleet,
         action.on_behalf_of,
         RENEGOTIATION,
         key,

@@ -9,15 +9,19 @@ from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.knowledge import PlannerEngaged
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
 from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import parties
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAttempt, Reacts, Scheduled
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted, open_failure
 
-from .agents import claims, planner, released
+from .agents import claims, planner
 from .talk import RECOVERY, Talk, path, talk
 
 DISPUTE = "dispute"
@@ -41,44 +45,36 @@ class Escalate(Command):
     action_id: str
 
 
-def _heard_by(state: State, action: Action, heard: Talk = RECOVERY) -> Principals:
-    return parties(state, action).decided(*path(action.robot, heard))
+def _heard_by(fleet: Fleet, world: World, action: Action, heard: Talk = RECOVERY) -> Principals:
+    return parties(fleet, world, action).decided(*path(action.robot, heard))
 
 
-def _is_disputed(state: State, action_id: str) -> bool:
-    return any(claim.reason == DISPUTE for claim in state.authority.claims.get(action_id, ()))
+def _is_disputed(authority: Authority, action_id: str) -> bool:
+    return any(claim.reason == DISPUTE for claim in authority.claims.get(action_id, ()))
 
 
 def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
     """Let the recovery and the planning agent both claim override until the failure is over."""
-    match open_failure(state, command.action_id):
+    match open_failure(state.execution, state.recovery, command.action_id):
         case action, recovery if recovery.level == "local":
             claimants = (agent(action.robot, "recovery"), planner(action.robot))
-            return tuple(claims(state, action, "override", claimants, DISPUTE))
+            return tuple(claims(state.authority, action, "override", claimants, DISPUTE))
         case _:
             return ()
 
 
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """Start the first attempt to recover."""
-    match open_failure(state, command.action_id):
+    match open_failure(state.execution, state.recovery, command.action_id):
         case action, recovery:
-            return (_attempted(state, action, recovery),)
+            return (_attempted(state.fleet, state.world, action, recovery),)
         case _:
             return ()
 
 
-def _attempted(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
-    return RecoveryAttempted(
-        subject=action.subject,
-        principals=_heard_by(state, action),
-        robot=action.robot,
-        failure=recovery.failure,
-        number=recovery.number + 1,
-        level="local",
-        deadline_us=recovery.detected_us + state.fleet.structure.local_budget_us,
-        failed_action=action.action_id,
-    )
+def _attempted(fleet: Fleet, world: World, action: Action, recovery: Recovery) -> RecoveryAttempted:
+    deadline_us = recovery.detected_us + fleet.structure.local_budget_us
+    return attempted(action, recovery, _heard_by(fleet, world, action), deadline_us)
 
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
@@ -86,38 +82,43 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
 
     A disputed failure gets one attempt only and then loops.
     """
-    match open_failure(state, command.action_id):
+    match open_failure(state.execution, state.recovery, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
-            if attempt_succeeds(state, recovery, command):
+            if attempt_succeeds(state.world, recovery, command):
                 resolved = FailureResolved(action.subject, action.robot, recovery.failure, "local")
-                return (resolved, *released(state, action.action_id, DISPUTE))
-            if _is_disputed(state, action.action_id):
+                return (resolved, *release(state.authority, action.action_id, DISPUTE))
+            if _is_disputed(state.authority, action.action_id):
                 return (
                     RecoveryAttemptFailed(
                         subject=action.subject, robot=action.robot, failure=recovery.failure, number=command.number
                     ),
                 )
             if recovery.number < state.fleet.structure.local_attempts:
-                return (_attempted(state, action, recovery),)
-            return _escalated(state, action, recovery)
+                return (_attempted(state.fleet, state.world, action, recovery),)
+            return _escalated(state.fleet, state.world, action, recovery)
         case _:
             return ()
 
 
 def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
     """Call H_F."""
-    match open_failure(state, command.action_id):
+    match open_failure(state.execution, state.recovery, command.action_id):
         case action, recovery if recovery.level == "local":
-            return (*_escalated(state, action, recovery, ("recovery",)), *released(state, action.action_id, DISPUTE))
+            return (
+                *_escalated(state.fleet, state.world, action, recovery, ("recovery",)),
+                *release(state.authority, action.action_id, DISPUTE),
+            )
         case _:
             return ()
 
 
-def _escalated(state: State, action: Action, recovery: Recovery, heard: Talk = RECOVERY) -> tuple[Event, ...]:
+def _escalated(
+    fleet: Fleet, world: World, action: Action, recovery: Recovery, heard: Talk = RECOVERY
+) -> tuple[Event, ...]:
     return (
         RecoveryEscalated(
             subject=action.subject,
-            principals=_heard_by(state, action, heard),
+            principals=_heard_by(fleet, world, action, heard),
             robot=action.robot,
             failure=recovery.failure,
             level="local",
@@ -130,7 +131,7 @@ def _escalated(state: State, action: Action, recovery: Recovery, heard: Talk = R
 
 def _on_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.subject.action_id}/{event.failure}"
-    told, record = talk(state, event.robot, RECOVERY, key, "told")
+    told, record = talk(state.fleet, event.robot, RECOVERY, key, "told")
     start = Scheduled(StartRecovery(event.subject.action_id), 0, told)
     if state.knowledge.engaged_until_us.get(event.robot, -1) >= now_us:
         return (Scheduled(Dispute(event.subject.action_id)), start, record)
@@ -150,7 +151,7 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end = EndAttempt(event.failed_action, event.number)
     preparation_us = state.fleet.structure.retry_preparation_us
-    length, record = talk(state, event.robot, RECOVERY, key, "report", (Draw("retry", key),), preparation_us)
+    length, record = talk(state.fleet, event.robot, RECOVERY, key, "report", (Draw("retry", key),), preparation_us)
     return (Scheduled(end, preparation_us, length, Draw("reliability", "retry/" + key)), record)
 
 

@@ -5,7 +5,6 @@ from typing import Any
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, PolicyOutcome, Principal, Robot, agent
-from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
@@ -21,12 +20,13 @@ from fsar_ledger.events.request import (
     RequestUnanswered,
 )
 from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
-from fsar_ledger.projections.world import is_linked
+from fsar_ledger.projections.world import World, is_linked
 from fsar_ledger.runtime.handlers.actors import named, requester, target
-from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
+from fsar_ledger.runtime.handlers.attribution import capable, is_idle, pending_of_other_task, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     CloseRequest,
@@ -34,6 +34,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Decides,
     Reacts,
 )
+from fsar_ledger.runtime.handlers.execution import queued
 
 from .agents import snapshot
 from .talk import CALL, EVALUATION, path
@@ -110,14 +111,8 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    robot = request.requester
-    return (
-        GapDetected(
-            request.subject,
-            Parties(requested_by=robot, executed_by=None, supervised_by=on_shift(state, robot)),
-            request.capability,
-        ),
-    )
+    parties = _parties(state.fleet, state.world, request, request.requester, None)
+    return (GapDetected(request.subject, parties, request.capability),)
 
 
 def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
@@ -125,9 +120,9 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    robot, supervisor = request.requester, on_shift(state, request.requester)
-    candidates = capable(state, request.capability, robot)
-    asking = Parties(requested_by=robot, executed_by=None, supervised_by=supervisor)  # whoever is awarded executes
+    robot = request.requester
+    candidates = capable(state.fleet, state.registry, request.capability, robot)
+    asking = _parties(state.fleet, state.world, request, robot, None)  # whoever is awarded executes
     return (
         RegistryQueried(
             subject=request.subject, principals=asking, capability=request.capability, candidates=candidates
@@ -145,24 +140,15 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    robot, outcome = command.robot, snapshot(state, command.robot)
-    judging = _parties(state, request, robot, None).decided(
-        *path(robot, EVALUATION)
-    )  # a candidate is not yet the executor
+    robot, outcome = command.robot, snapshot(state.knowledge, command.robot)
+    parties = _parties(state.fleet, state.world, request, robot, None)  # a candidate is not yet the executor
+    judging = parties.decided(*path(robot, EVALUATION))
     decided: Event
     if outcome == "deny":
         decided = RequestDenied(request.request_subject, judging, "bid")
     else:
         decided = RequestAdmitted(subject=request.request_subject, principals=judging, outcome=outcome)
-    return (
-        decided,
-        BidSubmitted(
-            request.task_id,
-            Parties(requested_by=request.requester, executed_by=None, supervised_by=on_shift(state, robot)),
-            robot,
-            outcome,
-        ),
-    )
+    return (decided, BidSubmitted(request.task_id, parties, robot, outcome))
 
 
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
@@ -188,13 +174,8 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
         return ()
     if best[1] == "review" and command.action_id not in state.supervision.approved:
         return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
-    return (
-        AwardMade(
-            request.task_id,
-            Parties(requested_by=request.requester, executed_by=None, supervised_by=on_shift(state, request.requester)),
-            best[0],
-        ),
-    )
+    parties = _parties(state.fleet, state.world, request, request.requester, None)
+    return (AwardMade(request.task_id, parties, best[0]),)
 
 
 def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
@@ -220,7 +201,7 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
         return ()
     if best_bid(request) is not None:
         return award(state, Award(command.action_id, now_us=command.now_us))
-    return (_unanswered(state, request, None),)
+    return (_unanswered(state.fleet, state.world, request, None),)
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
@@ -228,12 +209,12 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.round != command.round or request.target is None or request.is_accepted:
         return ()
-    return (_unanswered(state, request, request.target),)
+    return (_unanswered(state.fleet, state.world, request, request.target),)
 
 
-def _unanswered(state: State, request: Request, executor: Robot | None) -> RequestUnanswered:
+def _unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | None) -> RequestUnanswered:
     robot = request.requester
-    principals = _parties(state, request, robot, executor).decided(*path(robot, ("communication",)))
+    principals = _parties(fleet, world, request, robot, executor).decided(*path(robot, ("communication",)))
     return RequestUnanswered(request.subject, principals, request.capability)
 
 
@@ -243,40 +224,26 @@ def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
     if request is None or request.target is None:
         return ()
     robot = request.target
-    parties = _parties(state, request, robot, robot)
+    parties = _parties(state.fleet, state.world, request, robot, robot)
     principals = parties.decided(*path(robot, ("communication",)))  # the other agents have still to hear of it
     made: list[Event] = [RequestAccepted(request.request_subject, principals)]
-    if not is_idle(state, robot):
+    if not is_idle(state.execution, robot):
         made.append(RequestDeferred(request.request_subject, principals))
     made.append(_claim(request, "execution", agent(robot, "communication"), "acceptance"))
-    if pending_of_other_task(state, robot, request.task_id) is not None:
+    if pending_of_other_task(state.execution, robot, request.task_id) is not None:
         made += [
             _claim(request, "override", agent(robot, kind), "double booking") for kind in ("communication", "execution")
         ]
-    made.append(
-        ExecutionQueued(
-            subject=request.subject,
-            principals=parties,
-            robot=robot,
-            on_behalf_of=request.requester,
-            capability=request.capability,
-            step=request.step,
-            attempt=request.attempt,
-            is_delegated=True,
-            has_approach=True,
-            is_supervised=True,
-        )
-    )
-    return tuple(made)
+    return (*made, queued(request, parties, robot))
 
 
 def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -> AuthorityClaimed:
     return AuthorityClaimed(request.subject, dimension, claimant, reason)
 
 
-def _parties(state: State, request: Request, near: Robot, executor: Robot | None) -> Parties:
+def _parties(fleet: Fleet, world: World, request: Request, near: Robot, executor: Robot | None) -> Parties:
     """Return whom a record of the request names, under the supervisor of the robot that keeps it."""
-    return Parties(requested_by=request.requester, executed_by=executor, supervised_by=on_shift(state, near))
+    return recorded_by(fleet, world, near, requested_by=request.requester, executed_by=executor)
 
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
@@ -284,7 +251,7 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
-    parties = _parties(state, request, request.target, request.target)
+    parties = _parties(state.fleet, state.world, request, request.target, request.target)
     principals = parties.decided(*path(request.requester, ("communication",)))
     return (RequestClosed(request.request_subject, principals),)
 

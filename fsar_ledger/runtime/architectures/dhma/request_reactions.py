@@ -14,6 +14,7 @@ from fsar_ledger.events.request import (
 )
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.task import StepBegan
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers.commands import (
@@ -46,10 +47,10 @@ from .talk import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, talk
 LONGEST = 3  # a call that is delivered within the answer time, and two hops, are over after so many of them
 
 
-def call(state: State, request: Request, robot: Robot, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
+def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
     """Deliver the call to the candidate, whose agents work out a bid; `before` comes first."""
     key = f"{request.action_id}/{request.round}/{robot}"
-    said, record = talk(state, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
+    said, record = talk(fleet, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
     return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
 
 
@@ -59,24 +60,24 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    said, record = talk(state, state.request[event.subject.action_id].requester, CALL, event.subject.action_id, 0)
+    said, record = talk(state.fleet, state.request[event.subject.action_id].requester, CALL, event.subject.action_id, 0)
     return (Scheduled(CallForProposals(event.subject.action_id), 0, said), record)
 
 
 def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     request = state.request[event.subject.action_id]
-    calls = tuple(scheduled for robot in event.candidates for scheduled in call(state, request, robot))
-    return (*calls, *_closing(state, request, (at_once(request.requester),)))
+    calls = tuple(scheduled for robot in event.candidates for scheduled in call(state.fleet, request, robot))
+    return (*calls, *_closing(state.fleet, request, (at_once(request.requester),)))
 
 
-def _closing(state: State, request: Request, draws: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
+def _closing(fleet: Fleet, request: Request, draws: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
     """Schedule both ends of bidding.
 
     The first is when the calls should have been delivered; the last is later by the longest time that agents take to
     judge a delivered call.
     """
-    answer_us = state.fleet.answer_us
+    answer_us = fleet.answer_us
     last = CloseBidding(request.action_id, request.round, is_last=True)
     return (
         Scheduled(CloseBidding(request.action_id, request.round), answer_us, draws),
@@ -90,14 +91,14 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
         return ()
     key = f"{request.action_id}/{request.round}/{event.robot}"
     received = ReceiveBid(request.action_id, event.robot, event.outcome)
-    said, record = talk(state, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
+    said, record = talk(state.fleet, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
     return (Scheduled(received, 0, said), record)
 
 
 def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request[event.subject.action_id]
     if len(request.bids) < len(request.candidates):  # it may have been the last one that was waited for
-        return _closing(state, request, (at_once(request.requester),))
+        return _closing(state.fleet, request, (at_once(request.requester),))
     if best_bid(request) is None:
         return (
             Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),
@@ -134,10 +135,12 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
     """Let both sides' agents agree that the contract is void, and negotiate again under the same action."""
     request = state.request[event.subject.action_id]
     key = f"{request.action_id}/{request.round}/void"
-    said, record = talk(state, event.robot, VOIDING, key, "void")
-    agreed, other = talk(state, request.requester, RELAY, key, "again", (*said, message(event.robot, key, "void")))
-    calls = tuple(scheduled for robot in request.candidates for scheduled in call(state, request, robot, agreed))
-    return (*calls, record, other, *_closing(state, request, agreed))
+    said, record = talk(state.fleet, event.robot, VOIDING, key, "void")
+    agreed, other = talk(
+        state.fleet, request.requester, RELAY, key, "again", (*said, message(event.robot, key, "void"))
+    )
+    calls = tuple(scheduled for robot in request.candidates for scheduled in call(state.fleet, request, robot, agreed))
+    return (*calls, record, other, *_closing(state.fleet, request, agreed))
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
@@ -146,7 +149,7 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     if request is None or request.step == 0:
         return (close,)
     said, record = talk(
-        state, event.robot, RESULT if request.is_delegated else OWN_RESULT, event.subject.action_id, "result"
+        state.fleet, event.robot, RESULT if request.is_delegated else OWN_RESULT, event.subject.action_id, "result"
     )
     if not request.is_delegated:
         return (close, Scheduled(CompleteStep(event.subject.action_id), 0, said), record)

@@ -5,11 +5,12 @@ leaves one record, in every phase; what is decided at its end has these agents a
 sec:evaluation:baselines. Reading: R21.
 """
 
-from fsar_ledger.events.envelope import Agent, AgentKind, Parties, Robot, agent
+from fsar_ledger.events.envelope import Agent, AgentKind, Robot, agent
 from fsar_ledger.events.request import InternalHandoff
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.actors import named
-from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled, hop, hops
 
 Talk = tuple[AgentKind, ...]
@@ -57,19 +58,12 @@ class HandOver(Command):
 def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Record each hop; no message says for whom the work is."""
     names = path(command.robot, command.agents)
-    supervisor = on_shift(state, command.robot)
-    return tuple(
-        InternalHandoff(
-            Parties(requested_by=None, executed_by=command.robot, supervised_by=supervisor),
-            names[place],
-            names[place + 1],
-        )
-        for place in range(len(names) - 1)
-    )
+    parties = recorded_by(state.fleet, state.world, command.robot, requested_by=None, executed_by=command.robot)
+    return tuple(InternalHandoff(parties, names[place], names[place + 1]) for place in range(len(names) - 1))
 
 
 def talk(
-    state: State,
+    fleet: Fleet,
     robot: Robot,
     agents: Talk,
     key: str,
@@ -81,7 +75,7 @@ def talk(
 
     The talk begins after what comes `before` it, and after `after_us`.
     """
-    said = (hop(state, key, name),) if len(agents) == 2 else hops(state, key, str(name), len(agents) - 1)
+    said = (hop(fleet, key, name),) if len(agents) == 2 else hops(fleet, key, str(name), len(agents) - 1)
     lengths = (*before, *said)
     return lengths, Scheduled(HandOver(robot, agents), after_us, lengths)
 

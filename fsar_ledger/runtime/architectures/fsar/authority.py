@@ -1,8 +1,8 @@
 """FSAR: authority ends with the execution; a revocation waits for the request boundary. Paper: sec:model:authority."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, REGISTRY, Parties, Principals, RequestSubject, Robot, Subject
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, REGISTRY, Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import PeerRemembered
 from fsar_ledger.events.registry import RegistryQueried
@@ -12,8 +12,8 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.world import is_linked
 from fsar_ledger.runtime.handlers.actors import named, nobody
-from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.authority import released as end_claims
+from fsar_ledger.runtime.handlers.attribution import recorded_by
+from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.registry import Query, rejecting_filter
 
@@ -37,16 +37,6 @@ class RememberPeer(Command):
     peer: Robot
 
 
-def released(state: State, action_id: str) -> tuple[AuthorityReleased, ...]:
-    """Release every open claim on the action."""
-    return end_claims(state.authority.claims.get(action_id, ()))
-
-
-def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
-    """End authority over the finished execution."""
-    return released(state, command.action_id)
-
-
 def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
     """Let the requester claim override over what runs for it, until the next request boundary."""
     revoked: list[Event] = []
@@ -55,9 +45,7 @@ def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
         if action is None or action.on_behalf_of != command.robot or action.robot == command.robot:
             continue
         if all(claim.claimant != command.robot or claim.dimension != "override" for claim in claims):
-            revoked.append(
-                AuthorityClaimed(Subject(action.task_id, action_id), "override", command.robot, "revocation")
-            )
+            revoked.append(AuthorityClaimed(action.subject, "override", command.robot, "revocation"))
     return tuple(revoked)
 
 
@@ -66,52 +54,32 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
-    task_id, robot, peer = request.task_id, request.requester, request.target
+    subject, robot, peer, capability = request.subject, request.requester, request.target, request.capability
     if "trust-evaluation" not in state.fleet.without:
-        supervisor = on_shift(state, robot)
+        unexecuted = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
         return (
-            _refused(state, task_id, robot, peer, request.capability),
-            RequestDenied(
-                RequestSubject(task_id, task_id, task_id),
-                Principals(
-                    decided_by=REGISTRY,
-                    requested_by=robot,
-                    executed_by=None,
-                    supervised_by=supervisor,
-                    path=(REGISTRY,),
-                ),
-                "advertisement",
-            ),
+            _refused(state, request.task_id, robot, peer, capability),
+            RequestDenied(request.request_subject, unexecuted.decided(REGISTRY), "advertisement"),
         )
-    subject = RequestSubject(task_id, task_id, task_id)
     parties = Parties(requested_by=robot, executed_by=peer, supervised_by=None)
-    executor = parties.decided(peer)
+    asking, executing = parties.decided(robot), parties.decided(peer)
     return (
-        GapDetected(
-            Subject(task_id, task_id),
-            parties,
-            request.capability,
-        ),
-        RegistryQueried(
-            subject=Subject(task_id, task_id),
-            principals=parties,
-            capability=request.capability,
-            candidates=(peer,),
-        ),
+        GapDetected(subject, parties, capability),
+        RegistryQueried(subject=subject, principals=parties, capability=capability, candidates=(peer,)),
         RequestIssued(
-            subject=subject, principals=parties.decided(robot), capability=request.capability, carried_policy="allow"
+            subject=request.request_subject, principals=asking, capability=capability, carried_policy="allow"
         ),
-        RequestAdmitted(subject=subject, principals=executor, outcome="allow"),
-        RequestAccepted(subject, executor),
-        AuthorityClaimed(Subject(task_id, task_id), "execution", peer, "acceptance"),
-        AuthorityClaimed(Subject(task_id, task_id), "audit", robot, "no trust scope"),
-        AuthorityClaimed(Subject(task_id, task_id), "audit", FLEET_SUPERVISOR, "no trust scope"),
+        RequestAdmitted(subject=request.request_subject, principals=executing, outcome="allow"),
+        RequestAccepted(request.request_subject, executing),
+        AuthorityClaimed(subject, "execution", peer, "acceptance"),
+        AuthorityClaimed(subject, "audit", robot, "no trust scope"),
+        AuthorityClaimed(subject, "audit", FLEET_SUPERVISOR, "no trust scope"),
         ExecutionQueued(
-            subject=Subject(task_id, task_id),
-            principals=Parties(requested_by=robot, executed_by=peer, supervised_by=None),
+            subject=subject,
+            principals=parties,
             robot=peer,
             on_behalf_of=robot,
-            capability=request.capability,
+            capability=capability,
             step=0,
             attempt=1,
             is_delegated=True,
@@ -130,7 +98,7 @@ def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: 
     by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
     return RegistryQueried(
         subject=Subject(task_id, task_id),
-        principals=Parties(requested_by=robot, executed_by=peer, supervised_by=on_shift(state, robot)),
+        principals=recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=peer),
         capability=capability,
         candidates=(),
         rejected=(peer,),

@@ -15,8 +15,10 @@ from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import LinkCameUp, RobotCameBack
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import NO_ANSWER, surface
+from fsar_ledger.projections.registry import NO_ANSWER, Registry, surface
+from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.actors import nobody
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 
@@ -34,15 +36,11 @@ class ReportBack(Command):
     robot: Robot
 
 
-def found_silent(state: State, robots: Iterable[Robot]) -> tuple[AvailabilityChanged, ...]:
+def found_silent(fleet: Fleet, registry: Registry, robots: Iterable[Robot]) -> tuple[AvailabilityChanged, ...]:
     """Set those who did not answer offline in the registry, if it is in use."""
-    if "shared-registry" in state.fleet.without:
+    if "shared-registry" in fleet.without:
         return ()
-    news = [
-        robot
-        for robot in dict.fromkeys(robots)
-        if robot not in state.registry.silent and any(surface(state.registry, robot))
-    ]
+    news = [robot for robot in dict.fromkeys(robots) if robot not in registry.silent and any(surface(registry, robot))]
     return tuple(
         AvailabilityChanged(robot=robot, capability=None, availability="offline", reason=NO_ANSWER) for robot in news
     )
@@ -53,16 +51,18 @@ def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged,
 
     What has become of its actuator since is kept.
     """
-    return _present(state, command.robot)
+    return _present(state.registry, state.world, command.robot)
 
 
-def _present(state: State, robot: Robot, is_serviced: bool = False) -> tuple[AvailabilityChanged, ...]:
+def _present(
+    registry: Registry, world: World, robot: Robot, is_serviced: bool = False
+) -> tuple[AvailabilityChanged, ...]:
     worn: dict[Availability, Availability] = (
-        {"ready": "degraded", "busy": "degraded"} if robot in state.world.degraded else {}
+        {"ready": "degraded", "busy": "degraded"} if robot in world.degraded else {}
     )
     since: dict[Availability, Availability] = {"degraded": "ready"} if is_serviced else worn
-    now = {capability: since.get(before, before) for capability, before in state.registry.silent.get(robot, {}).items()}
-    if len(set(now.values())) == 1 and len(now) == len(tuple(surface(state.registry, robot))):
+    now = {capability: since.get(before, before) for capability, before in registry.silent.get(robot, {}).items()}
+    if len(set(now.values())) == 1 and len(now) == len(tuple(surface(registry, robot))):
         return (
             AvailabilityChanged(
                 robot=robot, capability=None, availability=next(iter(now.values())), reason="answers again"
@@ -82,7 +82,7 @@ def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
     if command.is_degraded != (command.robot in state.world.degraded):
         return ()
     if command.robot in state.registry.silent:
-        return _present(state, command.robot, is_serviced=not command.is_degraded)
+        return _present(state.registry, state.world, command.robot, is_serviced=not command.is_degraded)
     before: tuple[Availability, ...] = ("ready", "busy") if command.is_degraded else ("degraded",)
     after: Availability = "degraded" if command.is_degraded else "ready"
     shown = tuple(surface(state.registry, command.robot))

@@ -12,7 +12,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principals, Robot
 from fsar_ledger.events.request import RequestDeferred
 from fsar_ledger.events.supervision import SupervisorCalled
-from fsar_ledger.projections.contention import Order
+from fsar_ledger.projections.contention import Contention, Order
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers.task import is_critical
@@ -29,9 +29,11 @@ def put_in_order(state: State, request: Request, executor: Robot, principals: Pr
     if not rivals:
         return ()
     orders = [
-        (order, rival) for rival in rivals if (order := _order(state, request.action_id, rival.action_id)) is not None
+        (order, rival)
+        for rival in rivals
+        if (order := _order(state.contention, request.action_id, rival.action_id)) is not None
     ]
-    if any(not order.is_answered or _goes_first(state, order, rival) for order, rival in orders):
+    if any(not order.is_answered or _goes_first(state.contention, order, rival) for order, rival in orders):
         return (RequestDeferred(request.request_subject, principals),)
     return (
         ()
@@ -48,25 +50,25 @@ def put_in_order(state: State, request: Request, executor: Robot, principals: Pr
     )
 
 
-def in_order(state: State, action_id: str, preferred: str | None) -> tuple[str, ...]:
+def in_order(contention: Contention, action_id: str, preferred: str | None) -> tuple[str, ...]:
     """Return the requests that waited for H_F's answer about this action, in the order given."""
-    called = [pair for pair in state.contention.orders if pair[0] == action_id]
+    called = [pair for pair in contention.orders if pair[0] == action_id]
     if not called:
         return ()
-    waiting = [name for name in called[-1] if name in state.contention.arrived]
+    waiting = [name for name in called[-1] if name in contention.arrived]
     return tuple(sorted(waiting, key=lambda name: name != preferred))
 
 
-def held_up(state: State, action_id: str | None) -> tuple[str, ...]:
+def held_up(contention: Contention, action_id: str | None) -> tuple[str, ...]:
     """Return the requests that waited for this one because H_F lets it go first."""
-    orders = state.contention.orders.values()
+    orders = contention.orders.values()
     pairs = [(order.action_id, order.other) for order in orders if order.is_answered and order.preferred == action_id]
-    return tuple(name for pair in pairs for name in pair if name != action_id and name in state.contention.arrived)
+    return tuple(name for pair in pairs for name in pair if name != action_id and name in contention.arrived)
 
 
-def _goes_first(state: State, order: Order, rival: Request) -> bool:
+def _goes_first(contention: Contention, order: Order, rival: Request) -> bool:
     """Tell whether the rival that H_F lets go first is itself still waiting for the executor."""
-    return order.preferred == rival.action_id and rival.action_id in state.contention.arrived and rival.offered is None
+    return order.preferred == rival.action_id and rival.action_id in contention.arrived and rival.offered is None
 
 
 def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
@@ -82,7 +84,7 @@ def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
             or other.action_id in state.contention.refused
         )
         is_same_robot = other.candidates[0] == executor if other.candidates else other.capability == request.capability
-        is_urgent = is_critical(state, request.task_id) or is_critical(state, other.task_id)
+        is_urgent = is_critical(state.task, request.task_id) or is_critical(state.task, other.task_id)
         if (
             other.task_id != request.task_id
             and other.task_id in state.task
@@ -95,6 +97,6 @@ def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
     return found
 
 
-def _order(state: State, one: str, other: str) -> Order | None:
-    orders = state.contention.orders
+def _order(contention: Contention, one: str, other: str) -> Order | None:
+    orders = contention.orders
     return orders.get((one, other)) or orders.get((other, one))

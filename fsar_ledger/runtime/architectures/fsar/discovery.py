@@ -4,15 +4,17 @@ Paper: sec:model:request, phases 1 and 2.
 """
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Principals, Robot
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, PeerSought, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import advertisement, offers
+from fsar_ledger.projections.registry import Registry, advertisement, offers
 from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.actors import nobody, requester
-from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, on_shift
+from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, recorded_by
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.registry import Answer, Query, candidates, queried, rejecting_filter
 from fsar_ledger.runtime.handlers.trust import trusts
@@ -41,7 +43,7 @@ def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
     answer = candidates(state, query)
     if answer.candidates:
         return answer, None
-    for name in sorted(_untrusting(state, query, answer), key=lambda name: not is_idle(state, name)):
+    for name in sorted(_untrusting(state, query, answer), key=lambda name: not is_idle(state.execution, name)):
         for peer in _relays(state, request, name):
             others = [place for place, robot in enumerate(answer.rejected) if robot != name]
             rejected, rejected_by = (
@@ -65,17 +67,17 @@ def _untrusting(state: State, query: Query, answer: Answer) -> list[Robot]:
     return found
 
 
-def _visible(state: State, request: Request) -> list[Robot]:
+def _visible(fleet: Fleet, registry: Registry, request: Request) -> list[Robot]:
     """Return capable robots whose advertisement the requester's role may see, nearest team first.
 
     Paper: eq:advertise.
     """
-    role = state.fleet.robots[request.requester].role
-    roles = {offer.robot: offer.visible_to for offer in offers(state.registry.offers, request.capability)}
-    is_open = "trust-evaluation" in state.fleet.without
+    role = fleet.robots[request.requester].role
+    roles = {offer.robot: offer.visible_to for offer in offers(registry.offers, request.capability)}
+    is_open = "trust-evaluation" in fleet.without
     return [
         name
-        for name in capable(state, request.capability, request.requester)
+        for name in capable(fleet, registry, request.capability, request.requester)
         if is_open or not roles[name] or role in roles[name]
     ]
 
@@ -91,7 +93,7 @@ def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
         if peer not in (name, request.requester) and peer not in state.registry.silent
     ]
     about = (request.capability, request.task_id)
-    near = nearest_first(state, others, request.requester)
+    near = nearest_first(state.fleet, others, request.requester)
     return [
         peer for peer in near if trusts(state, peer, request.requester, *about) and trusts(state, name, peer, *about)
     ]
@@ -108,12 +110,12 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
         if not peers:
             if request.attempt > 1:
                 return (PeerSought(request.subject, request.requester),)
-            return (unanswered(state, request),)
-        found = (_met(state, request, peers, relay),)
+            return (unanswered(state.fleet, state.world, request),)
+        found = (_met(state.fleet, state.world, request, peers, relay),)
     return (
         GapDetected(
             request.subject,
-            Parties(requested_by=request.requester, executed_by=None, supervised_by=on_shift(state, request.requester)),
+            recorded_by(state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=None),
             request.capability,
         ),
         *found,
@@ -127,7 +129,7 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
     def knows(robot: Robot, peer: Robot) -> bool:
         return met.get((robot, peer), -1) >= now_us
 
-    visible = _visible(state, request)
+    visible = _visible(state.fleet, state.registry, request)
     direct = tuple(
         name
         for name in visible
@@ -145,22 +147,23 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
     return (), None
 
 
-def unanswered(state: State, request: Request, executor: Robot | None = None) -> RequestUnanswered:
+def unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | None = None) -> RequestUnanswered:
     """Record that nobody is known to ask, or that this executor did not answer."""
     robot = request.requester
-    supervisor = on_shift(state, robot)
     return RequestUnanswered(
         request.subject,
-        Principals(decided_by=robot, requested_by=robot, executed_by=executor, supervised_by=supervisor, path=(robot,)),
+        recorded_by(fleet, world, robot, requested_by=robot, executed_by=executor).decided(robot),
         request.capability,
     )
 
 
-def _met(state: State, request: Request, found: tuple[Robot, ...], relay: Robot | None) -> RegistryQueried:
+def _met(
+    fleet: Fleet, world: World, request: Request, found: tuple[Robot, ...], relay: Robot | None
+) -> RegistryQueried:
     """Return the record of an answer from memory, which gives no reasons for those left out."""
     query = Query(request.requester, request.capability, request.task_id)
     answer = Answer(found, (request.capability,) * len(found), (), ())
-    return queried(state, query, answer, request.task_id, request.action_id, relay)
+    return queried(fleet, world, query, answer, request.task_id, request.action_id, relay)
 
 
 def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
@@ -170,7 +173,7 @@ def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
         return ()
     query = Query(request.requester, request.capability, request.task_id)
     answer, relay = discover(state, request)
-    return (queried(state, query, answer, request.task_id, request.action_id, relay),)
+    return (queried(state.fleet, state.world, query, answer, request.task_id, request.action_id, relay),)
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:

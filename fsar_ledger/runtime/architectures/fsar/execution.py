@@ -1,11 +1,10 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY, Parties, PolicyOutcome, Principal, Principals, Robot
+from fsar_ledger.events.envelope import POLICY, PolicyOutcome, Principal, Principals, Robot
 from fsar_ledger.events.execution import (
     ExecutionHeld,
     ExecutionPaused,
-    ExecutionQueued,
     OwnStepDecided,
     RoutinePerformed,
     RoutineWithheld,
@@ -14,12 +13,13 @@ from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.execution import Action, Execution, in_hand
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.world import in_force
+from fsar_ledger.projections.world import World, in_force
 from fsar_ledger.runtime.handlers.actors import named, requester
 from fsar_ledger.runtime.handlers.admissibility import holding
-from fsar_ledger.runtime.handlers.attribution import on_shift, supervisor_of
+from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
@@ -31,7 +31,7 @@ from fsar_ledger.runtime.handlers.commands import (
     StartAction,
     message,
 )
-from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, start_action, started
+from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, queued, start_action, started
 from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_policy
 
 
@@ -55,27 +55,22 @@ def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot = request.requester
-    supervisor = on_shift(state, robot)
-    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=supervisor)
-    return (
-        OwnStepDecided(
-            request.subject,
-            parties.decided(robot),
-            request.capability,
-        ),
-        ExecutionQueued(
-            subject=request.subject,
-            principals=parties,
-            robot=robot,
-            on_behalf_of=robot,
-            capability=request.capability,
-            step=request.step,
-            attempt=request.attempt,
-            is_delegated=False,
-            has_approach=False,
-            is_supervised=True,
-        ),
-    )
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
+    decided = OwnStepDecided(request.subject, parties.decided(robot), request.capability)
+    return (decided, queued(request, parties, robot))
+
+
+def ready(execution: Execution, action_id: str) -> Action | None:
+    """Return the action if it has its robot and may be started, or None."""
+    action = execution.actions.get(action_id)
+    if (
+        action is None
+        or action.stage not in ("queued", "approaching", "held", "polling", "preempted")
+        or not holds_robot(execution, action)
+        or (action.stage == "preempted" and action.has_approach)  # it has to come back first
+    ):
+        return None
+    return action
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
@@ -86,33 +81,27 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
 
     Paper: sec:architecture:fleet (never a silent override).
     """
-    action = state.execution.actions.get(command.action_id)
-    if (
-        action is None
-        or action.stage not in ("queued", "approaching", "held", "polling", "preempted")
-        or not holds_robot(state, action)
-    ):
-        return ()
-    if action.stage == "preempted" and action.has_approach:  # it has to come back first
+    action = ready(state.execution, command.action_id)
+    if action is None:
         return ()
     local, rule = holding(state, action)
     if local != "allow":
         decided_by = None if action.is_delegated or action.was_denied else action.robot
         clash = conflict(state, action.task_id, action.action_id, action.on_behalf_of, action.robot, action.capability)
-        return (*clash, _held(state, action, local, "local-policy", decided_by))
+        return (*clash, _held(state.fleet, state.world, action, local, "local-policy", decided_by))
     if rule != "allow" and not action.is_delegated:
-        return (_held(state, action, rule, "fleet-rule", None),)
-    return (started(state, action, command),)
+        return (_held(state.fleet, state.world, action, rule, "fleet-rule", None),)
+    return (started(state.fleet, state.world, action, command),)
 
 
 def _held(
-    state: State, action: Action, outcome: PolicyOutcome, reason: str, decided_by: Principal | None
+    fleet: Fleet, world: World, action: Action, outcome: PolicyOutcome, reason: str, decided_by: Principal | None
 ) -> ExecutionHeld:
     principals = Principals(
         decided_by=decided_by,
         requested_by=action.requested_by,
         executed_by=action.executed_by,
-        supervised_by=supervisor_of(state, action),
+        supervised_by=supervisor_of(fleet, world, action),
         path=() if decided_by is None else (decided_by,),
     )
     return ExecutionHeld(action.subject, principals, action.robot, outcome, reason)
@@ -121,10 +110,11 @@ def _held(
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; a motion only if the robot's policy and the fleet's rule are clear."""
     robot = command.robot
-    parties = Parties(requested_by=robot, executed_by=robot, supervised_by=on_shift(state, robot))
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=robot)
     principals = parties.decided(robot)
     if command.operation == "motion" and (
-        own_policy(state, robot, None, None) != "allow" or fleet_policy(state, robot, None, None) != "allow"
+        own_policy(state.policy, state.world, robot, None, None) != "allow"
+        or fleet_policy(state.knowledge, state.policy, robot, None, None) != "allow"
     ):
         return (RoutineWithheld(principals, robot, command.operation),)
     return (RoutinePerformed(principals, robot, command.operation),)
@@ -166,7 +156,7 @@ def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: in
 
 def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
     """Start what the robot's own policy held, if nothing holds it any more."""
-    action = state.execution.actions.get(state.execution.current.get(robot, ""))
+    action = in_hand(state.execution, robot)
     if action is None or action.stage != "held" or holding(state, action)[0] != "allow":
         return ()
     return (start_action(action.action_id, action.capability),)

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import Parties, PolicyOutcome, Robot
+from fsar_ledger.events.envelope import PolicyOutcome, Robot
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.projections.authority import right_of
-from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.authority import Authority, right_of
+from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, advertisement
@@ -32,7 +32,7 @@ from fsar_ledger.runtime.handlers.attribution import (
     is_reachable,
     kin,
     means,
-    on_shift,
+    recorded_by,
     stand_ins,
 )
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
@@ -82,7 +82,9 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
     found = _stand_ins(state, action, action.robot)
     fit = tuple(dict.fromkeys(one.robot for one in found if one.left_out_by is None))
     left_out: dict[Robot, Filter] = {
-        name: "contract" for name in kin(state, action.robot, action.capability) if name not in stand_ins(state, action)
+        name: "contract"
+        for name in kin(state.fleet, state.registry, action.robot, action.capability)
+        if name not in stand_ins(state.fleet, state.registry, action)
     }
     for one in found:
         if one.left_out_by is not None and one.robot not in fit:
@@ -90,8 +92,8 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
     return (
         RegistryQueried(
             subject=action.subject,
-            principals=Parties(
-                requested_by=action.robot, executed_by=action.executed_by, supervised_by=on_shift(state, action.robot)
+            principals=recorded_by(
+                state.fleet, state.world, action.robot, requested_by=action.robot, executed_by=action.executed_by
             ),
             capability=family(action.capability),
             candidates=fit,
@@ -114,13 +116,13 @@ def _bodies(state: State, action: Action) -> list[Candidate]:
     """Return every other robot whose body could clear the way, which needs broader trust but no capability."""
     about = (action.capability, action.task_id)
     found: list[Candidate] = []
-    for name in helpers(state, action, "obstruction"):
+    for name in helpers(state.fleet, state.registry, action, "obstruction"):
         is_trusted = scope_of(state.trust, name, action.robot, *about) in ASSISTING_SCOPES
         found.append(
             Candidate(
                 name,
                 action.capability,
-                "availability" if not is_reachable(state, name) else None if is_trusted else "trust",
+                "availability" if not is_reachable(state.registry, name) else None if is_trusted else "trust",
             )
         )
     return found
@@ -129,8 +131,8 @@ def _bodies(state: State, action: Action) -> list[Candidate]:
 def _stand_ins(state: State, action: Action, asking: Robot) -> list[Candidate]:
     """Return every other robot with each capability that fits the step, as the registry would answer."""
     found: list[Candidate] = []
-    for name in stand_ins(state, action):
-        for capability in means(state, action.capability):
+    for name in stand_ins(state.fleet, state.registry, action):
+        for capability in means(state.fleet, action.capability):
             record = advertisement(state.registry, name, capability)
             if record is not None:
                 found.append(Candidate(name, capability, _left_out_by(state, action, asking, record)))
@@ -176,20 +178,20 @@ def _chosen(
     trusted = [one for one in able if one.left_out_by != "trust"]
     if not trusted:
         return Found(None, f"no trusted {kind}")
-    entitled = [one for one in trusted if _may_ask(state, asking, one, action)]
+    entitled = [one for one in trusted if _may_ask(state.authority, asking, one, action)]
     if not entitled:
         return Found(None, "authority")
     willing = [
         one.robot for one in entitled if one.left_out_by is None and _is_allowed(state, asking, one, action, carried)
     ]
-    return Found(*_first_idle(state, willing, "policy", f"{kind} busy"))
+    return Found(*_first_idle(state.execution, willing, "policy", f"{kind} busy"))
 
 
 def _is_allowed(state: State, asking: Robot, one: Candidate, action: Action, carried: PolicyOutcome | None) -> bool:
     """Tell whether the asking robot's policy, and what the request carried, compose to allow."""
     for capability in {one.capability, action.capability}:
         about = (capability, action.task_id)
-        own = own_policy(state, asking, *about)
+        own = own_policy(state.policy, state.world, asking, *about)
         outcome = (
             compose(state, own, one.robot, *about)
             if carried is None
@@ -200,21 +202,21 @@ def _is_allowed(state: State, asking: Robot, one: Candidate, action: Action, car
     return True
 
 
-def _may_ask(state: State, asking: Robot, one: Candidate, action: Action) -> bool:
+def _may_ask(authority: Authority, asking: Robot, one: Candidate, action: Action) -> bool:
     """Tell whether the requester's right still stands; a failure lifts no revocation. Paper: sec:model:recovery."""
     rights = (
-        right_of(state.authority, asking, one.robot, capability, action.task_id)
+        right_of(authority, asking, one.robot, capability, action.task_id)
         for capability in {one.capability, action.capability}
     )
     return not any(isinstance(right, AuthorityRevoked) for right in rights)
 
 
 def _first_idle(
-    state: State, willing: Iterable[Robot], nobody_willing: str, nobody_idle: str
+    execution: Execution, willing: Iterable[Robot], nobody_willing: str, nobody_idle: str
 ) -> tuple[Robot | None, str]:
     reason = nobody_willing
     for name in willing:
-        if is_idle(state, name):
+        if is_idle(execution, name):
             return name, ""
         reason = nobody_idle
     return None, reason

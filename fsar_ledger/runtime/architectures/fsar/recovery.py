@@ -4,7 +4,7 @@ A failure creates no authority: the trust and the policy from before it decide w
 """
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, Parties, Principals, RecoveryLevel, Robot
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, Principals, RecoveryLevel, Robot
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -13,19 +13,20 @@ from fsar_ledger.events.recovery import (
     FailureResolved,
     ReassignmentDecided,
     RecoveryAttempted,
-    RecoveryAttemptFailed,
     RecoveryEscalated,
     TaskStateTransferred,
 )
 from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.projections.budget import Budgets
 from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.task import checkpoint
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers import recovery as shared
 from fsar_ledger.runtime.handlers.actors import body, nobody
-from fsar_ledger.runtime.handlers.attribution import is_cross_robot, on_shift, parties, supervisor_of
+from fsar_ledger.runtime.handlers.attribution import is_cross_robot, parties, recorded_by, supervisor_of
+from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
@@ -38,10 +39,16 @@ from fsar_ledger.runtime.handlers.commands import (
     at_once,
     message,
 )
-from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succeeds, budget, open_failure
+from fsar_ledger.runtime.handlers.recovery import (
+    attempt_failed,
+    attempt_succeeds,
+    attempted,
+    budget,
+    end_of_attempt,
+    open_failure,
+)
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 
-from .authority import released
 from .availability import found_silent
 from .helpers import Found, peer, peer_query, reassignee
 
@@ -107,76 +114,60 @@ def _escalated(
     )
 
 
-def _attempted(state: State, action: Action, recovery: Recovery, deadline_us: int) -> RecoveryAttempted:
-    return RecoveryAttempted(
-        subject=action.subject,
-        principals=parties(state, action).decided(action.robot),
-        robot=action.robot,
-        failure=recovery.failure,
-        number=recovery.number + 1,
-        level="local",
-        deadline_us=deadline_us,
-        failed_action=action.action_id,
-    )
-
-
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """Start the robot's own recovery, if it may; without layered recovery, call H_F at once.
 
     Paper: sec:model:recovery, level 1.
     """
-    match open_failure(state, command.action_id):
+    match open_failure(state.execution, state.recovery, command.action_id):
         case action, recovery if recovery.level == "local" and recovery.number == 0:
-            by_robot = parties(state, action).decided(action.robot)
+            by_robot = parties(state.fleet, state.world, action).decided(action.robot)
             if "layered-recovery" in state.fleet.without:
                 called = SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery")
                 return (_escalated(action, recovery, by_robot, "human", "no layered recovery"), called)
-            allowed = budget(state, action.robot, "local")
+            allowed = budget(state.budget, state.fleet, action.robot, "local")
             deadline_us = recovery.detected_us + allowed.t_max_us
             if allowed.n_max == 0 or command.now_us >= deadline_us:
                 return (_escalated(action, recovery, by_robot, "peer", EXHAUSTED),)
-            return (_attempted(state, action, recovery, deadline_us),)
+            return (attempted(action, recovery, by_robot, deadline_us),)
         case _:
             return ()
 
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """Resolve the failure, start the next attempt, or turn to the peers once the budget is spent."""
-    match open_failure(state, command.action_id):
+    match open_failure(state.execution, state.recovery, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
-            if attempt_succeeds(state, recovery, command):
+            if attempt_succeeds(state.world, recovery, command):
                 return (FailureResolved(action.subject, action.robot, recovery.failure, "local"),)
-            result, achieved = attempt_result(state, action, recovery)
-            failed = RecoveryAttemptFailed(
-                subject=action.subject,
-                robot=action.robot,
-                failure=recovery.failure,
-                number=command.number,
-                result=result,
-                achieved=achieved,
-            )
-            if recovery.number < budget(state, action.robot, "local").n_max and command.now_us < recovery.deadline_us:
-                return (failed, _attempted(state, action, recovery, recovery.deadline_us))
-            by_robot = parties(state, action).decided(action.robot)
+            failed = attempt_failed(state.registry, state.world, action, recovery)
+            by_robot = parties(state.fleet, state.world, action).decided(action.robot)
+            allowed = budget(state.budget, state.fleet, action.robot, "local")
+            if recovery.number < allowed.n_max and command.now_us < recovery.deadline_us:
+                return (failed, attempted(action, recovery, by_robot, recovery.deadline_us))
             return (failed, _escalated(action, recovery, by_robot, "peer", EXHAUSTED))
         case _:
             return ()
 
 
-def _is_exhausted(state: State, action: Action, level: RecoveryLevel, spent_us: int, spent: int) -> bool:
-    allowed = budget(state, action.robot, level)
+def _is_exhausted(
+    budgets: Budgets, fleet: Fleet, action: Action, level: RecoveryLevel, spent_us: int, spent: int
+) -> bool:
+    allowed = budget(budgets, fleet, action.robot, level)
     return spent_us > allowed.t_max_us or spent >= allowed.n_max
 
 
 def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
     """Let a trusted idle peer help, or turn to the fleet. Paper: sec:model:recovery, level 2."""
-    match open_failure(state, command.action_id):
+    match open_failure(state.execution, state.recovery, command.action_id):
         case action, recovery if recovery.level == "peer" and not (
             command.is_last and (command.failure, command.asked) != (recovery.failure, len(recovery.tried))
         ):
-            named = parties(state, action)
+            named = parties(state.fleet, state.world, action)
             by_service = named.decided(RECOVERY)
-            if _is_exhausted(state, action, "peer", command.now_us - command.since_us, len(recovery.tried)):
+            if _is_exhausted(
+                state.budget, state.fleet, action, "peer", command.now_us - command.since_us, len(recovery.tried)
+            ):
                 return (_escalated(action, recovery, by_service, "fleet", EXHAUSTED),)
             helper, reason, silent = peer(state, action, recovery)
             if silent and not command.is_last:
@@ -186,12 +177,10 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
                 return (
                     *query,
                     _escalated(action, recovery, by_service, "fleet", reason),
-                    *found_silent(state, silent),
+                    *found_silent(state.fleet, state.registry, silent),
                 )
-            admitting = Parties(
-                requested_by=action.requested_by,
-                executed_by=action.executed_by,
-                supervised_by=on_shift(state, helper),
+            admitting = recorded_by(
+                state.fleet, state.world, helper, requested_by=action.requested_by, executed_by=action.executed_by
             )
             return (
                 *query,
@@ -213,7 +202,7 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
                     failure=recovery.failure,
                     level="peer",
                 ),
-                *found_silent(state, silent),
+                *found_silent(state.fleet, state.registry, silent),
             )
         case _:
             return ()
@@ -229,11 +218,11 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
 
     Paper: sec:model:recovery, level 3.
     """
-    match open_failure(state, command.action_id):
+    match open_failure(state.execution, state.recovery, command.action_id):
         case action, recovery if recovery.level == "fleet" and not (
             command.is_last and command.failure != recovery.failure
         ):
-            if _is_exhausted(state, action, "fleet", command.now_us - command.since_us, 0):
+            if _is_exhausted(state.budget, state.fleet, action, "fleet", command.now_us - command.since_us, 0):
                 return _to_human(state, action, recovery, EXHAUSTED)
             resume_at = checkpoint(state.task, action.task_id, action.step)
             helper, reason, silent = (
@@ -243,7 +232,7 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
                 return ()
             decided = ReassignmentDecided(
                 subject=action.subject,
-                principals=parties(state, action).decided(RECOVERY),
+                principals=parties(state.fleet, state.world, action).decided(RECOVERY),
                 robot=action.robot,
                 helper=helper,
                 failure=recovery.failure,
@@ -254,9 +243,13 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
                 return (
                     decided,
                     *_to_human(state, action, recovery, f"no feasible reassignment: {reason}"),
-                    *found_silent(state, silent),
+                    *found_silent(state.fleet, state.registry, silent),
                 )
-            return (decided, *_handed_over(state, action, recovery, helper, resume_at), *found_silent(state, silent))
+            return (
+                decided,
+                *_handed_over(state, action, recovery, helper, resume_at),
+                *found_silent(state.fleet, state.registry, silent),
+            )
         case _:
             return ()
 
@@ -266,15 +259,15 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
     done = state.task[action.task_id].steps[: action.step - 1]
     return (
         FailureResolved(action.subject, action.robot, recovery.failure, "fleet"),
-        *released(state, action.action_id),
+        *release(state.authority, action.action_id),
         ExecutionWithdrawn(action.subject, action.robot),
         TaskStateTransferred(
             subject=action.subject, robot=action.robot, helper=helper, checkpoint=resume_at, completed=done
         ),
         ExecutionQueued(
             subject=action.subject,
-            principals=Parties(
-                requested_by=action.on_behalf_of, executed_by=helper, supervised_by=on_shift(state, helper)
+            principals=recorded_by(
+                state.fleet, state.world, helper, requested_by=action.on_behalf_of, executed_by=helper
             ),
             robot=helper,
             on_behalf_of=action.on_behalf_of,
@@ -290,13 +283,13 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
 
 def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> tuple[Event, ...]:
     """Call H_i about the robot's own matter, H_F about what concerns others. Paper: sec:model:recovery, level 4."""
-    supervisor = supervisor_for(state, action.robot, is_cross_robot(state, action))
+    supervisor = supervisor_for(state.fleet, state.world, action.robot, is_cross_robot(state.task, action))
     called = SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery")
     principals = Principals(  # the service does not decide here, it passes on
         decided_by=RECOVERY,
         requested_by=action.requested_by,
         executed_by=action.executed_by,
-        supervised_by=supervisor_of(state, action),
+        supervised_by=supervisor_of(state.fleet, state.world, action),
         path=(),
     )
     return (_escalated(action, recovery, principals, "human", reason), called)
@@ -304,9 +297,9 @@ def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> 
 
 def call_next(state: State, command: CallNext) -> tuple[Event, ...]:
     """Call H_F after a supervisor who has not resolved the failure in time, while the level's budget lasts."""
-    match open_failure(state, command.action_id):
+    match open_failure(state.execution, state.recovery, command.action_id):
         case action, recovery if (recovery.failure, recovery.calls) == (command.failure, command.calls):
-            if recovery.calls >= budget(state, action.robot, "human").n_max:
+            if recovery.calls >= budget(state.budget, state.fleet, action.robot, "human").n_max:
                 return ()
             return (SupervisorCalled(subject=action.subject, supervisor=FLEET_SUPERVISOR, purpose="recovery"),)
         case _:
@@ -318,19 +311,13 @@ def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Sc
 
 
 def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
-    key = f"{event.failed_action}/{event.failure}/{event.number}"
-    end = EndAttempt(event.failed_action, event.number)
-    return (
-        Scheduled(
-            end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)
-        ),
-    )
+    return (end_of_attempt(state.fleet, event),)
 
 
 def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}"
     if event.to_level == "peer":
-        return _asking(state, event.failed_action, now_us, (message(event.robot, key, "peer"),))
+        return _asking(state.fleet, state.recovery, event.failed_action, now_us, (message(event.robot, key, "peer"),))
     if event.to_level == "fleet":  # the peers' refusals come back before the orchestrator is asked
         told = (message(event.robot, key, "answer"), message(event.robot, key, "fleet"))
         last = Scheduled(
@@ -340,11 +327,13 @@ def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple
     return ()
 
 
-def _asking(state: State, action_id: str, since_us: int, told: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
+def _asking(
+    fleet: Fleet, recoveries: Recoveries, action_id: str, since_us: int, told: tuple[Draw, ...]
+) -> tuple[Scheduled, ...]:
     """Schedule the question to the peers, and the end of the time for their answers."""
-    recovery = state.recovery[action_id]
+    recovery = recoveries[action_id]
     asked = len(recovery.tried)
-    last = Scheduled(AskPeers(action_id, since_us, asked, recovery.failure, is_last=True), state.fleet.answer_us, told)
+    last = Scheduled(AskPeers(action_id, since_us, asked, recovery.failure, is_last=True), fleet.answer_us, told)
     return (Scheduled(AskPeers(action_id, since_us, asked), 0, told), last)
 
 
@@ -360,20 +349,19 @@ def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Sc
         message(event.helper, key, f"no help/{event.helper}"),
         message(event.robot, key, f"peer/{len(recovery.tried)}"),
     )
-    return _asking(state, event.subject.action_id, recovery.since_us, told)
+    return _asking(state.fleet, state.recovery, event.subject.action_id, recovery.since_us, told)
 
 
 def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
-    match open_failure(state, event.subject.action_id):
+    match open_failure(state.execution, state.recovery, event.subject.action_id):
         case action, recovery if event.purpose == "recovery":
             late = CallNext(event.subject.action_id, recovery.failure, recovery.calls)
-            return (Scheduled(late, budget(state, action.robot, "human").t_max_us),)
+            return (Scheduled(late, budget(state.budget, state.fleet, action.robot, "human").t_max_us),)
         case _:
             return ()
 
 
 DECIDES: Decides = {
-    **shared.DECIDES,
     StartRecovery: start_recovery,
     EndAttempt: end_attempt,
     AskPeers: ask_peers,

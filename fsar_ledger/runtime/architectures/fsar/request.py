@@ -6,12 +6,10 @@ from fsar_ledger.events.envelope import (
     COORDINATION,
     FLEET_SUPERVISOR,
     Parties,
-    Principals,
     RequestSubject,
     Robot,
-    Subject,
 )
-from fsar_ledger.events.execution import ApproachStarted, ExecutionPreempted, ExecutionQueued
+from fsar_ledger.events.execution import ApproachStarted, ExecutionPreempted
 from fsar_ledger.events.request import (
     RequestAccepted,
     RequestAdmitted,
@@ -23,13 +21,16 @@ from fsar_ledger.events.request import (
     RequestRelayed,
 )
 from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.projections.execution import Execution
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
-from fsar_ledger.projections.world import stricter
+from fsar_ledger.projections.task import Tasks
+from fsar_ledger.projections.world import World, stricter
 from fsar_ledger.runtime.handlers.actors import asked, nobody, relay, requester
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
-from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     CloseRequest,
@@ -38,7 +39,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Reacts,
     TakeTurn,
 )
-from fsar_ledger.runtime.handlers.execution import holds_robot
+from fsar_ledger.runtime.handlers.execution import holds_robot, queued
 from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
 from fsar_ledger.runtime.handlers.trust import trusts
@@ -89,21 +90,15 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     if request is None:
         return ()
     if not request.candidates:
-        return (unanswered(state, request),)
+        return (unanswered(state.fleet, state.world, request),)
     robot, executor = request.requester, request.candidates[0]
-    carried = own_policy(state, robot, request.capability, request.task_id)
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=executor)
     return (
         RequestIssued(
             subject=request.request_subject,
-            principals=Principals(
-                decided_by=robot,
-                requested_by=robot,
-                executed_by=executor,
-                supervised_by=on_shift(state, robot),
-                path=(robot,),
-            ),
+            principals=parties.decided(robot),
             capability=request.capability,
-            carried_policy=carried,
+            carried_policy=own_policy(state.policy, state.world, robot, request.capability, request.task_id),
             relay=request.relay,
         ),
     )
@@ -117,15 +112,15 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     if request.silent:  # too late, as of an executor
         return report_back(state, ReportBack(request.silent[0]))
     relay, about = request.relay, (request.capability, request.task_id)
-    parties = Parties(
-        requested_by=request.requester, executed_by=request.candidates[0], supervised_by=on_shift(state, relay)
+    parties = recorded_by(
+        state.fleet, state.world, relay, requested_by=request.requester, executed_by=request.candidates[0]
     )
     subject, principals = request.request_subject, parties.decided(request.requester, relay)
     if not trusts(state, relay, request.requester, *about):
         return (RequestDenied(subject, principals, "trust"),)
-    if is_revoked(state, request, relay):
+    if is_revoked(state.authority, request, relay):
         return (RequestDenied(subject, principals, "authority"),)
-    carried = stricter(request.carried, own_policy(state, relay, *about))
+    carried = stricter(request.carried, own_policy(state.policy, state.world, relay, *about))
     return (RequestRelayed(subject, principals, carried),)
 
 
@@ -134,7 +129,11 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
     request = state.request.get(command.action_id)
     if request is not None and request.silent:  # too late; it was found silent, and its word says otherwise
         return report_back(state, ReportBack(request.silent[0]))
-    if request is None or not _is_open(state, request) or is_asked(state.supervision, request.action_id, "review"):
+    if (
+        request is None
+        or not _is_open(state.execution, state.task, request)
+        or is_asked(state.supervision, request.action_id, "review")
+    ):
         return ()
     return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
 
@@ -142,14 +141,14 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
     """Admit the approved request if all but policy still holds, or deny one that was not approved."""
     request = state.request.get(command.action_id)
-    if request is None or not _is_open(state, request):
+    if request is None or not _is_open(state.execution, state.task, request):
         return ()
     executor = request.candidates[0]
     if not command.approves:
-        return (RequestDenied(request.request_subject, _principals(state, request, executor), "review"),)
-    return _judged(
-        state, request, evaluate(state, request, executor, is_reviewed=True), command.now_us, is_reviewed=True
-    )
+        by_executor = _parties(state.fleet, state.world, request, executor).decided(executor)
+        return (RequestDenied(request.request_subject, by_executor, "review"),)
+    found = evaluate(state, request, executor, is_reviewed=True)
+    return _judged(state, request, found, command.now_us, is_reviewed=True)
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
@@ -165,27 +164,31 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
         or request.is_heard
         or request.is_received
         or request.offers
-        or not _is_open(state, request)
+        or not _is_open(state.execution, state.task, request)
     ):
         return ()
     executor = request.candidates[0]
     silent = executor if request.relay is None or request.is_relayed else request.relay
-    return (unanswered(state, request, silent), *found_silent(state, (silent,)))
+    return (
+        unanswered(state.fleet, state.world, request, silent),
+        *found_silent(state.fleet, state.registry, (silent,)),
+    )
 
 
-def _is_open(state: State, request: Request) -> bool:
+def _is_open(execution: Execution, tasks: Tasks, request: Request) -> bool:
     """Tell whether the request waits for the executor."""
-    if not request.is_adhoc and request.task_id not in state.task:  # its task was given up
+    if not request.is_adhoc and request.task_id not in tasks:  # its task was given up
         return False
     has_word = request.is_over or request.is_accepted or request.is_unanswered or request.offered is not None
-    return not has_word and request.action_id not in state.execution.actions
+    return not has_word and request.action_id not in execution.actions
 
 
 def _judged(
     state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False
 ) -> tuple[Event, ...]:
     executor = request.candidates[0]
-    subject, principals = request.request_subject, _principals(state, request, executor)
+    subject = request.request_subject
+    principals = _parties(state.fleet, state.world, request, executor).decided(executor)
     if found.verdict == "reject":
         clash = (
             conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability)
@@ -197,25 +200,20 @@ def _judged(
         if request.offers >= state.fleet.structure.negotiation_rounds:
             return (RequestDenied(subject, principals, "negotiation"),)
         return (RequestCountered(subject, principals, round=request.offers + 1, override=found.override),)
-    if found.verdict == "review" or (not is_reviewed and is_due_for_review(state, executor)):
+    if found.verdict == "review" or (not is_reviewed and is_due_for_review(state.supervision, executor)):
         return (SupervisorCalled(subject=request.subject, supervisor=FLEET_SUPERVISOR, purpose="review"),)
     return put_in_order(state, request, executor, principals) or _admitted(state, request, found, now_us)
 
 
-def _parties(state: State, request: Request, executor: Robot) -> Parties:
+def _parties(fleet: Fleet, world: World, request: Request, executor: Robot) -> Parties:
     """Return whom the record of what the executor does with the request names."""
-    return Parties(requested_by=request.requester, executed_by=executor, supervised_by=on_shift(state, executor))
-
-
-def _principals(state: State, request: Request, executor: Robot) -> Principals:
-    """Return the principals of what the executor decides about the request."""
-    return _parties(state, request, executor).decided(executor)
+    return recorded_by(fleet, world, executor, requested_by=request.requester, executed_by=executor)
 
 
 def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
     """Admit the request with its authority, and let it wait for the robot or take it. Paper: eq:auth, eq:override."""
     executor = request.candidates[0]
-    parties = _parties(state, request, executor)
+    parties = _parties(state.fleet, state.world, request, executor)
     principals = parties.decided(executor)
     admitted = RequestAdmitted(
         subject=request.request_subject,
@@ -227,31 +225,16 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
         override=found.override,
         is_audited=found.is_audited,
     )
-    queued = ExecutionQueued(
-        subject=request.subject,
-        principals=parties,
-        robot=executor,
-        on_behalf_of=request.requester,
-        capability=request.capability,
-        step=request.step,
-        attempt=request.attempt,
-        is_delegated=True,
-        has_approach=True,
-        is_supervised=True,
-        override=found.override,
-    )
+    waiting = queued(request, parties, executor, found.override)
     if found.verdict == "defer":
-        return (admitted, RequestDeferred(request.request_subject, principals), queued)
-    interrupted = preemptible(state, executor, found.override)
+        return (admitted, RequestDeferred(request.request_subject, principals), waiting)
+    interrupted = preemptible(state.execution, executor, found.override)
     if interrupted is None:
-        return (admitted, queued)
+        return (admitted, waiting)
     remaining_us = {"running": max(0, interrupted.ends_us - now_us), "paused": interrupted.remaining_us}.get(
         interrupted.stage
     )
-    preempted = ExecutionPreempted(
-        Subject(interrupted.task_id, interrupted.action_id), executor, request.action_id, remaining_us
-    )
-    return (admitted, preempted, queued)
+    return (admitted, ExecutionPreempted(interrupted.subject, executor, request.action_id, remaining_us), waiting)
 
 
 def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
@@ -260,7 +243,7 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
     A request that was preempted comes back as accepted. Paper: eq:auth.
     """
     action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state, action):
+    if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state.execution, action):
         return ()
     robot = action.robot
     approach = ApproachStarted(action.subject, robot)
@@ -269,7 +252,7 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
         for claim in state.authority.claims.get(action.action_id, ())
     ):
         return (approach,)
-    parties = Parties(requested_by=action.requested_by, executed_by=robot, supervised_by=on_shift(state, robot))
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=action.requested_by, executed_by=robot)
     return (
         RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
         AuthorityClaimed(action.subject, "execution", robot, "acceptance"),
@@ -283,10 +266,8 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    parties = Parties(
-        requested_by=request.requester,
-        executed_by=request.target,
-        supervised_by=on_shift(state, request.requester),
+    parties = recorded_by(
+        state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=request.target
     )
     return (RequestClosed(request.request_subject, parties.decided(COORDINATION), request.result or "success"),)
 

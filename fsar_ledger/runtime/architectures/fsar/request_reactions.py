@@ -1,8 +1,6 @@
 """FSAR: what follows when something happens to a request."""
 
-from fsar_ledger.events.envelope import (
-    REGISTRY,
-)
+from fsar_ledger.events.envelope import REGISTRY
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
@@ -19,6 +17,7 @@ from fsar_ledger.events.request import (
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.task import Tasks
 from fsar_ledger.runtime.handlers.commands import (
     Actors,
     BeginStep,
@@ -36,9 +35,9 @@ from .contention import held_up, in_order
 from .request import AdmitReviewed, EvaluateRequest, GoOnWithout, IssueRequest, RelayRequest
 
 
-def _is_step(state: State, request: Request | None) -> bool:
+def _is_step(tasks: Tasks, request: Request | None) -> bool:
     """Tell whether the request is a step of an open task, not an outsider's or a robot's own."""
-    return request is not None and not request.is_adhoc and request.task_id in state.task
+    return request is not None and not request.is_adhoc and request.task_id in tasks
 
 
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
@@ -55,7 +54,7 @@ def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Sche
 def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     request = state.request.get(event.subject.action_id)
-    if request is None or not (request.is_adhoc or _is_step(state, request)):
+    if request is None or not (request.is_adhoc or _is_step(state.task, request)):
         return ()
     next_one: Command = (
         RelayRequest(event.subject.action_id) if event.relay else EvaluateRequest(event.subject.action_id)
@@ -87,7 +86,7 @@ def _let_pass(
         return ()
     return tuple(
         Scheduled(EvaluateRequest(name), place)
-        for place, name in enumerate(held_up(state, event.subject.action_id), start=1)
+        for place, name in enumerate(held_up(state.contention, event.subject.action_id), start=1)
     )
 
 
@@ -107,7 +106,7 @@ def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Schedul
 
 def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
     request = state.request.get(action_id or "")
-    if request is None or not _is_step(state, request):
+    if request is None or not _is_step(state.task, request):
         return ()
     return (Scheduled(BeginStep(request.task_id, request.action_id), state.fleet.structure.back_off_us),)
 
@@ -118,7 +117,7 @@ def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us:
 
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "ordering":
-        waiting = in_order(state, event.subject.action_id, event.preferred)
+        waiting = in_order(state.contention, event.subject.action_id, event.preferred)
         return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
     return (
         (Scheduled(AdmitReviewed(event.subject.action_id, event.approves), 1, (at_once(event.principals.decided_by),)),)
@@ -129,7 +128,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.get(event.subject.action_id)
-    if request is None or not (request.is_adhoc or _is_step(state, request)):
+    if request is None or not (request.is_adhoc or _is_step(state.task, request)):
         return ()
     if event.robot != request.requester:
         return (
@@ -144,7 +143,7 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
 
 def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
     """Complete the step, or retry later a step that did not succeed."""
-    if not _is_step(state, state.request.get(event.subject.action_id)):
+    if not _is_step(state.task, state.request.get(event.subject.action_id)):
         return ()
     done = Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),))
     return (done,) if event.result == "success" else _again(state, event.subject.action_id)
