@@ -98,7 +98,7 @@ class Fleet(Design, frozen=True):
         return tuple(dict.fromkeys(robot.kind for robot in self.robots))
 
     def is_off_shift(self, spell: OffShift, robot: Robot) -> bool:
-        """Tell whether the spell is one of this robot's supervisor."""
+        """Return whether the spell is one of this robot's supervisor."""
         return robot.has_supervisor and (not spell.robots or robot.name in spell.robots)
 
 

@@ -72,7 +72,7 @@ def growth_of(architecture: str) -> Growth:
 
 
 def fits(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, fleet_size: int, constants: Constants) -> bool:
-    """Tell whether one commit holds this many consecutive runs of each scenario, whose cells take turns."""
+    """Return whether one commit holds this many consecutive runs of each scenario, whose cells take turns."""
     for cells in scenarios:
         rounds, rest = divmod(runs_at_once, len(cells))
         found = [expected(cell, fleet_size, constants) for cell in cells]

@@ -246,7 +246,7 @@ class Kernel:
 
 
 def _is_message(scheduled: Scheduled) -> bool:
-    """Tell whether this only travels.
+    """Return whether this only travels.
 
     A message goes on its way while its receiver is off, and waits there.
     """
@@ -256,6 +256,6 @@ def _is_message(scheduled: Scheduled) -> bool:
 
 
 def _is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:
-    """Tell whether the event belongs to the batch of the event before it."""
+    """Return whether the event belongs to the batch of the event before it."""
     cause = caused_by[seq]
     return cause is not None and times_us[cause] == times_us[seq]

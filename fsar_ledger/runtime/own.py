@@ -60,7 +60,7 @@ def with_own(
 
 
 def is_file(name: str) -> bool:
-    """Tell whether what stands where a name may stand is a file."""
+    """Return whether what stands where a name may stand is a file."""
     return name.endswith(".toml")
 
 

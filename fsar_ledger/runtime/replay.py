@@ -123,7 +123,7 @@ class CommitReport(msgspec.Struct, frozen=True):
 
     @property
     def ok(self) -> bool:
-        """Tell whether nothing differs."""
+        """Return whether nothing differs."""
         return not self.differences
 
 
