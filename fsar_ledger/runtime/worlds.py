@@ -17,7 +17,7 @@ from fsar_ledger.printable import NAMED, some
 
 KINDS = {
     "other constants": "met a world or a structure that is not this version's",
-    "another load": "had a load other than the default",
+    "another load": "had a non-default load",
 }
 
 World = tuple[int | None, str | None, int | None, int | None]  # seed, scenario, fleet size, run

@@ -82,7 +82,7 @@ def test_runs_of_one_seed_under_different_constants_are_said_to_be_no_pairs() ->
 def test_another_load_is_said_as_such_and_pairs_under_a_common_one_are_pairs() -> None:
     both = [Constants(), Constants(load=Load(task_sets=2))]
     one, other = (RunSpec(9, architecture, "full", "door-relay", 4, 1) for architecture in ("fsar", "cfc"))
-    said = "another load: 2 of 4 runs (1 of fsar, 1 of cfc) had a load other than the default: load.task_sets=2 (here 1)"
+    said = "another load: 2 of 4 runs (1 of fsar, 1 of cfc) had a non-default load: load.task_sets=2 (here 1)"
     assert remarks_on(played([run_started(spec, constants) for spec in (one, other) for constants in both])) == (said,)
     assert len(remarks_on(played([run_started(one, constants) for constants in both]))) == 1
     assert remarks_on(played([run_started(one, both[0]), run_started(other, both[1])]))[-1].startswith(
