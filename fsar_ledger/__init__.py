@@ -1,6 +1,6 @@
 """An event-sourced audit ledger and replay analyzer for robot fleets, after the FSAR paper.
 
-What the command line does, Python does by the same names (docs/python.md):
+Python offers what the command line does, by the same names (docs/python.md):
 
     import fsar_ledger
 
@@ -89,7 +89,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first used, so that importing the package loads no library."""
+    """Load a public name on first use, so that importing the package loads no library."""
     if name == "errors":
         return import_module(f"{__name__}.errors")
     if name not in _HOME_OF:

@@ -35,11 +35,11 @@ def main() -> None:
         sys.exit(130)
     code = run(sys.argv[1:])
     atexit._run_exitfuncs()  # libraries clean up after themselves: matplotlib removes its folder
-    os._exit(code)  # everything is written and closed; unloading libraries would add a tenth to a short command
+    os._exit(code)  # everything is written and closed; unloading libraries makes a short command a tenth slower
 
 
 def _report_error(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Report an error of ours as Python words it, escaped, since it may quote a ledger."""
+    """Print an unexpected error as Python words it, escaped because it may quote a ledger."""
     import traceback
 
     say_failure("".join(traceback.format_exception(kind, error, trace)))

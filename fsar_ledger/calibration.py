@@ -1,14 +1,14 @@
-"""Fits world laws and structural lengths to the paper's results table, as `reports/registration.toml` says beforehand.
+"""Fits world laws and structural durations to the paper's results table, as registered in `reports/registration.toml`.
 
-Nonlinear least squares on the 24 cells of `results.csv`, each difference in margins of its metric, with common random
-numbers: every trial meets the same worlds. Points of a Sobol sequence over the ranges are screened first; from each of
-the best of them a bounded trust region search (`scipy.optimize.least_squares`) goes some steps on few runs, and from
-where the best of these ended another goes on with more runs. A weak pull to the middle of each range settles what the
-cells leave open.
+The fit is by nonlinear least squares on the 24 cells of `results.csv`, each difference in margins of its metric, with
+common random numbers: every trial meets the same worlds. Points of a Sobol sequence over the ranges are screened first.
+From each of the best of them a bounded trust region search (`scipy.optimize.least_squares`) takes some steps on few
+runs, and from the end of the best search another continues with more runs. A weak pull to the middle of each range
+settles what the cells leave open.
 
 No other table of the paper is read. A fit is not evidence: the record says how many directions of the constants the 24
-cells identify at all. Nor are the constants that it leaves alone free of the cells: `constants.py` says of each whether
-it was chosen after fits.
+cells identify at all. The constants that it does not touch are not independent of the cells either: `constants.py` says
+of each whether it was chosen after fits.
 """
 
 from collections.abc import Callable, Sequence
@@ -36,7 +36,7 @@ from fsar_ledger.workers import WorkerPool
 
 REGISTERED = registration()
 FREE, PLAN = REGISTERED.free, REGISTERED.fit
-STEP = 0.1  # of a half range, for the central differences of the Jacobian
+STEP = 0.1  # the step of the central differences of the Jacobian, in half ranges
 
 Vector = np.ndarray[tuple[int], np.dtype[np.float64]]
 Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
@@ -55,7 +55,7 @@ def with_values(values: Sequence[float]) -> Constants:
 
 
 def at(point: Vector) -> Constants:
-    """Return the constants at a point: 0 is the middle of each range, -1 and 1 are its ends, on the logarithm."""
+    """Return the constants at a point: 0 is the middle of each range, -1 and 1 are its ends, on a logarithmic scale."""
     return with_values(
         [
             one.range.middle * (one.range.high / one.range.middle) ** float(place)
@@ -65,12 +65,12 @@ def at(point: Vector) -> Constants:
 
 
 def rounded(value: float) -> float:
-    """Three significant digits: the data do not determine more."""
+    """Return the value with three significant digits; the data do not determine more."""
     return float(f"{value:.3g}")
 
 
 def measure(constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES) -> list[MetricRow]:
-    """Return the metrics, judged by SQL, of runs under these constants, all of which are held in memory."""
+    """Return the metrics, computed in SQL, of runs under these constants, with all runs in memory."""
     records = [
         simulate_run(RunSpec(PLAN.seed, architecture, FULL, scenario, 4, run), constants)
         for scenario in SCENARIOS
@@ -82,7 +82,7 @@ def measure(constants: Constants, runs: int, architectures: Sequence[Architectur
 
 
 def measure_stored(constants: Constants, runs: int, workers: int) -> list[MetricRow]:
-    """The same for many runs, through a ledger that is thrown away."""
+    """Return the same as `measure` for many runs, through a temporary ledger."""
     with TemporaryDirectory() as folder:
         ledger = Path(folder) / "ledger"
         simulate(ledger, Experiment(ARCHITECTURES, SCENARIOS, runs, PLAN.seed, constants=constants), workers)
@@ -102,13 +102,13 @@ def distances(rows: list[MetricRow]) -> Vector:
 
 
 def distances_at(task: tuple[Vector, int]) -> Vector:
-    """Return the distances of few runs at a point, in a worker."""
+    """Return the distances at a point on this many runs; called in a worker."""
     point, runs = task
     return distances(measure(at(point), runs))
 
 
 class Judge:
-    """Judges points on several processes, and counts them; `most` is how many the registered plan asks for at most."""
+    """Judges points on several processes and counts them; `most` is the most that the registered plan asks for."""
 
     def __init__(self, pool: Executor, progress: Progress | None) -> None:
         self.most = 1 + PLAN.screened + (PLAN.starts * PLAN.rough_steps + PLAN.most_steps) * (2 * len(FREE) + 1)
@@ -128,7 +128,7 @@ class Judge:
 
 
 class Search(msgspec.Struct, frozen=True):
-    """Where a search began and ended, on how many runs, the objective at both, and the slopes at its end."""
+    """Where a search began and ended, on how many runs, the objective at both points, and the slopes at its end."""
 
     start: Vector
     point: Vector
@@ -139,7 +139,7 @@ class Search(msgspec.Struct, frozen=True):
 
 
 def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
-    """Make the fit that is registered, and write its record. Takes the better part of an hour.
+    """Make the registered fit and write its record. Takes the better part of an hour.
 
     Raises:
         UsageError: the file lies inside a ledger.
@@ -165,13 +165,13 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
 
 
 def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
-    """Go downhill from a point, within the ranges, until a step gains too little or there were enough."""
+    """Go downhill from a point, within the ranges, until a step gains too little or all steps are used."""
     from scipy.optimize import least_squares
 
     tried: list[float] = []
 
     def residuals(point: Vector) -> Vector:
-        """What the search squares and adds: distances in margins, and places in half ranges."""
+        """Return what the search squares and sums: distances in margins, and the point in half ranges."""
         (found,) = judge.each([point], runs)
         tried.append(objective(found, point))
         return np.concatenate([found, point])
@@ -196,14 +196,14 @@ def screened() -> list[Vector]:
 
 
 def objective(found: Vector, point: Vector) -> float:
-    """Return what the fit makes small. Registered in `[fit]`."""
+    """Return what the fit minimises. Registered in `[fit]`."""
     return float(found @ found + point @ point)
 
 
 def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matrix:
-    """Return the change of each distance with the place of each constant.
+    """Return the derivative of each distance by each coordinate of the point.
 
-    Central differences within the ranges, on the same worlds.
+    They are central differences within the ranges, on the same worlds.
     """
     ups = [np.clip(point + shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
     downs = [np.clip(point - shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
@@ -255,7 +255,7 @@ def _record(start: Vector, last: Search, rows: list[MetricRow], evaluations: int
 
 
 def _told(one: Search) -> dict[str, Any]:
-    """A search in the record, with where it ended."""
+    """Return the record of a search, with the constants at its end."""
     ended = at(one.point)
     return {
         "runs_per_scenario": one.runs,
@@ -268,7 +268,7 @@ def _told(one: Search) -> dict[str, Any]:
 def _parameter(
     free: Free, begun: Constants, constants: Constants, directions: Matrix, singular: Vector, index: int
 ) -> dict[str, Any]:
-    """A constant is identified when the data alone determine it better than its range does."""
+    """Return the record of a constant, which is identified when the data determine it better than its range does."""
     information = float(((singular * directions[:, index]) ** 2).sum())
     return {
         "name": free.name,

@@ -1,9 +1,8 @@
-"""Lays what was predicted beside what the paper prints, and beside what its claims were registered to imply.
+"""Compares the predictions with what the paper prints, and with what its claims were registered to imply.
 
-It reads the record of `prediction.py` and nothing else of ours: no run is played here, and the record is never
-replaced. That no number was predicted
-again after it was compared is nothing that a program can hold to: `tests/history.py` shows it from the commits of the
-repository.
+It reads the record of `prediction.py` and nothing else of ours: nothing is simulated here, and the record is never
+replaced. No program can guarantee that a number was not predicted again after it was compared; `tests/history.py` shows
+it from the commits of the repository.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,20 +27,20 @@ from fsar_ledger.recording import require_another, require_writable, write_recor
 from fsar_ledger.registration import Check, Outcome, registration
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
 
-SAME = 22  # of the 24 cells, whatever the seed: registered as `seeds`
+SAME = 22  # cells of 24 that must be answered alike whatever the seed; registered as `seeds`
 SUCCESS, LOCALITY, CONFLICTS = "coordination_success", "governance_locality", "authority_conflicts"
 COUNTS = tuple(one.name for one in published_metrics() if one.scale == "count")
-"""Metrics without an upper end; the others of the ablation table are shares."""
+"""Metrics without an upper bound; the others in the ablation table are shares."""
 TABLES: dict[Table, str] = {"results": CASES, "ablation": "ablation", "ablation_text": "ablation", "scaling": "scaling"}
-"""What was played for each table."""
+"""The predictions that each table is compared with, as `Play.of`."""
 
 
 class CellBeside(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "class"}):
     """One printed cell beside what was predicted for it.
 
-    `ours` is with all teams working, `ours_one_team` with one, of larger fleets; `low` and `high` are the 90 % interval
-    of (ours - paper); `gives` answers whether the printed number is what this model gives, None where the text leaves
-    open what the cell depends on.
+    `ours` is with all teams working, `ours_one_team` with one, for larger fleets; `low` and `high` are the 90 %
+    interval of (ours - paper); `gives` answers whether this model gives the printed number, None where the paper does
+    not specify what the cell depends on.
     """
 
     table: str
@@ -65,9 +64,8 @@ class CellBeside(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "cla
 class Comparison(msgspec.Struct, frozen=True):
     """The printed cells of the results, ablation and scaling tables, and all predictions.
 
-    With the model and the constants that they rest on.
-
-    The tests of the significance table and the numbers of the cases are not here: `report` has them.
+    `model_version` and `parameters` are the model and the constants that they rest on. The tests of the significance
+    table and the numbers of the cases are in `report`.
     """
 
     model_version: str
@@ -78,11 +76,11 @@ class Comparison(msgspec.Struct, frozen=True):
 
 
 class NotPredicted(Exception):
-    """A number was not played; the message says which."""
+    """Raised when a number is not among the predictions; the message says which."""
 
 
 class Numbers:
-    """The predicted numbers, by what was played and where."""
+    """The predicted numbers, by experiment and cell."""
 
     def __init__(self, every: list[Predicted]) -> None:
         keys = (
@@ -111,14 +109,14 @@ class Numbers:
         configuration: Configuration | str = FULL,
         scenario: str | None = None,
     ) -> Predicted:
-        """Return one of them. Raises: NotPredicted."""
+        """Return one prediction. Raises: NotPredicted."""
         place = (of, seed, size, teams, encounter_s, configuration, architecture, scenario, metric)
         if (found := self._by_place.get(place)) is None:
             raise NotPredicted(str(place))
         return found
 
     def mean(self, *place: Any, **named: Any) -> float | None:
-        """Return its mean. Raises: NotPredicted."""
+        """Return the mean of one prediction. Raises: NotPredicted."""
         return self.find(*place, **named).mean
 
 
@@ -140,7 +138,7 @@ def compare_predictions(predictions: Path, out: Path) -> None:
         write_record(out, compared(record))
     except NotPredicted as error:
         raise FsarLedgerError(
-            f"{predictions}: found no {error}, expected all that `fsar-ledger predict` plays; write it again"
+            f"{predictions}: found no {error}, expected everything that `fsar-ledger predict` writes; write it again"
         ) from error
 
 
@@ -156,14 +154,14 @@ def read(path: Path) -> Record:
         msgspec.MsgspecError,
         RecursionError,
         ValueError,
-    ) as error:  # nested without end, a number of thousands of digits
+    ) as error:  # nested too deeply, or a number of thousands of digits
         raise FsarLedgerError(
             f"{path}: {error}; expected what `fsar-ledger predict --out FILE` writes; write it again"
         ) from error
 
 
 def _require_of_today(record: Record, path: Path) -> None:
-    """The record is of the model and the constants that this version has: what is registered is registered of these.
+    """Check that the record has this version's model and constants, which are those of the registration.
 
     Raises: UsageError.
     """
@@ -185,7 +183,7 @@ def _digest(parameters: str) -> str:
 
 
 def compared(record: Record) -> Comparison:
-    """Return the cells and the predictions with their answers. Raises: NotPredicted if a number is missing."""
+    """Return all cells and predictions with their answers. Raises: NotPredicted if a number is missing."""
     numbers = Numbers(record.numbers)
     cells = [_cell(numbers, place) for table in TABLES for place in printed(table)]
     outcomes = [
@@ -221,7 +219,7 @@ def _cell(numbers: Numbers, place: Place) -> CellBeside:
 
 
 def _row(number: Predicted) -> MetricRow:
-    """A predicted number as the verdicts take it."""
+    """Return a predicted number in the form that the verdicts take."""
     names = [name for name in MetricRow.__struct_fields__ if name in Predicted.__struct_fields__]
     return MetricRow(
         **{**dict.fromkeys(MetricRow.__struct_fields__), **{name: getattr(number, name) for name in names}}
@@ -313,7 +311,7 @@ def _encounters(numbers: Numbers) -> Iterator[Check]:
 
 
 def _pairs(numbers: Numbers) -> Iterator[Check]:
-    """Where the sum leaves the metric's range nothing is implied."""
+    """Yield the checks of pairs of mechanisms; where the sum leaves the metric's range, nothing is implied."""
     for pair in combinations(MECHANISMS, 2):
         for metric in _ablated():
             full = numbers.mean("ablation", metric)
@@ -335,7 +333,7 @@ CHECKS: dict[str, Callable[[Numbers], Iterator[Check]]] = {
     "encounters": _encounters,
     "pairs": _pairs,
 }
-"""By the name of the registered prediction."""
+"""The checks that each registered prediction implies, by its name."""
 
 
 def _between(what: str, value: float | None, ends: tuple[float | None, ...], margin: float) -> Check:
@@ -358,7 +356,7 @@ def _check(
 
 
 def _less(what: str, value: float | None, other: float | None) -> Check:
-    """It must be less than the other."""
+    """Return the check that the value is less than the other."""
     return Check(what, value, None, other, None if value is None or other is None else value < other)
 
 

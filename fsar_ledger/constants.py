@@ -1,13 +1,13 @@
-"""All constants: what the world is like, and what the architectures are built like.
+"""All constants: how the world behaves, and how the architectures are built.
 
 `WorldConstants` are laws of the world, the same for every architecture. `Structure` holds durations and counts that
-belong to how an architecture is built. No constant is the probability or the count of an outcome (conflict,
-violation, unattributed record, success, containment): those must come about.
+are part of how an architecture is built. No constant is the probability or the count of an outcome (conflict,
+violation, unattributed record, success, containment): outcomes must emerge.
 
-The type of each constant says where its value is from. `Paper`: printed there. `Fitted`: to the paper's results table,
-by `fsar-ledger calibrate` (record: reports/calibration.json). `AfterFits`: ours, and chosen or kept while the cells of
-that table were looked at, in the study before the first fit or since; most move a cell, and none is a prediction.
-`Chosen`: ours, and no cell depends on it.
+The type of each constant says where its value comes from. `Paper`: printed in the paper. `Fitted`: fitted to the
+paper's results table by `fsar-ledger calibrate` (record: reports/calibration.json). `AfterFits`: ours, chosen or kept
+while looking at the cells of that table, in the study before the first fit or since; most move a cell, and none is a
+prediction. `Chosen`: ours, and no cell depends on it.
 """
 
 from typing import Annotated, Any, TypeVar
@@ -71,13 +71,13 @@ class WorldConstants(msgspec.Struct, frozen=True):
     degraded_reliability: Paper[float] = 0.6  # success of an attempt with a degraded actuator
     encounter_mean_s: AfterFits[float] = 90.0  # time between encounters of a pair of robots, exponential
     floor_teams: Chosen[int] = 4  # teams that share a floor; robots of different floors never meet
-    # How often each robot of another team on its floor is in a robot's way. Two robots come within some 10 m of each
-    # other every `encounter_mean_s`, and in 7 % of those encounters within the 0.7 m that a passing robot keeps free
-    # beside itself. It lasts as any obstruction does.
+    # How often each robot of another team on the same floor is in a robot's way. Two robots come within about 10 m of
+    # each other every `encounter_mean_s`, and in 7 % of those encounters within the 0.7 m that a passing robot keeps
+    # free beside it. It lasts as long as any obstruction.
     crowding_rate_per_s: Chosen[float] = 0.0008
     durations: AfterFits[tuple[tuple[str, Range], ...]] = DURATIONS
     message: Paper[Range] = Range(0.05, 0.5)  # latency of a message between principals
-    approach: AfterFits[Range] = Range(3.0, 8.0)  # a delegated executor first moves to the place
+    approach: AfterFits[Range] = Range(3.0, 8.0)  # a delegated executor's way to the place of the action
     retry: AfterFits[Range] = Range(1.3, 2.1)  # length of one attempt to recover
     response: AfterFits[Range] = Range(20.0, 60.0)  # response time of the fleet supervisor
     start: AfterFits[Range] = Range(0.0, 20.0)  # start of the scenario within the run
@@ -106,7 +106,7 @@ class Structure(msgspec.Struct, frozen=True):
     local_budget_us: Paper[int] = 30_000_000  # recovery budget of the local level: time
     negotiation_rounds: Chosen[int] = 3  # counter-offers in one negotiation; the executor then denies
     peer_budget_us: Chosen[int] = 30_000_000  # of the peer level: time from turning to the peers until one is asked
-    peer_helpers: AfterFits[int] = 1  # and helpers asked: a helper that agrees is held until the failure is over
+    peer_helpers: AfterFits[int] = 1  # and helpers asked: one that agrees is occupied until the failure is over
     fleet_budget_us: Chosen[int] = 30_000_000  # of the fleet level: time until the orchestrator has decided
     fleet_reassignments: AfterFits[int] = 1  # and reassignments: after one it is another robot's execution
     human_budget_us: Chosen[int] = 120_000_000  # of the human level: time a call stays open, twice the longest response
@@ -115,21 +115,21 @@ class Structure(msgspec.Struct, frozen=True):
     # CFC
     sync_period_us: Fitted[int] = 6_440_000  # the coordinator's copies are refreshed this often
     service_us: Fitted[int] = 270_000  # the coordinator's time per item of work, for four robots
-    candidate_cost_ppm: AfterFits[int] = 170_000  # and this share of it more for each candidate
+    candidate_cost_ppm: AfterFits[int] = 170_000  # plus this share of it for each candidate
     ordering_response_ppm: AfterFits[int] = 400_000  # ordering two commands takes H_F this share of a response
     # DHMA
     hop_ppm: Fitted[int] = 596_000  # an internal hop takes this share of a message latency
     snapshot_period_us: Fitted[int] = 30_900_000  # planners refresh their snapshot of policy this often
     engagement_us: Fitted[int] = 7_510_000  # the planner is occupied this long by a motion or a context change
     dispute_timeout_us: Fitted[int] = 10_300_000  # a disputed recovery that failed gives up after this
-    renegotiation_us: Fitted[int] = 28_800_000  # replanning a delegated action takes this much more
+    renegotiation_us: Fitted[int] = 28_800_000  # replanning a delegated action takes this much longer
 
 
 class Outages(msgspec.Struct, frozen=True):
     """Outages of robots and their links, alike under every architecture.
 
     Rates are per robot and second in which it is on, or linked. The paper injects none of these, so the group is absent
-    by default, and no published number rests on it.
+    by default and no published number rests on it.
     """
 
     off_rate_per_s: Chosen[float] = 0.0  # robots that go off, exponential time until then
@@ -138,8 +138,8 @@ class Outages(msgspec.Struct, frozen=True):
     link_mean_s: Chosen[float] = 10.0  # how long they are down, exponential
     loss_rate_per_s: Chosen[float] = 0.0  # actuators that are lost until they are serviced, Poisson
     from_s: Chosen[float] = 0.0  # none of these before then
-    # A message that is not delivered within this counts as unanswered: ten times the longest latency. It holds without
-    # the group, too.
+    # A message that is not delivered within this time counts as unanswered: ten times the longest latency. It also
+    # applies without the group.
     answer_s: Chosen[float] = 5.0
 
 
@@ -147,7 +147,7 @@ class Load(msgspec.Struct, frozen=True):
     """The amount of work. Without this group every team has the tasks of its scenario, once."""
 
     teams_working: Chosen[int | None] = None  # teams 1 to this have tasks and routine, the others stand by; None: all
-    task_sets: Chosen[int] = 1  # how often each of them gets the tasks of the scenario
+    task_sets: Chosen[int] = 1  # how many times each of them gets the tasks of the scenario
     interval_s: Chosen[float] = 30.0  # from one set to the next
 
 
@@ -157,7 +157,7 @@ class Constants(msgspec.Struct, frozen=True):
     Groups that a later release adds are optional: `GROUP: Group | None = None`. An absent group is left out of the
     parameters, so runs without it keep their parameters, their ids and their roots.
 
-    `scenario` and `fleet` are a designer's own: what they hold is in no file of the package, so the run itself says it.
+    `scenario` and `fleet` are a designer's own: no file of the package holds them, so the run itself does.
     """
 
     world: WorldConstants = WorldConstants()
@@ -201,7 +201,7 @@ def _written(constants: Constants) -> str:
 
 
 def negatives(constants: Constants) -> list[str]:
-    """Return the name and value of each constant that is negative or not a number: no rate, length or count is."""
+    """Return the name and value of each constant that is negative or not a number, which none may be but `SIGNED`."""
     return _negatives("", msgspec.to_builtins(constants))
 
 

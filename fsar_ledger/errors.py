@@ -16,7 +16,7 @@ FsarLedgerError            every error that a user can meet          exit code
 ├── WorkerDied             a worker process was ended from outside   1
 └── LedgerCorrupted        the ledger contradicts itself             3
     ├── UnknownEventTag        a stored type that this version does not know
-    └── ReplayMismatch         replay gives other events than those stored
+    └── ReplayMismatch         replay gives events other than those stored
 ```
 """
 
@@ -110,7 +110,7 @@ class SequenceConflict(WriteFailed):
 class WorkerDied(FsarLedgerError):
     """A worker process was ended from outside, so the command could not finish.
 
-    Nothing is known about the work that was not done.
+    Nothing is known about the unfinished work.
     """
 
 
@@ -125,4 +125,4 @@ class UnknownEventTag(LedgerCorrupted):
 
 
 class ReplayMismatch(LedgerCorrupted):
-    """Replay gives other events than those that are stored."""
+    """Replay gives events other than those stored."""

@@ -1,8 +1,8 @@
-"""The limit on the memory of this process, so that a command that needs more ends with a message.
+"""Limits the memory of this process, so that a command that needs more ends with a message.
 
-Counts the memory that this process and its children hold, without shared libraries. Address space is not memory: the
-libraries reserve ten times what they use. So a limit of the operating system serves only as a net, far above, for
-what grows between two checks.
+It counts the memory that this process and its children hold, without shared libraries. Address space is not memory: the
+libraries reserve ten times what they use. So the operating system's limit is only a safety net, set far above, for what
+grows between two checks.
 """
 
 import os
@@ -28,15 +28,15 @@ _limit: int | None = None
 
 
 def limit() -> int | None:
-    """Return the bytes that this process may take, None without a limit."""
+    """Return the bytes that this process may take, or None without a limit."""
     return _limit
 
 
 def exceeded_message() -> str:
-    """Return the message that the limit is too low."""
+    """Return the message for when the limit is exceeded."""
     return (
         f"memory: this needs more than {(_limit or 0) >> 20:,} MiB, its limit; "
-        "if the ledger is what you think it is, raise that with --memory MIB"
+        "if the ledger is what you think it is, raise the limit with --memory MIB"
     )
 
 
@@ -44,8 +44,8 @@ def exceeded_message() -> str:
 def limited(most: int, excess: Callable[[], None]) -> Iterator[None]:
     """Limit the memory that the process takes from here on to `most` bytes.
 
-    Beyond it `excess` is called once, in a thread of its own, and must end the process. Where the operating system does
-    not say what a process holds (macOS), its peak so far counts, without its children.
+    Beyond that, `excess` is called once, in a thread of its own, and must end the process. Where the operating system
+    does not say what a process holds (macOS), its peak so far counts, without its children.
     """
     global _limit
     before, _limit = _limit, most

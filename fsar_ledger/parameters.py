@@ -28,10 +28,10 @@ def read_parameters(parameters: str) -> dict[str, Any]:
 
 
 def decode_parameters(parameters: str, kind: type[_T]) -> _T:
-    """Decode the parameters as a value of this type. Raises: BadParameters."""
+    """Decode the parameters into this type. Raises: BadParameters."""
     try:
         return msgspec.json.decode(parameters, type=kind)
-    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # the last: a number of thousands of digits
+    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # ValueError: a number of thousands of digits
         raise _bad(parameters, str(error)) from error
 
 

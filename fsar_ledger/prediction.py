@@ -1,9 +1,8 @@
-"""Plays what was registered to be predicted, and writes down the numbers before anybody compares them.
+"""Simulates the registered predictions, and writes down the numbers before anyone compares them.
 
-Registered in `reports/registration.toml`. The tables of the paper that the fit does not aim at (ablation, scaling) are
-played beside what nobody has
-seen: other seeds, fleets between and beyond, loads, encounter rates, pairs of ablations. Nothing here reads a number of
-the paper.
+They are registered in `reports/registration.toml`: the tables of the paper that the fit does not aim at (ablation,
+scaling), and what nobody has seen: other seeds, fleet sizes between and beyond the paper's, loads, encounter rates,
+pairs of ablations. Nothing here reads a number of the paper.
 """
 
 from collections.abc import Callable, Iterator
@@ -27,7 +26,7 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARI
 
 SEED = 42
 SEEDS = (57721, 61803)  # registered, and never used before
-SEED_RUNS = 200  # runs a scenario where the results table is asked for
+SEED_RUNS = 200  # runs a scenario for the results table
 ABLATION_RUNS = 40
 SCALING_RUNS = 20  # the paper's
 ENCOUNTERS_S = (30.0, 45.0, 90.0, 120.0, 300.0)
@@ -50,7 +49,7 @@ class Play(msgspec.Struct, frozen=True):
 
 
 class Predicted(msgspec.Struct, frozen=True, kw_only=True):
-    """One predicted number: what was played, and the metric's mean, SD per run, runs and 95 % interval, in its unit.
+    """One predicted number: its experiment, and the metric's mean, SD per run, runs and 95 % interval, in its unit.
 
     `teams_working` None: all teams. `scenario` None: all scenarios.
     """
@@ -72,9 +71,9 @@ class Predicted(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True):
-    """One claim of the paper's cases, as `cases/case_claims` has it: what is counted, of how many, and their ratio.
+    """One claim of the paper's cases, as in `cases/case_claims`: what is counted, of how many, and their ratio.
 
-    None where no case arose.
+    The counts and the ratio are None where no case arose.
     """
 
     case_number: int
@@ -88,7 +87,7 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Record(msgspec.Struct, frozen=True):
-    """All of it, with the model and the constants that it rests on."""
+    """All predictions, with the model and the constants that they rest on."""
 
     model_version: str
     parameters: str
@@ -98,7 +97,7 @@ class Record(msgspec.Struct, frozen=True):
 
 
 def plays() -> Iterator[Play]:
-    """Yield what is played, in the order of the registration."""
+    """Yield the experiments, in the order of the registration."""
 
     def one(
         of: str,
@@ -140,7 +139,7 @@ def plays() -> Iterator[Play]:
 
 
 def predict(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
-    """Play everything that is registered and write the numbers. Takes minutes.
+    """Simulate everything that is registered and write the numbers. Takes minutes.
 
     Raises:
         UsageError: The file lies inside a ledger.
@@ -166,7 +165,7 @@ def predict(out: Path, progress: Progress | None = None, workers: int = 2) -> No
 
 @contextmanager
 def _ledger_of(play: Play, workers: int) -> Iterator[Database]:
-    """The experiment, played into a ledger that is thrown away."""
+    """Simulate the experiment into a temporary ledger and yield its database."""
     with TemporaryDirectory() as folder:
         ledger = Path(folder) / "ledger"
         simulate(ledger, play.experiment, workers)

@@ -1,4 +1,4 @@
-"""Text of others, made safe to show in a terminal, a spreadsheet or a page: each character as itself or as an escape.
+"""Makes untrusted text safe to show in a terminal, a spreadsheet or a page: each character as itself or as an escape.
 
 Characters that act instead of being seen, or that move their neighbours, are escaped: controls (C0, DEL, C1), line and
 paragraph separators, bidirectional and other format characters, blanks other than the space, fillers, variation
@@ -17,16 +17,16 @@ Shown = NewType("Shown", str)
 """Complete lines without anything that a terminal would obey."""
 
 MAX_VALUE = 200
-"""Characters of one value that people are shown; programs get all."""
+"""Characters of one value shown to people; programs get all."""
 
 MAX_LINE = 4_000
-"""Characters of one line that people are shown."""
+"""Characters of one line shown to people."""
 
 MAX_MARKS = 2
 """Marks on one letter; Vietnamese needs two."""
 
 NAMED = 5
-"""How many things a message names, in a sentence or a line each; the rest are counted."""
+"""How many things a message names, in a list or one a line; the rest are only counted."""
 
 # printable according to Unicode, and blank
 _UNSEEN = "\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180d\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef"
@@ -53,10 +53,10 @@ def escaped(text: str) -> str:
 
 
 def value(text: str, most: int = MAX_VALUE) -> str:
-    """Return the value as people see it, distinct from every other value, cut after `most` characters.
+    """Return the value as shown to people, distinct from every other value, cut after `most` characters.
 
-    Unsafe characters are escaped; then, or if the value looks escaped, its own backslashes are doubled. So a text that
-    is shown unchanged holds no backslash before one of `\\xuUntr`, and one that is changed does.
+    Unsafe characters are escaped. If there are any, or if the value looks escaped, its own backslashes are doubled. So
+    a text that is shown unchanged holds no backslash before one of `\\xuUntr`, and one that is changed does.
     """
     if len(text) > most:
         return f"{value(text[:most], most)}... ({len(text) - most:,} more)"
@@ -66,7 +66,7 @@ def value(text: str, most: int = MAX_VALUE) -> str:
 
 
 def cell(text: str, most: int = MAX_VALUE) -> str:
-    """Return the value for a column of a table: like `value`, with blanks that look like column space escaped, too."""
+    """Return the value for a column of a table: as `value`, but also escape blanks that look like column space."""
     shown = value(text, most)
     return _BLANKS.sub(r"\\x20", shown) if "  " in shown or shown[:1] == " " or shown[-1:] == " " else shown
 
@@ -77,7 +77,7 @@ def field(text: str) -> str:
 
 
 def word(text: object) -> str:
-    """Quote the text as one word of a shell command that is shown to be copied."""
+    """Quote the text as one word of a shell command that people may copy."""
     return shlex.quote(value(str(text), len(str(text))))
 
 
@@ -87,7 +87,7 @@ def _without_formula(text: str) -> str:
 
 
 def line(text: str, most: int = MAX_LINE) -> Shown:
-    """Return one line for people, cut after `most` characters; a line feed within is escaped."""
+    """Return one line for people, cut after `most` characters; line feeds in it are escaped."""
     cut = text if len(text) <= most else f"{text[:most]}... ({len(text) - most:,} more)"
     return Shown(escaped(cut) + "\n")
 
@@ -108,7 +108,7 @@ def ascii_json(text: str) -> Shown:
 
 
 def sanitized(text: str) -> str:
-    """Escape everything unsafe in these lines; nothing, if all of them are `Shown`."""
+    """Escape everything unsafe in these lines; lines that are all `Shown` stay as they are."""
     return text if is_shown(text.replace("\n", "")) else "\n".join(map(escaped, text.split("\n")))
 
 
@@ -124,7 +124,7 @@ def _is_mark(character: str) -> bool:
 def _escaped(text: str, *, is_whole: bool) -> str:
     """Escape the text; double its own backslashes if `is_whole`."""
     found: list[str] = []
-    carried = MAX_MARKS  # marks on the last letter; the most where there is no letter, so that none may follow
+    carried = MAX_MARKS  # marks on the last letter; the maximum where there is no letter, so that none may follow
     for character in text:
         is_mark = _is_mark(character)
         is_plain = character.isprintable() and not _MOVING.match(character) and not (is_mark and carried >= MAX_MARKS)
@@ -136,7 +136,7 @@ def _escaped(text: str, *, is_whole: bool) -> str:
 
 
 def counted(count: int, what: str) -> str:
-    """Say a number of things in words: 1 run, 2 runs."""
+    """Return the count with its noun: 1 run, 2 runs."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 

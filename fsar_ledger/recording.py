@@ -1,4 +1,4 @@
-"""Writes the records of long work (the fit, the predictions): checks the path first, and writes whole or not at all."""
+"""Writes the records of long work (the fit, the predictions): checks the path first, then writes all or nothing."""
 
 import os
 from pathlib import Path
@@ -10,7 +10,7 @@ from fsar_ledger.errors import UsageError, WriteFailed
 
 
 def require_writable(out: Path) -> None:
-    """Check before minutes of work that the record can be written; leave nothing behind. Raises: WriteFailed."""
+    """Check that the record can be written, before minutes of work; leave nothing behind. Raises: WriteFailed."""
     probe = out.with_name(out.name + ".tmp")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -27,12 +27,12 @@ def require_another(out: Path, what: str, other: Path, other_what: str) -> None:
     if os.path.realpath(out) == os.path.realpath(other):
         raise UsageError(
             f"{what}: found the same file as {other_what}, which it would replace; "
-            "expected two files, choose another for one of them"
+            "expected two files; choose another path for one of them"
         )
 
 
 def write_record(out: Path, record: Any) -> None:
-    """Write the record as JSON, whole or not at all. Raises: WriteFailed."""
+    """Write the record as JSON, all or nothing. Raises: WriteFailed."""
     data = msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
     try:
         temporary = out.with_name(out.name + ".tmp")

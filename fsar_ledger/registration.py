@@ -1,6 +1,6 @@
-"""What was written down before the fit, `reports/registration.toml`.
+"""The registration, written down before the fit: `reports/registration.toml`.
 
-Which constants are free and how far, the rules of the verdicts, what is predicted.
+It says which constants are free within which range, the rules of the verdicts, and what is predicted.
 """
 
 from collections.abc import Mapping
@@ -10,16 +10,16 @@ from importlib.resources import files
 import msgspec
 
 UNNAMED = "informed"
-"""The class of a cell that the registration does not name."""
+"""The class of cells that the registration does not name."""
 
 
 class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How the fit is made: the table it aims at, its rule in words, its seed, and how many points are judged.
 
-    Runs are counted for each scenario and architecture.
+    Counts of runs are for each scenario and architecture.
 
     `starts` searches of at most `rough_steps` begin at the best of the `screened` points; one of at most `most_steps`
-    goes on from the best of them.
+    continues from the best of them.
     """
 
     aims_at: str
@@ -37,7 +37,7 @@ class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A kind of constant: the range within which the fit may place those of this kind, and why that range."""
+    """A kind of constant: the range within which the fit may choose values, and the reason for that range."""
 
     unit: str
     low: float
@@ -46,12 +46,12 @@ class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def middle(self) -> float:
-        """The geometric middle of the range."""
+        """Return the geometric mean of the range's ends."""
         return float((self.low * self.high) ** 0.5)
 
 
 class Free(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One constant that the fit may choose, and of which kind it is."""
+    """One constant that the fit may choose, and its kind."""
 
     name: str
     kind: str
@@ -59,12 +59,12 @@ class Free(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def range(self) -> Kind:
-        """The range within which the fit may place it."""
+        """Return the range within which the fit may choose it."""
         return registration().kinds[self.kind]
 
 
 class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The rules of the verdicts in words, their level, how many experiments are drawn, and what n decides."""
+    """The rules of the verdicts in words, their level, how many experiments are drawn, and which n decides."""
 
     alpha: float
     model: str
@@ -74,7 +74,7 @@ class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
-    """What was said of some printed cells: where they stand, their class, why, and the dial on which they depend."""
+    """What the registration says of some printed cells: where they are, their class, why, and what they depend on."""
 
     table: str
     where: dict[str, str | int | list[int]]
@@ -83,14 +83,14 @@ class Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kin
     dial: str | None = None
 
     def is_of(self, table: str, place: Mapping[str, object]) -> bool:
-        """Whether the cell at this place of a table is one of them."""
+        """Return whether the cell at this place of a table is one of them."""
         return self.table == table and all(
             place.get(name) in (wanted if isinstance(wanted, list) else [wanted]) for name, wanted in self.where.items()
         )
 
 
 class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What is predicted that nobody has seen, what the paper's claims imply for it, and where the paper claims it."""
+    """A prediction of what nobody has seen, what the paper's claims imply for it, and where the paper makes them."""
 
     name: str
     of: str
@@ -99,9 +99,9 @@ class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Check(msgspec.Struct, frozen=True):
-    """One number and where it must lie; an end that is None is open.
+    """A number and the interval in which it must lie; an end of None is open.
 
-    `holds` None: a number that it needs is undefined.
+    `holds` is None if a number that the check needs is undefined.
     """
 
     what: str
@@ -112,9 +112,9 @@ class Check(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of one registered prediction: it holds if all its checks do.
+    """The outcome of one registered prediction, which holds if all its checks do.
 
-    None: none fails, and one cannot be made.
+    `holds` is None if no check fails but one cannot be made.
     """
 
     name: str
@@ -143,9 +143,9 @@ class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     prediction: tuple[Prediction, ...]
 
     def said_of(self, table: str, place: Mapping[str, object]) -> Said:
-        """Return what was said of the cell at this place of a table (names as in `where`).
+        """Return what the registration says of the cell at this place of a table (names as in `where`).
 
-        Of it alone, else of its table; else it is informed.
+        An entry for the cell comes before one for its table; without either, the cell is `informed`.
         """
         whole = Said(table, {}, self.cells.get(table, UNNAMED))
         return next((one for one in self.cell if one.is_of(table, place)), whole)

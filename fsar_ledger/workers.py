@@ -1,7 +1,7 @@
 """Worker processes that leave Ctrl-C to the command that started them, end with it, and cannot die unnoticed.
 
-Each worker holds the only other end of its own pipe. Wherever it dies, even halfway through an answer, the pipe ends.
-(The standard library's pool shares one queue: a process killed while it writes there leaves every reader waiting.)
+Each worker holds the only other end of its own pipe, so the pipe ends wherever it dies, even halfway through an answer.
+(The standard library's pool shares one queue: a process killed while writing to it leaves every reader waiting.)
 """
 
 import os
@@ -30,7 +30,7 @@ _STARTING = threading.Lock()
 
 
 class _Worker:
-    """A process, our end of its pipe, and the call that it works on."""
+    """A process, our end of its pipe, and the call in progress."""
 
     def __init__(self) -> None:
         """Start the process. Raises: OSError if it cannot be started or dies at once."""
@@ -49,9 +49,9 @@ class _Worker:
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Keep processes that start meanwhile from importing the caller's main module.
+    """Keep processes that start in this context from importing the caller's main module.
 
-    Calls name functions of installed modules, so a worker needs nothing of it; and a script without
+    Calls name functions of installed modules, so a worker does not need it, and a script without
     `if __name__ == "__main__"` would run again in each worker.
     """
     with _STARTING:
@@ -66,12 +66,12 @@ def _without_main() -> Iterator[None]:
 class WorkerPool(Executor):
     """A pool of fresh processes that ignore Ctrl-C from the start and end with this process, however it ends.
 
-    A process inherits the signals that are blocked while it starts, and a submission starts it. When one dies, every
-    open call raises `WorkerDied`. Leaving the pool drops the calls that have not begun and waits for the others.
+    A process inherits the signals that are blocked when it starts, which is on a submission. When one dies, every open
+    call raises `WorkerDied`. Leaving the pool drops the calls that have not begun and waits for the others.
     """
 
     def __init__(self, workers: int) -> None:
-        resource_tracker.ensure_running()  # else the first process would start it, which unblocks signals
+        resource_tracker.ensure_running()  # otherwise the first process would start it, which unblocks signals
         self._most = workers
         self._workers: list[_Worker] = []
         self._waiting: deque[tuple[Future[Any], bytes]] = deque()
@@ -148,7 +148,7 @@ class WorkerPool(Executor):
                 if self._is_closing and not any(worker.running for worker in self._workers):
                     return
             for worker, call in begun:
-                with suppress(OSError):  # it is dead; its pipe has ended, too, and says so below
+                with suppress(OSError):  # it is dead, and so is its pipe, which is noticed below
                     worker.pipe.send_bytes(call)
             for ready in connection.wait([*pipes, self._wakes]):
                 if ready is self._wakes:
@@ -167,7 +167,7 @@ class WorkerPool(Executor):
         return None
 
     def _receive_answer(self, worker: _Worker) -> bool:
-        """Pass on the worker's answer; return whether there was one, so that it is not dead."""
+        """Pass on the worker's answer; return False if there is none because the worker is dead."""
         try:
             answer = worker.pipe.recv_bytes()
         except (EOFError, OSError):

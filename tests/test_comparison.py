@@ -173,7 +173,7 @@ def written(folder: Path, of: Record) -> Path:
 
 def test_a_record_that_lacks_a_number_is_refused_by_its_place(tmp_path: Path) -> None:
     short = msgspec.structs.replace(record(), numbers=[one for one in NUMBERS if one.fleet_size != 12])
-    with pytest.raises(FsarLedgerError, match=r"predictions\.json: found no .*12.*expected all"):
+    with pytest.raises(FsarLedgerError, match=r"predictions\.json: found no .*12.*expected everything"):
         compare_predictions(written(tmp_path, short), tmp_path / "comparison.json")
 
 

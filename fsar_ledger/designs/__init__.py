@@ -1,7 +1,7 @@
-"""What a designer writes: fleets, scenarios and workflows, in TOML files.
+"""Designs: fleets, scenarios and workflows, written in TOML files.
 
-Those that are nobody's but the designer's are in event 0 of a run, too. Everything here is immutable to the leaves. The
-structure is checked when a file or an event is read; `runtime.world.checks` checks the rest.
+A design that does not come with the package is also stored in event 0 of its runs. Everything here is immutable
+throughout. The structure is checked when a file or an event is read; `runtime.world.checks` checks the rest.
 """
 
 import msgspec
@@ -11,20 +11,20 @@ from fsar_ledger.events.world import Grade
 
 
 class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A part of a design: fields that are not there have their default, and a field that is not known is an error."""
+    """A part of a design: missing fields have their default, and an unknown field is an error."""
 
 
 class Robot(Design, frozen=True):
-    """One robot of each team: `east-door` of team 2 is `robot/east-door2`. Without a role its name is its role."""
+    """One robot of each team: `east-door` of team 2 is `robot/east-door2`. Without a role, its name is its role."""
 
     name: str
     capabilities: tuple[str, ...]
     role: str | None = None
-    has_supervisor: bool = True  # of its own; the fleet's stands in for none
+    has_supervisor: bool = True  # one of its own; else the fleet supervisor is in charge
 
     @property
     def kind(self) -> str:
-        """Return the role, by which trust, policy and visibility are given."""
+        """Return the role, to which trust, policy and visibility refer."""
         return self.name if self.role is None else self.role
 
 
@@ -32,7 +32,7 @@ class Capability(Design, frozen=True):
     """Something that robots of the fleet can do.
 
     `postconditions` hold after it, in the order in which they come about; the roles in `visible_to` can discover it
-    (none named: all). Units: `lasts_s` seconds, from and to; None: as `world.durations` has it.
+    (empty: all). Units: `lasts_s` seconds, shortest and longest; None: as in `world.durations`.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Substitute(Design, frozen=True):
 
 
 class Trust(Design, frozen=True):
-    """Every robot of `role` trusts every robot of `peer_role`; where it is mutual, also the other way."""
+    """Every robot of `role` trusts every robot of `peer_role`, and the other way round if it is mutual."""
 
     role: str
     peer_role: str
@@ -58,7 +58,7 @@ class Trust(Design, frozen=True):
 
 
 class Policy(Design, frozen=True):
-    """A rule for every robot of a role, its own (`local`) or the fleet's; for one capability or (None) for all."""
+    """A rule for every robot of a role, the robot's own (`local`) or the fleet's, for one capability or (None) all."""
 
     role: str
     outcome: PolicyOutcome
@@ -67,9 +67,9 @@ class Policy(Design, frozen=True):
 
 
 class OffShift(Design, frozen=True):
-    """A spell in which the supervisors of these robots (none named: of all that have one) are off shift.
+    """A spell in which the supervisors of these robots (empty: of all that have one) are off shift.
 
-    Units: seconds of run time; `to_s` None: to the end.
+    Units: seconds of run time; `to_s` None: until the end.
     """
 
     from_s: float = 0.0
@@ -78,9 +78,9 @@ class OffShift(Design, frozen=True):
 
 
 class Fleet(Design, frozen=True):
-    """Who is in a team, what they can do, whom they trust, and when nobody supervises.
+    """The robots of a team, what they can do, whom they trust, and when they are unsupervised.
 
-    A fleet is one or more such teams. `bodies` are the roles whose robots can clear an obstruction.
+    A fleet consists of one or more such teams. `bodies` are the roles whose robots can clear an obstruction.
     """
 
     name: str
@@ -98,14 +98,14 @@ class Fleet(Design, frozen=True):
         return tuple(dict.fromkeys(robot.kind for robot in self.robots))
 
     def is_off_shift(self, spell: OffShift, robot: Robot) -> bool:
-        """Tell whether the spell is one of this robot's supervisor."""
+        """Return whether this robot's supervisor is off shift in the spell."""
         return robot.has_supervisor and (not spell.robots or robot.name in spell.robots)
 
 
 class Task(Design, frozen=True):
     """A task of a team. Units: `offset_s` seconds after the scenario's start.
 
-    Steps are as in `TaskArrived`: `ACTOR capability` is done by the actor, `ACTOR capability TARGET` delegated by it;
+    Steps are as in `TaskArrived`: the actor does `ACTOR capability` itself and delegates `ACTOR capability TARGET`;
     both are robots of the team.
     """
 
@@ -122,7 +122,7 @@ class Task(Design, frozen=True):
 
 
 class Injection(Design, frozen=True):
-    """A request outside trust, `times` of them per team. Paper: sec:evaluation:setup (Scenario 4)."""
+    """Requests outside trust, `times` of them per team. Paper: sec:evaluation:setup (Scenario 4)."""
 
     requester: str
     target: str
@@ -131,7 +131,7 @@ class Injection(Design, frozen=True):
 
 
 class Scenario(Design, frozen=True):
-    """What there is to do, in a world that disturbs it. One of the `degradable` robots may degrade."""
+    """The tasks of each team, in a world with disturbances. The actuator of one `degradable` robot may degrade."""
 
     name: str
     tasks: tuple[Task, ...]
@@ -147,7 +147,7 @@ class Wear(Design, frozen=True):
 
 
 class Workflow(Design, frozen=True):
-    """The tasks of one team, all of the same arrival, with this wear and no other disturbance.
+    """The tasks of one team, which arrive together, with this wear and no other disturbance.
 
     Paper: sec:prototype:workflows.
     """

@@ -1,4 +1,4 @@
-"""Designs in TOML files: read with their types, and every error with its line and field."""
+"""Reads designs from TOML files, with types; every error gives its line and field."""
 
 import re
 import tomllib
@@ -12,10 +12,10 @@ from fsar_ledger.errors import UsageError
 
 _T = TypeVar("_T")
 Field = tuple[str | int, ...]
-"""The path of a value: keys, and numbers of elements from 0."""
+"""The path of a value: keys, and indices of elements from 0."""
 
 MAX_BYTES = 40_000
-"""Of a file; those that come with the package have at most 2,000. Its content is in event 0 of every run of it."""
+"""The largest file, whose content goes into event 0 of each of its runs; those of the package have at most 2,000."""
 
 _TABLE = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
 _KEY = re.compile(r"""\s*([\w-]+|"[^"]*"|'[^']*')((?:\s*\.\s*[\w-]+)*)\s*=""")
@@ -42,7 +42,7 @@ def read_design(path: Path, kind: type[_T]) -> tuple[_T, str]:
 
 
 def decoded(text: str, kind: type[_T], where: str) -> _T:
-    """Return the design that is this text. Raises: UsageError, with line and field."""
+    """Return the design in this text. Raises: UsageError, with line and field."""
     try:
         found = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -52,7 +52,7 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
         words = message[: at.start()] if at else message.removesuffix(" (at end of document)")
         raise UsageError(f"{where}:{line}: {printable.value(words)}; expected TOML") from error
     except RecursionError as error:
-        raise UsageError(f"{where}: found brackets without end, expected TOML of a {_what(kind)}") from error
+        raise UsageError(f"{where}: found brackets nested too deeply, expected TOML of a {_what(kind)}") from error
     try:
         return msgspec.convert(found, kind)
     except msgspec.ValidationError as error:
@@ -60,7 +60,7 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
 
 
 def at_line(where: str, text: str, field: Field) -> str:
-    """Return `my.toml:12: tasks[2].steps[0]`, for the beginning of a message."""
+    """Return the beginning of a message about the field: `my.toml:12: tasks[2].steps[0]`."""
     return f"{where}:{line_of(text, field)}: {field_name(field)}"
 
 
@@ -70,9 +70,9 @@ def field_name(field: Field) -> str:
 
 
 def line_of(text: str, field: Field) -> int:
-    """Return the line, from 1, on which the field stands, or its table where the field is missing.
+    """Return the line, from 1, of the field, or of its table if the field is missing.
 
-    The text is TOML that `tomllib` has read. A text in three quotes that looks like TOML may lead to a line in it.
+    The text is TOML that `tomllib` has read. A triple-quoted string that looks like TOML may mislead it.
     """
     counts: dict[tuple[str, ...], int] = {}
     table: Field = ()
@@ -95,7 +95,7 @@ def line_of(text: str, field: Field) -> int:
 
 
 def _numbered(keys: tuple[str, ...], counts: dict[tuple[str, ...], int]) -> Field:
-    """Return the path of a table, with the number of the newest element after each key of an array of tables."""
+    """Return the path of a table, with the index of the newest element after each key of an array of tables."""
     found: list[str | int] = []
     for end in range(1, len(keys) + 1):
         found.append(keys[end - 1])
@@ -105,7 +105,7 @@ def _numbered(keys: tuple[str, ...], counts: dict[tuple[str, ...], int]) -> Fiel
 
 
 def _lines_before(lines: list[str], element: int) -> int:
-    """Return how many lines after that of its key an element of an array begins."""
+    """Return how many lines after the line of its key this element of an array begins."""
     depth = passed = 0
     quote = ""
     for number, line in enumerate(lines):
@@ -137,7 +137,7 @@ def _lines_before(lines: list[str], element: int) -> int:
 
 
 def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) -> str:
-    """Return msgspec's message in our form: line, field, found, expected."""
+    """Return msgspec's message reworded in our form: line, field, found, expected."""
     parsed = _AT.match(message)
     assert parsed is not None
     what = parsed["what"]

@@ -1,6 +1,6 @@
 """The fleets, scenarios and workflows that come with the package, one file each.
 
-Another file adds one without any other change. They are read once, when they are first asked for.
+Adding a file registers another one; nothing else changes. Each is read once, when first used.
 """
 
 from functools import cache
@@ -20,7 +20,7 @@ PAPER_SCENARIOS = (
     "mixed-trust-inspection",
     "fleet-contention",
 )
-"""The five of the paper, in its order; other registered ones come after them. Paper: sec:evaluation:scenarios."""
+"""The paper's five, in its order; other registered ones come after them. Paper: sec:evaluation:scenarios."""
 PAPER_WORKFLOWS = ("workflow-door-relay", "workflow-layered-recovery", "workflow-human-supervision")
 
 

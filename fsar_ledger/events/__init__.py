@@ -1,6 +1,6 @@
 """Typed events: the facts a ledger holds.
 
-One file per concept, versions of the past in `retired.py`; imports msgspec only.
+One file per concept, earlier versions in `retired.py`; imports msgspec only.
 """
 
 from collections.abc import Mapping
@@ -45,34 +45,34 @@ AnyEvent = (
 EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)
 
 UPCASTS: Chains = chains(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
-"""How an event of each retired type becomes a current one; made, and thereby checked, when the package starts."""
+"""The changes that turn an event of each retired type into a current one, built and checked at import."""
 
 ADDITIONS: Mapping[type[Event], Addition] = additions(RETIRED_TYPES, UPCASTERS)
-"""The retired types whose events become current ones by adding fields alone, so that SQL does it in place."""
+"""The retired types that become current by adding fields alone, which SQL does in place."""
 
 ALONE: frozenset[type[Event]] = frozenset({ExperimentPlanned})
-"""The types of events that are alone in their run: they are about runs, and happen in none.
+"""The event types that are the only event of their run: they describe runs and happen in none.
 
 Event 0 of any other run is `RunStarted`.
 """
 
 
 def _concerns() -> dict[str, str]:
-    """Return the concern of each event type by name. Raises: TypeError where a type's file is named after none."""
+    """Return the concern of each event type by name. Raises: TypeError if a type's file is not named after one."""
     found: dict[str, str | None] = {kind.__name__: kind.__module__.rpartition(".")[2] for kind in EVENT_TYPES}
     found |= BESIDE
     if stray := sorted(name for name, concern in found.items() if concern not in (None, *CONCERNS)):
         raise TypeError(
-            f"{', '.join(stray)}: found in a file that is no concern, expected one of {', '.join(CONCERNS)}; "
+            f"{', '.join(stray)}: found in a file not named after a concern, expected one of {', '.join(CONCERNS)}; "
             "move it, or name its concern in fsar_ledger/events/concerns.py"
         )
     return {name: concern for name, concern in found.items() if concern is not None}
 
 
 CONCERN_OF: dict[str, str] = _concerns()
-"""The concern of each event type, by its name whatever its version.
+"""The concern of each event type, by name without version.
 
-A type that says what a run is has none: it is there whatever a run observes.
+A type that describes the run itself has none: every run has it, whatever it observes.
 """
 
 __all__ = ["ADDITIONS", "ALONE", "CONCERN_OF", "EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]

@@ -1,4 +1,4 @@
-"""Who holds which dimension of authority over an action, from when to when (`eq:auth`)."""
+"""Who holds which dimension of authority over an action, and when (`eq:auth`)."""
 
 from typing import Literal
 
@@ -17,7 +17,7 @@ class AuthorityClaimed(Event, frozen=True):
 
 
 class AuthorityReleased(Event, frozen=True):
-    """`claimant` no longer holds it."""
+    """`claimant` no longer holds this dimension of authority over the action."""
 
     subject: Subject[TaskId | None, ActionId]
     dimension: Dimension
@@ -26,9 +26,9 @@ class AuthorityReleased(Event, frozen=True):
 
 
 class AuthorityGranted(Event, frozen=True, kw_only=True):
-    """`requested_by` may ask up to this override level, by role or by a supervisor's word.
+    """`requested_by` may make requests up to this override level, by its role or by a supervisor's decision.
 
-    `requested_by` of None: anyone. It lifts a revocation. Paper: eq:auth, eq:override.
+    An executor, capability or context of None is any. A grant lifts a revocation. Paper: eq:auth, eq:override.
     """
 
     requested_by: Robot
@@ -40,9 +40,9 @@ class AuthorityGranted(Event, frozen=True, kw_only=True):
 
 
 class AuthorityRevoked(Event, frozen=True, kw_only=True):
-    """`requested_by` may no longer ask this, from the next request boundary on.
+    """`requested_by` may no longer make such requests, from the next request boundary on.
 
-    What executes already goes on. Paper: sec:model:authority.
+    An execution under way continues. Paper: sec:model:authority.
     """
 
     requested_by: Robot

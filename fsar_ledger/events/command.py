@@ -4,9 +4,9 @@ from .envelope import Event, Principal
 
 
 class CommandRejected(Event, frozen=True, kw_only=True):
-    """The command named something that is unknown, over, or impossible; nothing else has happened.
+    """The command named something unknown, finished or impossible; nothing else happened.
 
-    `subject` is what it was about, `reason` what was found and what was expected.
+    `subject` is what the command was about; `reason` says what was found and what was expected.
 
     Paper: sec:architecture:overview.
     """

@@ -1,6 +1,6 @@
-"""What a run may observe, in concerns of one word each.
+"""The concerns that a run may observe, one word each.
 
-An event type is of the concern that its file is named after, unless `BESIDE` says otherwise.
+An event type belongs to the concern that its file is named after, unless `BESIDE` says otherwise.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ CONCERNS: tuple[str, ...] = (
     "command",  # commands from outside that were rejected
     "world",  # what happens to robots: obstructions, wear, outages, encounters, injected attempts
 )
-"""Every concern, in the order in which they are written. Runs of our own handlers observe all of them."""
+"""Every concern, in the order in which runs store them. Runs of our own handlers observe all of them."""
 
 BESIDE: Mapping[str, str | None] = {
     "RunStarted": None,
@@ -35,7 +35,7 @@ BESIDE: Mapping[str, str | None] = {
     "InternalHandoff": "message",
     "RoutineReported": "message",
 }
-"""The types whose concern is not their file, whatever their version, and those that are all retired.
+"""The types, whatever their version, whose concern is not their file, and those of which every version is retired.
 
-None: the type says what a run is, and is of no concern.
+None: the type describes the run itself and belongs to no concern.
 """

@@ -7,58 +7,58 @@ from .envelope import Architecture
 
 Mechanism = Literal["trust-evaluation", "policy-composition", "layered-recovery", "shared-registry"]
 MECHANISMS: tuple[Mechanism, ...] = get_args(Mechanism)
-"""FSAR's, those of the paper's ablation table."""
+"""The mechanisms of FSAR that the paper's ablation table takes out."""
 
 MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
     "fsar": {
         "trust-evaluation": "trust in the requester is evaluated (else anybody is served)",
         "policy-composition": "requester's policy and fleet rule composed (else the executor's alone)",
         "layered-recovery": "layered recovery (else the supervisor at once)",
-        "shared-registry": "a registry shows who can do what (else peers that were met)",
-        "engine-closing": "closing by the coordination engine (else by the requester)",
+        "shared-registry": "a registry shows who can do what (else only peers that the robot has met)",
+        "engine-closing": "the coordination engine closes requests (else the requester does)",
         "boundary-revocation": "revocation waits for the request boundary (else no claim)",
-        "start-recheck": "policy is checked again where delegated work starts (else it starts as admitted)",
-        "own-work-check": "policy is checked where own steps and motions start (else nothing checks them)",
+        "start-recheck": "policy is checked again when delegated work starts (else it starts as admitted)",
+        "own-work-check": "policy is checked when own steps and motions start (else nothing checks them)",
     },
     "cfc": {
         "safe-stop-claims": "context changes make robots and supervisors claim (else no claim)",
-        "synced-copies": "decisions on copies synced now and then (else on robots as they are)",
+        "synced-copies": "decisions on periodically synced copies (else on the robots' present state)",
         "coordinator-queue": "the coordinator takes time for each item of work (else none)",
-        "central-recovery": "every failure goes to the coordinator (else the robot first tries again itself)",
+        "central-recovery": "every failure goes to the coordinator (else the robot itself retries first)",
         "unnamed-requests": "the coordinator's records name no requester (else the robot whose task it is)",
-        "central-decisions": "the coordinator decides (else the robot that acts is on record as who did)",
+        "central-decisions": "the coordinator decides (else the acting robot is on record as the decider)",
     },
     "dhma": {
-        "acknowledged-handoffs": "hand-off is acknowledged (else at once)",
+        "acknowledged-handoffs": "hand-offs take effect when acknowledged (else at once)",
         "planner-claims": "context changes make agents claim override (else no claim)",
         "recovery-disputes": "recovery is disputed by an engaged planner (else never)",
         "contract-questioning": "context changes put contracts in question (else they stand)",
-        "policy-snapshots": "decisions on snapshots of policy (else on policy as it is)",
-        "hop-latency": "agents of a robot hear each other after a while (else at once)",
+        "policy-snapshots": "decisions on snapshots of policy (else on the present policy)",
+        "hop-latency": "agents of a robot hear each other after a delay (else at once)",
         "handoff-records": "each hop between agents is on record (else none is)",
-        "agent-decisions": "decisions pass through agents (else the robot is on record as who decided)",
+        "agent-decisions": "decisions pass through agents (else the robot is on record as the decider)",
         "nested-queries": "nested queries carry requests past visibility (else they come to nothing)",
     },
 }
-"""All that can be taken out of each architecture: what it does, and what replaces it.
+"""Every mechanism that can be taken out of each architecture: what it does, and what replaces it.
 
-No two mechanisms share a name. The handlers know the paper's four; `runtime.knockouts` holds the others.
+No two mechanisms share a name. The handlers check the paper's four; `runtime.knockouts` holds the others.
 """
 
 ON_RECORD_ALONE = frozenset(
     {"engine-closing", "unnamed-requests", "central-decisions", "handoff-records", "agent-decisions"}
 )
-"""Without these, the same is done at the same times, but the record names others for it or has less.
+"""The mechanisms without which robots do the same at the same times, but the record names others or holds less.
 
-They show how a metric counts.
+Taking them out shows how a metric counts.
 """
 
 EVERY_MECHANISM: tuple[str, ...] = tuple(name for names in MECHANISMS_OF.values() for name in names)
 
 Configuration: TypeAlias = str
-"""`full`, or `without-` and the mechanisms that are taken out.
+"""`full`, or `without-` and the mechanisms that are taken out, joined by `+`.
 
-`without-trust-evaluation`, `without-trust-evaluation+shared-registry`.
+For example `without-trust-evaluation` or `without-trust-evaluation+shared-registry`.
 """
 
 FULL: Configuration = "full"
@@ -72,7 +72,7 @@ def without(mechanisms: Iterable[str]) -> Configuration:
 
 
 def lacks(configuration: str) -> frozenset[str]:
-    """Return the mechanisms that a configuration of this name lacks: none if it is another text."""
+    """Return the mechanisms that the configuration of this name lacks; none for any other text."""
     return (
         frozenset(configuration.removeprefix(_WITHOUT).split("+"))
         if configuration.startswith(_WITHOUT)
@@ -81,7 +81,7 @@ def lacks(configuration: str) -> frozenset[str]:
 
 
 def is_known(configuration: str) -> bool:
-    """Tell whether this is the name of a configuration that can be simulated, of some architecture."""
+    """Return whether this names a configuration in which some architecture can be simulated."""
     return (
         any(map(lacks(configuration).issubset, MECHANISMS_OF.values()))
         and without(lacks(configuration)) == configuration
@@ -95,4 +95,4 @@ def rank(configuration: Configuration) -> tuple[int, tuple[int, ...]]:
 
 
 CONFIGURATIONS: tuple[Configuration, ...] = (FULL, *(without([one]) for one in MECHANISMS))
-"""Those of the paper's ablation table: in full, and without one mechanism each."""
+"""The configurations of the paper's ablation table: full, and without one mechanism each."""

@@ -1,13 +1,13 @@
 """The shape every event shares: one frozen struct per fact, one tag per version.
 
 An event says what happened; the envelope around it says where in a run. Envelope columns that every row has (`run_id`,
-`seq`, `time_us`, `caused_by`, `type`) are kept beside the structs as columns, because they are the same for whole runs
-or follow from the position. Envelope columns that only some events have come in parts, types of their own that are
-stored as the columns of the same names: a subject (`Subject`, `RequestSubject`) says what an event is about, principals
-(`Principals`, `Parties`) who decided, asked, executes and supervises.
+`seq`, `time_us`, `caused_by`, `type`) are kept beside the structs as columns, because they are constant in a run or
+follow from the position. Envelope columns that only some events have are grouped in parts: types of their own, whose
+fields are stored as the columns of the same names. A subject (`Subject`, `RequestSubject`) says what an event is about;
+principals (`Principals`, `Parties`) say who decided, asked, executes and supervises.
 
-A principal is None when the record does not name one; it is never defaulted. Times are integer
-microseconds of run time, shares are parts per million; no event holds a float.
+A principal is None when the record does not name one; it is never defaulted. Times are integer microseconds of run
+time, shares are parts per million; no event holds a float.
 """
 
 from typing import Any, Generic, Literal, NewType, TypeAlias, TypeVar
@@ -20,9 +20,9 @@ Service = NewType("Service", str)
 Agent = NewType("Agent", str)
 Coordinator = NewType("Coordinator", str)
 Principal: TypeAlias = Robot | Supervisor | Service | Agent | Coordinator
-"""Every principal that can be on record for something."""
+"""Any principal that a record can name."""
 
-# What is named after what it is about; to the type checker these are plain text.
+# Names of tasks, actions and requests: plain text to the type checker.
 TaskId: TypeAlias = str
 ActionId: TypeAlias = str
 RequestId: TypeAlias = str
@@ -41,15 +41,15 @@ def tag(name: str) -> str:
 class Event(
     msgspec.Struct, frozen=True, gc=False, tag_field="type", tag=tag, omit_defaults=True, forbid_unknown_fields=True
 ):
-    """A fact, immutable to the leaves: fields hold strings, integers, booleans, None, or tuples of strings."""
+    """A fact, immutable throughout: fields hold strings, integers, booleans, None, or tuples of strings."""
 
 
 class Part(msgspec.Struct, frozen=True, gc=False):
-    """What several columns of an event say together; each field is stored as the column of its name."""
+    """A group of columns of an event; each field is stored as the column of its name."""
 
 
 def flat(event: Event) -> dict[str, Any]:
-    """Return what is stored of an event, by column: its fields, and those of its parts."""
+    """Return the stored columns of an event by name: its fields, and those of its parts."""
     found: dict[str, Any] = {}
     for name, value in msgspec.structs.asdict(event).items():
         found |= msgspec.structs.asdict(value) if isinstance(value, Part) else {name: value}
@@ -57,7 +57,7 @@ def flat(event: Event) -> dict[str, Any]:
 
 
 def with_columns(event: _Event, **columns: object) -> _Event:
-    """Return the event with other values in these columns. Raises: TypeError for a column that it does not have."""
+    """Return a copy of the event with these columns replaced. Raises: TypeError for a column that it does not have."""
     fields: dict[str, object] = {}
     for name, value in msgspec.structs.asdict(event).items():
         if isinstance(value, Part):
@@ -74,7 +74,7 @@ class Subject(Part, Generic[_Task, _Action], frozen=True):
 
 
 class RequestSubject(Part, Generic[_Task, _Action, _Request], frozen=True):
-    """What an event of a request is about; `request_id` is None where the architecture gives requests no names."""
+    """What an event about a request refers to; `request_id` is None where the architecture does not name requests."""
 
     task_id: _Task
     action_id: _Action
@@ -82,14 +82,14 @@ class RequestSubject(Part, Generic[_Task, _Action, _Request], frozen=True):
 
 
 class Parties(Part, frozen=True, kw_only=True):
-    """Whom the record names: who asked, the robot that executes, who supervises it."""
+    """The principals that a record names: who asked, which robot executes, who supervises it."""
 
     requested_by: Principal | None
     executed_by: Robot | None
     supervised_by: Supervisor | None
 
     def decided(self, *path: Principal) -> "Principals":
-        """Return the principals of a decision that traversed these, the last of whom decided."""
+        """Return the principals of a decision that took this path; the last one on it decided."""
         return Principals(
             decided_by=path[-1],
             requested_by=self.requested_by,
@@ -100,9 +100,9 @@ class Parties(Part, frozen=True, kw_only=True):
 
 
 class Principals(Part, frozen=True, kw_only=True):
-    """Whom the record of a decision names: the parties, the decider, and the principals on the way.
+    """The principals that the record of a decision names: the parties, the decider, and the path.
 
-    `path`: the principals that the decision traversed, decider last.
+    `path`: the principals through which the decision passed, decider last.
     """
 
     decided_by: Principal | None
@@ -140,7 +140,7 @@ def agent(robot: Robot, kind: AgentKind) -> Agent:
 
 
 def robot_of(agent: Agent) -> Robot:
-    """Return the robot that an agent belongs to: `agent/A1/planning` to `robot/A1`."""
+    """Return the robot that an agent belongs to: `robot/A1` for `agent/A1/planning`."""
     return Robot("robot/" + agent.split("/")[1])
 
 
@@ -151,7 +151,7 @@ def as_robot(principal: Principal) -> Robot:
     return Robot(principal)
 
 
-# Open text, in an event (`RunStarted`) and everywhere: the experiment checks it against what is registered.
+# Open text, in events (`RunStarted`) and everywhere else: the experiment checks it against what is registered.
 Architecture: TypeAlias = str
 Scenario: TypeAlias = str
 Workflow: TypeAlias = str

@@ -1,7 +1,7 @@
 """Execution of a capability by its robot, and what a robot does of its own accord.
 
-`robot` is the body that moves; `on_behalf_of` the robot whose step it is. They are physical facts and
-stand beside the principals that the architecture recorded, which may be None.
+`robot` is the body that moves, `on_behalf_of` the robot whose step it is. These are physical facts, kept beside the
+principals that the architecture recorded, which may be None.
 """
 
 from .envelope import (
@@ -21,7 +21,7 @@ from .envelope import (
 
 
 class OwnStepDecided(Event, frozen=True):
-    """The robot is going to do a step of its own."""
+    """The robot has decided to do a step of its own."""
 
     subject: Subject[TaskId, ActionId | None]
     principals: Principals
@@ -31,8 +31,8 @@ class OwnStepDecided(Event, frozen=True):
 class ExecutionQueued(Event, frozen=True, kw_only=True):
     """The action waits for the robot, which serves one at a time: by override level, then in order of arrival.
 
-    The principals are those that the architecture records of the execution; `is_supervised` is False when
-    it knows no supervisor for it at all.
+    The principals are those that the architecture records for the execution; `is_supervised` is False when it knows no
+    supervisor for it at all.
 
     Paper: eq:override.
     """
@@ -58,9 +58,9 @@ class ApproachStarted(Event, frozen=True):
 
 
 class ExecutionHeld(Event, frozen=True):
-    """The robot is ready, but policy as it knows it does not let it start; it waits.
+    """The robot is ready but waits, because policy as it knows it does not allow the start.
 
-    `decided_by` names the decider when waiting is a denial, else it is None.
+    `decided_by` names the decider when the wait is a denial, else it is None.
     """
 
     subject: Subject[TaskId, ActionId]
@@ -71,7 +71,7 @@ class ExecutionHeld(Event, frozen=True):
 
 
 class ExecutionStarted(Event, frozen=True, kw_only=True):
-    """The robot executes. Units: `ends_us` microseconds of run time, the planned end."""
+    """The robot has begun to execute. Units: `ends_us` microseconds of run time, the planned end."""
 
     subject: Subject[TaskId, ActionId]
     principals: Parties
@@ -90,7 +90,7 @@ class ExecutionPaused(Event, frozen=True):
 
 
 class ExecutionHalted(Event, frozen=True):
-    """The robot went off while it executed; the rest goes on when it is back.
+    """The robot went off while executing; the rest continues when it is back.
 
     Units: `remaining_us` microseconds of execution left.
     """
@@ -101,7 +101,7 @@ class ExecutionHalted(Event, frozen=True):
 
 
 class ExecutionPreempted(Event, frozen=True):
-    """A request of a higher override level has taken the robot; this action goes on after it. Paper: eq:override.
+    """A request of a higher override level has taken the robot; this action continues after it. Paper: eq:override.
 
     Units: `remaining_us` microseconds of execution left, None when it had not started.
     """
@@ -120,7 +120,7 @@ class ReplanOrdered(Event, frozen=True):
 
 
 class ExecutionResumed(Event, frozen=True):
-    """The robot executes the rest. Units: `ends_us` microseconds of run time, the planned end."""
+    """The robot executes the rest of the action. Units: `ends_us` microseconds of run time, the planned end."""
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
@@ -128,7 +128,7 @@ class ExecutionResumed(Event, frozen=True):
 
 
 class ExecutionFailed(Event, frozen=True, kw_only=True):
-    """An attempt has failed and the failure was detected now; `failure` counts from 1 within the action.
+    """An attempt has failed and the failure has just been detected; `failure` counts from 1 within the action.
 
     Units: `remaining_us` microseconds of execution left; `detected_us` run time.
     """
@@ -165,7 +165,7 @@ class ExecutionWithdrawn(Event, frozen=True):
 
 
 class RoutinePerformed(Event, frozen=True):
-    """The robot did something of its own. Motion is subject to policy; sensing is not."""
+    """The robot performed a routine operation. Motion is subject to policy; sensing is not."""
 
     principals: Principals
     robot: Robot
@@ -173,7 +173,7 @@ class RoutinePerformed(Event, frozen=True):
 
 
 class RoutineWithheld(Event, frozen=True):
-    """The robot did not, because policy as it is known does not allow the motion."""
+    """The robot withheld a routine motion, because policy as it is known does not allow it."""
 
     principals: Principals
     robot: Robot
@@ -181,7 +181,10 @@ class RoutineWithheld(Event, frozen=True):
 
 
 class RoutineReported(Event, frozen=True):
-    """A second agent has recorded a motion that crossed two of the robot. Paper: sec:evaluation:baselines (DHMA)."""
+    """A second agent has recorded a motion that took two agents of the robot.
+
+    Paper: sec:evaluation:baselines (DHMA).
+    """
 
     principals: Parties
     robot: Robot

@@ -6,9 +6,9 @@ from .envelope import Event
 class ExperimentPlanned(Event, frozen=True, kw_only=True):
     """An experiment was planned: `run_count` simulated runs for each architecture, configuration and scenario.
 
-    The only event of a run of its own. Its runs are numbered from 0 to `run_count` - 1; every other field is as in the
-    `RunStarted` of each of them. Repeating or continuing the experiment adds no second plan; enlarging it adds that of
-    the larger one.
+    The plan is the only event of a run of its own. The planned runs are numbered from 0 to `run_count` - 1; every other
+    field is as in the `RunStarted` of each of them. Repeating or continuing the experiment adds no second plan;
+    enlarging it adds the plan of the larger one.
     """
 
     architectures: tuple[str, ...]

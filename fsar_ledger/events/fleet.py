@@ -6,13 +6,13 @@ from .envelope import Event, Robot, Supervisor
 
 
 class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
-    """A run has begun; event 0 of every run, with everything that another run would do differently.
+    """A run has begun: event 0 of the run, with everything that distinguishes it from other runs.
 
     A run is simulated, live (commands from outside, decided by our handlers) or foreign (recorded by another system,
-    named by `source`). `observes` names the concerns that its source records, some of `CONCERNS`: of any other one, no
-    event means nothing. Architecture, configuration and scenario (or workflow) are open text, checked before a run is
-    simulated. None: the run has no such thing. `parameters` is JSON, an object of groups of constants; a group that the
-    run does not have is left out.
+    named by `source`). `observes` names the concerns, some of `CONCERNS`, that its source records; the absence of
+    events of any other concern means nothing. Architecture, configuration and scenario (or workflow) are open text,
+    checked before a run is simulated; None: the run has none. `parameters` is JSON, an object of groups of constants; a
+    group that the run does not have is left out.
     """
 
     kind: Literal["simulated", "live", "foreign"]
@@ -29,10 +29,10 @@ class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
 
 
 class RobotJoined(Event, frozen=True, kw_only=True):
-    """A robot is part of the fleet, under its own supervisor H_i, if it has one. Paper: eq:fleet, eq:runtime.
+    """A robot has joined the fleet, under its own supervisor H_i if it has one. Paper: eq:fleet, eq:runtime.
 
-    `domain` is the path of the registry that the robot advertises in (`hall/cell`); empty is the fleet's own. `place`
-    is where it works (`floor/2`): robots meet, and are in each other's way, where they are; None: the fleet has one
+    `domain` is the path of the registry in which the robot advertises (`hall/cell`); empty is the fleet's own. `place`
+    is where it works (`floor/2`): only robots at one place meet or get in each other's way; None: the fleet has one
     place.
     """
 

@@ -1,6 +1,6 @@
 """What a decider has been told: messages that arrived, copies that were refreshed, queues.
 
-Knowledge lags behind the world. Which knowledge exists is the architecture's structure.
+Knowledge lags behind the world. The architecture determines which knowledge exists.
 """
 
 from .envelope import ActionId, Event, PolicyOutcome, Robot, Subject, TaskId
@@ -23,7 +23,10 @@ class PeerRemembered(Event, frozen=True):
 
 
 class CopySynced(Event, frozen=True, kw_only=True):
-    """The coordinator's copy of all robots was refreshed; robots not named allow, are idle and in order."""
+    """The coordinator has refreshed its copy of all robots.
+
+    A robot that is not listed has policies that allow, is idle, and is not degraded.
+    """
 
     local_deny: tuple[Robot, ...] = ()
     local_review: tuple[Robot, ...] = ()

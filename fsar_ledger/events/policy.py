@@ -1,17 +1,17 @@
-"""Policy that is set by rule (`eq:policy`, `app:foundations`); the world opens and closes windows by itself."""
+"""Policy set by rule (`eq:policy`, `app:foundations`); policy windows are the world's (`events/world.py`)."""
 
 from .envelope import ActionId, Event, PolicyOutcome, PolicyScope, Principal, Principals, Robot, Subject, TaskId
 
 
 class PolicyRuleSet(Event, frozen=True, kw_only=True):
-    """P_i(e, sigma) is this from now on: of one robot (`local`) or of the fleet for it, None for every robot.
+    """P_i(e, sigma) has this outcome from now on: the robot's own (`local`) or the fleet's for it (`fleet`).
 
     Paper: app:foundations.
 
-    For one `capability`, in one `context` (task), or (None) for all; the strictest rule that applies holds. A rule
-    replaces the one with the same scope, robot, capability and context, and that of the robot's role
-    (`RolePolicyRuleSet`). A fleet rule that says `allow` is a mandate: where the robot's own policy denies, the two
-    conflict.
+    A robot of None is every robot. The rule applies to one `capability`, in one `context` (task), or (None) to all of
+    them; the strictest applicable rule holds. It replaces the rule with the same scope, robot, capability and context,
+    and that of the robot's role (`RolePolicyRuleSet`). A fleet rule of `allow` is a mandate: it conflicts with the
+    robot's own policy where that denies.
     """
 
     scope: PolicyScope
@@ -23,11 +23,11 @@ class PolicyRuleSet(Event, frozen=True, kw_only=True):
 
 
 class RolePolicyRuleSet(Event, frozen=True, kw_only=True):
-    """Every robot of `role` has this rule from now on, also robots that join later.
+    """Every robot of `role` has this rule from now on, including robots that join later.
 
-    It is the robot's own (`local`) or the fleet's for it. They must be in the `domain` or below it; empty is the whole
-    fleet. A rule about the very robot with the same scope, capability and context replaces it for that robot, stricter
-    or not, and so does the role's rule of a smaller domain. Of what is left the strictest holds. Paper:
+    The rule is the robot's own (`local`) or the fleet's for it. It covers robots in the `domain` or below it; empty is
+    the whole fleet. A rule for one robot with the same scope, capability and context replaces it for that robot,
+    stricter or not, and so does the role's rule in a smaller domain. Of the remaining rules the strictest holds. Paper:
     app:foundations. Reading: R36.
     """
 

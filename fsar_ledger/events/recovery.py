@@ -18,7 +18,7 @@ from .envelope import (
 
 
 class RecoveryBudgetSet(Event, frozen=True, kw_only=True):
-    """Q_i of the robot gives a level this budget (t_max, n_max) from now on.
+    """The robot's Q_i gives this level the budget (t_max, n_max) from now on.
 
     Units: `t_max_us` microseconds. Paper: app:foundations.
     """
@@ -58,7 +58,7 @@ class RecoveryAttemptFailed(Event, frozen=True, kw_only=True):
 
 
 class RecoveryEscalated(Event, frozen=True, kw_only=True):
-    """Recovery leaves one level for the next, for this reason; a level that has nothing to try is left at once.
+    """Recovery has moved to the next level for this reason; a level that has nothing to try is left at once.
 
     Paper: eq:recovery.
     """
@@ -90,7 +90,7 @@ class AssistanceRequested(Event, frozen=True, kw_only=True):
 
 
 class AssistanceAdmitted(Event, frozen=True, kw_only=True):
-    """The helper has agreed and is held until it has helped."""
+    """The helper has agreed and stays occupied until it has helped."""
 
     subject: Subject[TaskId, ActionId]
     principals: Principals
@@ -110,7 +110,7 @@ class AssistanceDeclined(Event, frozen=True):
 
 
 class AssistanceEnded(Event, frozen=True):
-    """The helper has helped, and is free again."""
+    """The helper has helped and is free again."""
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
@@ -119,7 +119,7 @@ class AssistanceEnded(Event, frozen=True):
 
 
 class AssistanceFailed(Event, frozen=True, kw_only=True):
-    """The helper could not help, and is free again.
+    """The helper could not help and is free again.
 
     Its own way was blocked, or its actuator did not hold either. Paper: sec:model:recovery, level 2.
     """
@@ -149,7 +149,7 @@ class ReassignmentDecided(Event, frozen=True, kw_only=True):
 
 
 class TaskStateTransferred(Event, frozen=True, kw_only=True):
-    """The helper holds the state of the task as of the checkpoint: the steps done until then.
+    """The helper has received the state of the task as of the checkpoint: the steps done until then.
 
     Paper: sec:model:recovery, level 3.
     """
@@ -162,7 +162,7 @@ class TaskStateTransferred(Event, frozen=True, kw_only=True):
 
 
 class FailureResolved(Event, frozen=True):
-    """The failure is over, by means of this level."""
+    """The failure has been resolved at this level."""
 
     subject: Subject[TaskId, ActionId]
     robot: Robot

@@ -1,7 +1,7 @@
 """Possession, advertisement and discovery of capabilities (Gamma, `eq:adv`).
 
-A contract is the same everywhere: `preconditions` must hold before, `postconditions` hold after, `resources`
-are taken meanwhile; a contradiction is written with `not `: `not door.closed` beside `door.closed`.
+Contracts have one form everywhere: `preconditions` must hold before, `postconditions` hold after, `resources` are taken
+meanwhile. `not ` negates a condition: `not door.closed` contradicts `door.closed`.
 """
 
 from .envelope import (
@@ -31,7 +31,7 @@ class CapabilityInstalled(Event, frozen=True, kw_only=True):
 
 
 class CapabilityRemoved(Event, frozen=True):
-    """The robot no longer possesses it, nor advertises it."""
+    """The robot no longer possesses or advertises the capability."""
 
     robot: Robot
     capability: str
@@ -41,10 +41,10 @@ class CapabilityAdvertised(Event, frozen=True, kw_only=True):
     """A robot offers a capability; a later record of the same robot and capability replaces this one. Paper: eq:adv.
 
     The seven fields are `version`; the contract; `trust_required`, the narrowest scope that suffices;
-    `policy_required`, contexts in which it may be asked for (empty: any); `override_allowed`, the highest
-    override level that a request may carry (the authority profile); `availability`; `embodiment`, what body it
-    needs or is. `visibility` says who may discover it: everyone, the robot's own domain and those below it, or
-    whoever the robot trusts; `visible_to` narrows that to roles (empty: all).
+    `policy_required`, the contexts in which it may be requested (empty: any); `override_allowed`, the highest override
+    level that a request may carry (the authority profile); `availability`; `embodiment`, the body that it needs or is.
+    `visibility` says who may discover it: everyone, the robot's own domain and those below it, or whoever the robot
+    trusts; `visible_to` narrows that to roles (empty: all).
     """
 
     robot: Robot
@@ -74,9 +74,9 @@ class CapabilityWithdrawn(Event, frozen=True):
 
 
 class AvailabilityChanged(Event, frozen=True, kw_only=True):
-    """Another availability is known, of one capability or (None) of all that the robot advertises.
+    """The registry has learned a new availability, of one capability or (None) of all that the robot advertises.
 
-    The robot has reported it; with the reason `no answer` it did not answer somebody, and the registry has it offline.
+    The robot reported it; but with the reason `no answer` the robot did not answer someone, and is listed as offline.
 
     Paper: sec:architecture:registry.
     """
@@ -88,7 +88,7 @@ class AvailabilityChanged(Event, frozen=True, kw_only=True):
 
 
 class CapabilityDeprecated(Event, frozen=True, kw_only=True):
-    """The version is on its way out: shown last, and to no query that another version satisfies.
+    """The version is being phased out: shown last, and only to queries that no other version satisfies.
 
     Paper: sec:discussion:continuity.
     """
@@ -107,7 +107,7 @@ class RegistryCached(Event, frozen=True):
 
 
 class RegistryConsulted(Event, frozen=True, kw_only=True):
-    """Somebody has looked into the registry outside of any request: nothing between two robots follows from it.
+    """Someone has consulted the registry outside any request; nothing between two robots follows from it.
 
     Paper: sec:architecture:registry.
 
@@ -126,9 +126,9 @@ class RegistryConsulted(Event, frozen=True, kw_only=True):
 class RegistryQueried(Event, frozen=True, kw_only=True):
     """A registry or directory has answered a query with the candidates it may show. Paper: sec:architecture:registry.
 
-    `relay` is the doubly trusted peer through which a request must go when there is no direct trust. Each robot of
-    `rejected` matched by name and was left out by the filter at the same place of `rejected_by`. `domain` is the
-    registry that answered, `as_of_us` the run time of the copy that it read, None for the present.
+    `relay` is the doubly trusted peer through which a request must go when there is no direct trust. Each robot in
+    `rejected` matched by name and was left out by the filter at the same position in `rejected_by`. `domain` is the
+    registry that answered, `as_of_us` the run time of the copy that it read (None: the registry itself, as of now).
     """
 
     subject: Subject[TaskId | None, ActionId | None]

@@ -27,12 +27,11 @@ class GapDetected(Event, frozen=True):
 
 
 class RequestIssued(Event, frozen=True, kw_only=True):
-    """A request is on its way. `carried_policy` is the requester's own policy at this moment, if it sends it.
+    """A request was sent. `carried_policy` is the requester's own policy at this moment, if the request carries it.
 
-    `override` is the level it asks for; `parent` the request in whose service the requester asks (a chain);
-    `directives` what it would dictate to the executor (`plan`, `policy`, `recovery`), which no request may; `version`
-    the one that was advertised when it was formulated, if it depends on it. Paper: eq:request, phase 3; eq:override;
-    eq:nontransitive.
+    `override` is the level it asks for; `parent` the request on whose behalf it is made (a chain); `directives` what it
+    would dictate to the executor (`plan`, `policy`, `recovery`), which no request may; `version` the version that was
+    advertised when it was formulated, if it depends on that. Paper: eq:request, phase 3; eq:override; eq:nontransitive.
     """
 
     subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
@@ -57,7 +56,7 @@ class RequestRelayed(Event, frozen=True):
 class RequestUnanswered(Event, frozen=True):
     """No candidate is known for the step, or the one that was asked has not answered in time.
 
-    `executed_by` is the one that was asked. It is tried again.
+    `executed_by` is the robot that was asked. The step is tried again.
     """
 
     subject: Subject[TaskId, ActionId]
@@ -111,8 +110,8 @@ class InternalHandoff(Event, frozen=True):
 class RequestAdmitted(Event, frozen=True, kw_only=True):
     """The executor has found the request admissible. Paper: eq:admissible, phase 4.
 
-    With the trust it rests on and the authority tuple that it gives: may request, may execute, override level, audited
-    (None where the architecture evaluates neither). Paper: eq:auth.
+    The fields are the trust on which the admission rests and the authority tuple that it grants: may request, may
+    execute, override level, audited (None where the architecture evaluates neither). Paper: eq:auth.
     """
 
     subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
@@ -145,7 +144,7 @@ class RequestDeferred(Event, frozen=True):
 
 
 class RequestCountered(Event, frozen=True):
-    """The executor would do it on other terms: with this override level at most. Paper: sec:model:request (negotiate).
+    """The executor offers other terms: at most this override level. Paper: sec:model:request (negotiate).
 
     `round` counts the offers of the request from 1; the number of rounds is bounded.
     """
@@ -159,7 +158,7 @@ class RequestCountered(Event, frozen=True):
 class OfferAnswered(Event, frozen=True):
     """The requester has answered the counter-offer.
 
-    It takes the terms, asks for others, or (neither) lets go. Paper: sec:model:request (negotiate).
+    It accepts the terms, asks for others, or (neither) gives up. Paper: sec:model:request (negotiate).
     """
 
     subject: RequestSubject[TaskId | None, ActionId | None, RequestId | None]
@@ -199,14 +198,14 @@ class ContractQuestioned(Event, frozen=True):
 
 
 class ContractVoided(Event, frozen=True):
-    """The contract is off and is negotiated again, under the same action. Paper: sec:evaluation:baselines (DHMA)."""
+    """The contract is void and is renegotiated under the same action. Paper: sec:evaluation:baselines (DHMA)."""
 
     subject: Subject[TaskId, ActionId]
     robot: Robot
 
 
 class RequestClosed(Event, frozen=True):
-    """Completion has been tracked and the request is over. Paper: sec:architecture:fleet (coordination engine)."""
+    """Completion has been tracked and the request is closed. Paper: sec:architecture:fleet (coordination engine)."""
 
     subject: RequestSubject[TaskId, ActionId, RequestId | None]
     principals: Principals

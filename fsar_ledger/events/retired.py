@@ -1,10 +1,10 @@
-"""Event types as they once were. Ledgers keep rows of them for ever, so they are never edited and never go.
+"""Retired versions of event types. Ledgers keep rows of them for ever, so they are never edited or removed.
 
 An event type that changes by more than a new optional field gets the next version: `class StepBegan(Event, frozen=True,
-tag="StepBegan.v2")`. What it was moves here as `class StepBeganV1(Event, frozen=True, tag="StepBegan.v1")`, with an
-upcaster to the next version: `adding` where that only has more fields, which SQL does in place, however many rows there
-are, else a function from event to event. Rows stay stored, checked and hashed as they are; readers of events meet the
-newest version only.
+tag="StepBegan.v2")`. The old struct moves here as `class StepBeganV1(Event, frozen=True, tag="StepBegan.v1")`, with an
+upcaster to the next version: `adding` if that only has more fields, which SQL does in place for any number of rows,
+else a function from event to event. Rows stay stored, checked and hashed as they are; readers of events see only the
+newest version.
 """
 
 from typing import Any, Literal
@@ -15,7 +15,7 @@ from .upcasting import Upcaster, adding
 
 
 class RunStartedV1(Event, frozen=True, tag="RunStarted.v1"):
-    """As it was until 0.2.0: a run of ours, simulated or live, that observes everything without saying so."""
+    """`RunStarted` until 0.2.0: a run of our own, simulated or live, that observes everything without saying so."""
 
     kind: Literal["simulated", "live"]
     seed: int
@@ -44,8 +44,8 @@ class RunStartedV1(Event, frozen=True, tag="RunStarted.v1"):
     parameters: str
 
 
-# The concerns of 0.2.0, by name: one that a later release adds was not observed then. Both kinds of run were made by
-# our own handlers, which record all that they decide, are told and meet.
+# The concerns of 0.2.0, listed because one that a later release adds was not observed then. Both kinds of run were made
+# by our own handlers, which record everything that they decide, are told and encounter.
 _OBSERVED_BY_V1 = (
     "fleet",
     "registry",
@@ -65,7 +65,7 @@ _OBSERVED_BY_V1 = (
 
 
 RETIRED_TYPES: tuple[type[Event], ...] = (RunStartedV1,)
-"""Every type that was current in a release and is not any more."""
+"""Every type that was current in a release and no longer is."""
 
 UPCASTERS: tuple[Upcaster[Any, Any], ...] = (adding(RunStartedV1, RunStarted, observes=_OBSERVED_BY_V1),)
-"""For each retired type the step to its next version."""
+"""The step from each retired type to its next version."""

@@ -10,7 +10,7 @@ Purpose = Literal["review", "recovery", "ordering"]
 class SupervisorCalled(Event, frozen=True, kw_only=True):
     """A supervisor is asked to decide: a review, a failure that nothing else resolved, or the order of two commands.
 
-    `robot` is the executor that a coordinator has picked already for what is under review; `competing` the other
+    `robot` is the executor that a coordinator has already picked for the work under review, `competing` the other
     action that wants the same robot.
     """
 
@@ -24,7 +24,7 @@ class SupervisorCalled(Event, frozen=True, kw_only=True):
 class SupervisorResponded(Event, frozen=True):
     """The supervisor has decided: approved the review or not, resolved the failure, or ordered the commands.
 
-    `preferred` goes first.
+    `preferred` is the action that goes first.
     """
 
     subject: Subject[TaskId, ActionId]
@@ -35,7 +35,7 @@ class SupervisorResponded(Event, frozen=True):
 
 
 class SupervisionDensitySet(Event, frozen=True, kw_only=True):
-    """One in so many admissions of the robot (None: of every robot) is put before a supervisor; 0 is none.
+    """Every n-th admission by the robot (None: by every robot) is put before a supervisor from now on; 0 is none.
 
     Paper: sec:model:supervision.
     """

@@ -4,7 +4,7 @@ from .envelope import ActionId, Event, Robot, Subject, TaskId
 
 
 class StepBegan(Event, frozen=True, kw_only=True):
-    """The acting robot turns to a step: its own when `target_role` is None, else to be delegated.
+    """The acting robot has turned to a step: its own when `target_role` is None, else one to delegate.
 
     A step that was denied begins again under a new `action_id`; `step` and `attempt` count from 1.
     """
@@ -24,7 +24,7 @@ class StepCompleted(Event, frozen=True):
 
 
 class TaskCompleted(Event, frozen=True):
-    """All steps are done; whether in time is for SQL to judge."""
+    """All steps are done; SQL judges whether in time."""
 
     task_id: TaskId
 

@@ -6,9 +6,9 @@ from .envelope import Event, Principal, Robot, TrustScope
 class TrustSet(Event, frozen=True, kw_only=True):
     """`robot` trusts `peer` with this scope from now on. Paper: eq:trust.
 
-    For one `capability`, in one `context` (task), or (None) for all of them; the most specific entry holds.
-    `decided_by` is the operator who approved it, the federation's trust service when the record of performance
-    gave it, or None at the founding.
+    The entry applies to one `capability`, in one `context` (task), or (None) to all of them; the most specific one
+    holds. `decided_by` is the operator who approved it, the federation's trust service when it follows from the record
+    of performance, or None at the founding.
     """
 
     robot: Robot
@@ -23,9 +23,9 @@ class TrustSet(Event, frozen=True, kw_only=True):
 class RoleTrustSet(Event, frozen=True, kw_only=True):
     """Every robot of `role` trusts every robot of `peer_role` with this scope from now on.
 
-    Also those that join later. Both must be in the `domain` or below it; empty is the whole fleet. `capability`,
-    `context` and `decided_by` are as in `TrustSet`. An entry about the very pair goes before every entry about their
-    roles, and that of a smaller domain before that of a larger one.
+    That includes robots that join later. Both must be in the `domain` or below it; empty is the whole fleet.
+    `capability`, `context` and `decided_by` are as in `TrustSet`. An entry for the pair itself takes precedence over
+    every entry for their roles, and one of a smaller domain over that of a larger one.
 
     Paper: eq:trust.
     """
@@ -41,9 +41,9 @@ class RoleTrustSet(Event, frozen=True, kw_only=True):
 
 
 class TrustThresholdsSet(Event, frozen=True):
-    """From now on trust follows the record: so many successes promote it, so many failures downgrade it.
+    """From now on trust follows the record: this many successes promote it, this many failures downgrade it.
 
-    Successes count in a row; 0 is never. Paper: sec:model:trust.
+    Successes must be consecutive; 0 is never. Paper: sec:model:trust.
     """
 
     promote_after: int

@@ -1,4 +1,4 @@
-"""How events of retired types become current ones: one pure function a version, checked when the package starts."""
+"""Turns events of retired types into current ones, by one pure function a version, checked at import."""
 
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar, Union, get_args, get_origin
@@ -17,7 +17,7 @@ _UNIONS = (Union, get_origin(int | None))
 
 
 class Upcaster(msgspec.Struct, Generic[_Before, _After], frozen=True):
-    """One step: `change` takes an event of the retired type `before` to the same fact in the next version, `after`."""
+    """One step: `change` turns an event of the retired type `before` into one of the next version, `after`."""
 
     before: type[_Before]
     after: type[_After]
@@ -27,25 +27,24 @@ class Upcaster(msgspec.Struct, Generic[_Before, _After], frozen=True):
 
 
 class Addition(NamedTuple):
-    """A whole way of changes that only add: rows become rows of `after` by column, without a look at any."""
+    """A whole chain of changes that only add fields: rows become rows of `after` by column, none of them read."""
 
     after: type[Event]
     added: Mapping[str, Value]
 
 
 Chains: TypeAlias = Mapping[type[Event], tuple[Change, ...]]
-"""For each retired type the changes, in order, that end at a current type."""
+"""For each retired type the changes, in order, that lead to a current type."""
 
 
 def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcaster[_Before, _After]:
-    """Return the step to a next version that only has these fields more, with the same values in every event.
+    """Return the step to a next version that only adds these fields, with the same values in every event.
 
-    Every field of the version before is kept. A new field that is not named here gets its default, in SQL, too.
+    Every field of the version before is kept. A new field that is not named here gets its default, also in SQL.
 
     Raises:
         TypeError: `after` needs a field that neither the version before nor this step gives, lacks one of them, or
-            cannot
-            hold a value.
+            cannot hold a value.
     """
     fields = {field.name: field for field in msgspec.structs.fields(after)}
     given = {*before.__struct_fields__, *added}
@@ -61,7 +60,7 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
     } | added
     for field in msgspec.structs.fields(before):
         if not _takes(fields[field.name].type, field.type):
-            kinds = f"found {field.type} become {fields[field.name].type}"
+            kinds = f"found {field.type} turned into {fields[field.name].type}"
             raise TypeError(
                 f"upcaster of {_tag(before)}: field {field.name}: {kinds}, "
                 "expected a type that takes every value; write a change instead"
@@ -79,9 +78,9 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
 
 
 def _takes(kind: Any, before: Any) -> bool:
-    """Tell whether a field of this type takes every value of the type before.
+    """Return whether a field of this type takes every value of the type before.
 
-    It is the same one, a wider choice of words, or None as well.
+    It does if it is the same type, has a wider choice of words, or takes None as well.
     """
     if kind == before:
         return True
@@ -102,9 +101,9 @@ def _takes(kind: Any, before: Any) -> bool:
 def additions(
     retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]
 ) -> Mapping[type[Event], Addition]:
-    """Return each retired type whose whole way only adds, with its current type and what is added.
+    """Return each retired type whose whole chain only adds fields, with its current type and what is added.
 
-    The steps are as `chains` wants them.
+    The steps must be those that `chains` accepts.
     """
     steps = {step.before: step for step in upcasters}
     found: dict[type[Event], Addition] = {}
@@ -122,12 +121,12 @@ def additions(
 def chains(
     current: Iterable[type[Event]], retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]
 ) -> Chains:
-    """Return the way of each retired type to a current one, one version of the same name a step.
+    """Return the changes from each retired type to a current one, one version of the same name a step.
 
     Raises:
-        TypeError: A tag has no version or is there twice; a name's versions do not go from 1 to the current one without
-            gaps; a retired type has no upcaster or several; an upcaster is for other types, forms a cycle or leaves out
-                a version.
+        TypeError: A tag has no version or occurs twice; a name's versions do not go from 1 to the current one without
+            gaps; a retired type has no upcaster or several; an upcaster is for other types, forms a cycle or skips a
+            version.
     """
     current, retired, upcasters = tuple(current), tuple(retired), tuple(upcasters)
     _check_versions(current, retired)
@@ -135,7 +134,7 @@ def chains(
         if step.before not in retired:
             raise TypeError(
                 f"upcaster of {_tag(step.before)}: found a type that is not retired; "
-                "list it in RETIRED_TYPES or take the upcaster away"
+                "list it in RETIRED_TYPES or remove the upcaster"
             )
         if step.after not in (*current, *retired):
             raise TypeError(
@@ -169,7 +168,7 @@ def _way(cls: type[Event], steps: Mapping[type[Event], Upcaster[Any, Any]]) -> t
         if step.after in passed:
             raise TypeError(
                 f"upcasters: found the cycle {' -> '.join(map(_tag, [*passed, step.after]))}, "
-                "expected a way to a current type; take one step away"
+                "expected a chain that ends at a current type; remove one step"
             )
         passed.append(step.after)
     return tuple(changes)
@@ -178,7 +177,7 @@ def _way(cls: type[Event], steps: Mapping[type[Event], Upcaster[Any, Any]]) -> t
 def _check_versions(current: tuple[type[Event], ...], retired: tuple[type[Event], ...]) -> None:
     """Check the versions of each name.
 
-    Raises: TypeError unless they go from 1 on, the last of them current and the others retired.
+    Raises: TypeError unless they are numbered from 1, the last of them current and the others retired.
     """
     found: dict[str, dict[int, type[Event]]] = {}
     for cls in (*current, *retired):

@@ -1,7 +1,7 @@
 """What the world does under every architecture: the only events that come from draws.
 
-Every one of these comes from the schedule that is generated before the run (see `runtime/world/`), so their (time_us,
-type, payload) is the same under every architecture and configuration.
+They all come from the schedule that is generated before the run (see `runtime/world/`), so their (time_us, type,
+payload) is the same under every architecture and configuration.
 """
 
 from typing import Literal
@@ -32,7 +32,7 @@ class ContextChanged(Event, frozen=True):
 
 
 class PolicyWindowOpened(Event, frozen=True, kw_only=True):
-    """From now on this policy does not allow: the robot's own (`local`) or the fleet's rule for its zone (`fleet`)."""
+    """From now on the robot's own policy (`local`) or the fleet's rule for its zone (`fleet`) does not allow."""
 
     robot: Robot
     scope: PolicyScope
@@ -41,7 +41,7 @@ class PolicyWindowOpened(Event, frozen=True, kw_only=True):
 
 
 class PolicyWindowClosed(Event, frozen=True):
-    """The window is over."""
+    """The policy window is over."""
 
     robot: Robot
     scope: PolicyScope
@@ -56,17 +56,17 @@ class ObstructionAppeared(Event, frozen=True):
 
 
 class ObstructionCleared(Event, frozen=True):
-    """That thing is out of the way."""
+    """The obstruction is out of the robot's way."""
 
     robot: Robot
     obstruction: str
 
 
 class ActuatorDegraded(Event, frozen=True):
-    """The robot's actuator has become unreliable. Paper: sec:evaluation:simulator (failure injection).
+    """The robot's actuator has degraded. Paper: sec:evaluation:simulator (failure injection).
 
-    An unreliable one fails some attempts, a slipping one grips but does not hold, a lost one does not grip. One that is
-    worse already stays so.
+    An unreliable actuator fails some attempts, a slipping one grips but does not hold, a lost one does not grip. One
+    that is already worse stays so.
     """
 
     robot: Robot
@@ -76,7 +76,7 @@ class ActuatorDegraded(Event, frozen=True):
 class RobotWentOff(Event, frozen=True):
     """The robot is off from now on: it executes, hears, decides and answers nothing.
 
-    What it was at stops, and goes on when it is back.
+    What it was doing stops, and continues when it is back.
     """
 
     robot: Robot
@@ -89,7 +89,7 @@ class RobotCameBack(Event, frozen=True):
 
 
 class LinkWentDown(Event, frozen=True):
-    """No message reaches or leaves the robot from now on; it goes on by itself. What is sent meanwhile waits."""
+    """No message reaches or leaves the robot from now on; it carries on alone. Messages sent meanwhile wait."""
 
     robot: Robot
 
@@ -113,7 +113,7 @@ class SupervisorReturned(Event, frozen=True):
 
 
 class RoutineDue(Event, frozen=True):
-    """The robot is due to do something of its own that no task asks for."""
+    """The robot is due to perform a routine operation, which no task asks for."""
 
     robot: Robot
     operation: Operation
@@ -127,10 +127,10 @@ class PeersMet(Event, frozen=True):
 
 
 class TaskArrived(Event, frozen=True, kw_only=True):
-    """A task is there. `steps` are `ACTOR capability` (own) or `ACTOR capability TARGET` (delegated), roles of `team`.
+    """A task has arrived. `steps` are `ACTOR capability` (own) or `ACTOR capability TARGET` (delegated).
 
-    Another robot can resume before each step whose number stands in `checkpoints` (None: before every step); a task
-    that is time-critical competes for robots.
+    Actors and targets are roles of `team`. Another robot can resume before each step whose number is in `checkpoints`
+    (None: before every step); a time-critical task competes for robots.
 
     Units: `budget_us` microseconds from arrival; `due_us` run time at which the budget ends.
     """

@@ -1,1 +1,1 @@
-"""Projections: state rebuilt from events. One file per concept, each with `INITIAL`, `evolve` and what it `HANDLES`."""
+"""Projections: state rebuilt from events. One file per concept, each with `INITIAL`, `evolve` and `HANDLES`."""

@@ -1,4 +1,4 @@
-"""Claims, rights and what approvals cover: who holds or may ask for what. Paper: eq:auth."""
+"""Claims, rights and approvals: who holds what, who may ask for what. Paper: eq:auth."""
 
 from typing import assert_never
 
@@ -37,7 +37,7 @@ Right = AuthorityGranted | AuthorityRevoked
 
 
 class Later(msgspec.Struct, frozen=True, gc=False):
-    """Policy that came after an approval, which does not cover it: windows, rules, fleet rules heard by robot."""
+    """Policy that came after an approval and is not covered by it: windows, rules, and fleet rules heard, by robot."""
 
     windows: frozenset[str] = frozenset()
     rules: frozenset[Rule | RoleRule] = frozenset()
@@ -47,7 +47,7 @@ class Later(msgspec.Struct, frozen=True, gc=False):
 class Authority(msgspec.Struct, frozen=True, gc=False):
     """Claims, rights and approvals.
 
-    `claims`: action to open claims; `rights`: grants and revocations in order; `approvals`: action to what came later.
+    `claims`: action -> open claims; `rights`: grants and revocations in order; `approvals`: action -> later policy.
     """
 
     claims: dict[str, tuple[AuthorityClaimed, ...]] = {}
@@ -111,7 +111,7 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
 
 
 def _with(later: Later, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRuleSet | FleetRuleLearned) -> Later:
-    """Return what came after the approval, this included."""
+    """Return the policy that came after the approval, including this event's."""
     match event:
         case PolicyWindowOpened():
             return Later(later.windows | {event.window}, later.rules, later.heard)
@@ -124,5 +124,5 @@ def _with(later: Later, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRu
 
 
 def _key(event: AuthorityClaimed | AuthorityReleased) -> tuple[str, str, str]:
-    """Return the claim's identity: a claimant may hold a dimension for two reasons, and release one."""
+    """Return the identity of the claim: a claimant may hold a dimension for two reasons and release only one."""
     return event.dimension, event.claimant, event.reason

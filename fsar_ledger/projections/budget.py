@@ -1,4 +1,4 @@
-"""Recovery budgets Q_i of each robot and level, where they differ from the fleet's structure.
+"""The recovery budgets Q_i of each robot and level, where they differ from those of the fleet's structure.
 
 Paper: app:foundations.
 """

@@ -1,4 +1,4 @@
-"""Requests that compete for one robot, and the order in which H_F lets them go. Paper: sec:prototype:workflows."""
+"""Requests that compete for one robot, and the order that H_F gives them. Paper: sec:prototype:workflows."""
 
 from typing import assert_never
 
@@ -11,7 +11,7 @@ HANDLES = SupervisorCalled | SupervisorResponded | RequestDeferred | RequestDeni
 
 
 class Order(msgspec.Struct, frozen=True, gc=False):
-    """Two actions put before H_F by the first of them; `preferred` goes first, once H_F has answered."""
+    """Two competing actions that the first of them put before H_F; `preferred` is H_F's answer."""
 
     action_id: str
     other: str
@@ -20,10 +20,10 @@ class Order(msgspec.Struct, frozen=True, gc=False):
 
 
 class Contention(msgspec.Struct, frozen=True, gc=False):
-    """The requests that compete, and their order.
+    """The competing requests and their order.
 
-    `orders`: the two actions -> their order; `arrived`: actions that wait at the executor for an order;
-    `refused`: actions that were denied or had nobody to ask, and compete no more.
+    `orders`: the two actions -> their order; `arrived`: actions that wait at the executor for an order; `refused`:
+    actions that were denied or found nobody to ask, and no longer compete.
     """
 
     orders: dict[tuple[str, str], Order] = {}
@@ -35,7 +35,7 @@ INITIAL = Contention()
 
 
 def evolve(state: Contention, event: HANDLES) -> Contention:
-    """Return contention after the event."""
+    """Return the competing requests after the event."""
     match event:
         case SupervisorCalled():
             if event.competing is None:

@@ -1,4 +1,4 @@
-"""The contexts (tasks) that are over: nothing may be asked, granted or trusted in them any more.
+"""The contexts (tasks) that are over, in which nothing may be asked, granted or trusted any more.
 
 Paper: sec:model:authority (context expiration).
 """

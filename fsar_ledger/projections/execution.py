@@ -1,6 +1,6 @@
-"""What each robot executes, one action at a time by override level, and how far each action is.
+"""What each robot executes, and how far each action is.
 
-Actions of one level are served in order of arrival. Paper: eq:override.
+A robot serves one action at a time, by override level, then in order of arrival. Paper: eq:override.
 """
 
 from typing import Literal, assert_never
@@ -45,15 +45,15 @@ HANDLES = (
 Stage = Literal[
     "queued", "approaching", "held", "polling", "running", "paused", "halted", "failed", "withdrawn", "preempted"
 ]
-HELPING = "assist:"  # what holds a robot that helps with an action
-INTERRUPTING = rank("hard-preempt")  # from this level on a request takes the robot from a weaker one
+HELPING = "assist:"  # prefix of the action that a robot helps with, in `Execution.current`
+INTERRUPTING = rank("hard-preempt")  # from this level up, a request interrupts a weaker one
 
 
 class Action(msgspec.Struct, frozen=True, gc=False):
     """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left.
 
-    `has_begun` says of a preempted action whether it had begun to execute. `supervised_by` is the supervisor on record
-    when it was queued, None if none was.
+    `has_begun` says whether a preempted action had begun to execute. `supervised_by` is the supervisor recorded when
+    the action was queued, if any.
     """
 
     task_id: str
@@ -86,7 +86,7 @@ class Action(msgspec.Struct, frozen=True, gc=False):
 
 
 class Execution(msgspec.Struct, frozen=True, gc=False):
-    """`current`: robot to action or assistance that holds it; `queues`: robot to actions waiting."""
+    """`current`: robot -> the action or assistance that occupies it; `queues`: robot -> waiting actions."""
 
     current: dict[Robot, str] = {}
     queues: dict[Robot, tuple[str, ...]] = {}
@@ -102,7 +102,7 @@ def in_hand(state: Execution, robot: Robot) -> Action | None:
 
 
 def evolve(state: Execution, event: HANDLES) -> Execution:
-    """Return the robots and actions after the event."""
+    """Return the queues and actions after the event."""
     match event:
         case ExecutionQueued():
             return _queued(state, event)
@@ -176,9 +176,9 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
 
 
 def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) -> int:
-    """Return the position ahead of everything weaker.
+    """Return the position in the queue ahead of all weaker actions.
 
-    Only a level that interrupts goes ahead of an action that was interrupted itself. Paper: eq:override.
+    Only an interrupting level goes ahead of an action that was itself interrupted. Paper: eq:override.
     """
     for place, name in enumerate(queue):
         waiting = state.actions[name]
@@ -188,7 +188,7 @@ def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) ->
 
 
 def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
-    """Put the action at the head of the queue, and free the robot for what has preempted it."""
+    """Put the action at the head of the queue and free the robot for the one that preempted it."""
     known = state.actions[event.subject.action_id]
     changed = msgspec.structs.replace(
         known,
@@ -204,9 +204,9 @@ def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
 
 
 def _held(state: Execution, event: ExecutionHeld) -> Execution:
-    """Hold the action: it polls the fleet's rule, or waits for the window of its own policy.
+    """Hold the action, which polls the fleet's rule or waits for a window of the robot's own policy to close.
 
-    `path` is there when waiting is a denial.
+    The event has a `path` when the wait is a denial.
     """
     action = state.actions[event.subject.action_id]
     stage: Stage = "polling" if event.reason == "fleet-rule" else "held"
@@ -230,7 +230,7 @@ def _staged(
 
 
 def _freed(state: Execution, robot: Robot) -> Execution:
-    """Turn the robot to the next in its queue, if there is one."""
+    """Move the robot on to the next action in its queue, if any."""
     queue = state.queues.get(robot, ())
     if queue:
         return Execution({**state.current, robot: queue[0]}, {**state.queues, robot: queue[1:]}, state.actions)

@@ -28,8 +28,8 @@ class Member(msgspec.Struct, frozen=True, gc=False):
 class Fleet(msgspec.Struct, frozen=True, gc=False):
     """The run's structure, the mechanisms that its configuration lacks, and its robots in order of joining.
 
-    `teams` is the highest number of a team; `bodies` are the roles whose robots can clear an obstruction, `substitutes`
-    the capability that can replace another, by that. Units: `answer_us` microseconds that a robot waits for an answer.
+    `teams` is the highest team number; `bodies` are the roles whose robots can clear an obstruction; `substitutes` maps
+    a capability to the one that can replace it. Units: `answer_us` microseconds that a robot waits for an answer.
     """
 
     without: frozenset[str] = frozenset()
@@ -61,9 +61,9 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
 
 @lru_cache(maxsize=4)
 def _made(parameters: str | None) -> Fleet:
-    """Return a fleet without robots as a run records it, as ours where it records nothing.
+    """Return a fleet without robots from the run's parameters, or with the defaults if it records none.
 
-    All runs of an experiment are made alike.
+    Cached, because all runs of an experiment share their parameters.
     """
     constants = Constants() if parameters is None else read_constants(parameters)
     design = constants.fleet or registered.fleet()

@@ -1,8 +1,7 @@
-"""State is what the events so far make of it; this module routes each event to the projections that handle it.
+"""The state of a run, folded from its events: this module routes each event to the projections that handle it.
 
-One datum's walk: an event of some type -> `ROUTES[type]` names the slices that declare it in their
-`HANDLES` -> each slice's `evolve` returns its next value. Types that no projection handles are stateless:
-records for audit, from which nothing follows inside the run.
+`ROUTES[type]` names the slices that declare the event's type in their `HANDLES`; the `evolve` of each returns its next
+value. Types that no projection handles are records for audit, from which nothing follows inside the run.
 """
 
 from collections.abc import Callable, Iterable
@@ -107,13 +106,13 @@ STATELESS = frozenset(EVENT_TYPES) - ROUTES.keys()
 
 
 def apply(state: State, event: Event) -> None:
-    """Take the event into the state."""
+    """Apply the event to the state."""
     for slot, evolve in ROUTES.get(type(event), ()):
         setattr(state, slot, evolve(getattr(state, slot), event))
 
 
 def fold(events: Iterable[Event]) -> State:
-    """Return the state that the events make."""
+    """Return the state after these events."""
     state = State()
     for event in events:
         apply(state, event)

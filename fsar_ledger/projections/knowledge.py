@@ -1,4 +1,4 @@
-"""Knowledge: what deciders have been told. It may lag behind the world, and decisions rest on it."""
+"""Knowledge: what deciders have been told. Decisions rest on it, and it may lag behind the world."""
 
 from typing import assert_never
 
@@ -21,7 +21,7 @@ HANDLES = SyncPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | Snapsh
 class Knowledge(msgspec.Struct, frozen=True, gc=False):
     """What each decider was told.
 
-    `copy` is the coordinator's last synced copy; `ready_us` when its queue of work is done (run time, microseconds).
+    `copy` is the coordinator's last synced copy. Units: `ready_us` run time at which its queue of work is done.
     """
 
     sync_phase_ppm: int = 0
@@ -38,7 +38,7 @@ INITIAL = Knowledge()
 
 
 def evolve(state: Knowledge, event: HANDLES) -> Knowledge:
-    """Return what is known after the event."""
+    """Return the knowledge after the event."""
     replace = msgspec.structs.replace
     match event:
         case WorkQueued():

@@ -1,4 +1,4 @@
-"""Policy that was set by rule. Paper: eq:policy, app:foundations."""
+"""Policy set by rule. Paper: eq:policy, app:foundations."""
 
 from collections.abc import Container, Iterator
 from typing import assert_never
@@ -19,9 +19,9 @@ RoleRule = tuple[PolicyScope, str, str, str | None, str | None]  # scope, role, 
 
 
 class Policy(msgspec.Struct, frozen=True, gc=False):
-    """The rules in force: of single robots and of every robot (`rules`), and of roles (`of_roles`).
+    """The rules in force: for single robots or every robot (`rules`), and for roles (`of_roles`).
 
-    `members`: robot to its role and domain.
+    `members`: robot -> its role and domain.
     """
 
     rules: dict[Rule, PolicyOutcome] = {}
@@ -30,7 +30,7 @@ class Policy(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def is_empty(self) -> bool:
-        """Tell whether nothing is ruled."""
+        """Return whether there are no rules."""
         return not self.rules and not self.of_roles
 
 
@@ -45,10 +45,10 @@ def ruled(
     context: str | None,
     among: Container[Rule | RoleRule] | None = None,
 ) -> PolicyOutcome | None:
-    """Return the strictest rule of this scope that applies, or None when nothing is ruled. Reading: R36.
+    """Return the outcome of the strictest rule of this scope that applies, or None if none does. Reading: R36.
 
-    `among`: only these rules count. About the same capability and context the rule of the very robot replaces those of
-    its role, and that of a smaller domain those of larger ones; a rule of every robot applies beside them.
+    `among`: only these rules count. For the same capability and context, the robot's own rule replaces those of its
+    role, and the rule of a smaller domain those of larger ones; a rule for every robot applies in addition.
     """
     outcome: PolicyOutcome | None = None
     for rule, found in _applying(state, scope, robot, capability, context):
@@ -60,7 +60,7 @@ def ruled(
 def _applying(
     state: Policy, scope: PolicyScope, robot: Robot, capability: str | None, context: str | None
 ) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
-    """Yield the rules that apply, without those that another replaces."""
+    """Yield the rules that apply, without those that another one replaces."""
     for about in ((capability, context), (capability, None), (None, context), (None, None)):
         of_all: Rule = (scope, None, *about)
         if of_all in state.rules:
@@ -91,7 +91,7 @@ def evolve(state: Policy, event: HANDLES) -> Policy:
 
 
 def key_of(event: PolicyRuleSet | RolePolicyRuleSet) -> Rule | RoleRule:
-    """Return what the rule is about; a later one about the same replaces it."""
+    """Return the key of the rule; a later rule with the same key replaces it."""
     if isinstance(event, PolicyRuleSet):
         return event.scope, event.robot, event.capability, event.context
     return event.scope, event.role, event.domain, event.capability, event.context

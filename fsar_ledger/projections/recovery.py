@@ -32,7 +32,7 @@ class Recovery(msgspec.Struct, frozen=True, gc=False):
     """The open failure of one action: its attempts, the helpers asked, the one awaited, and the supervisors called.
 
     Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends, `since_us` run time at
-    which recovery turned to the robot that was asked for help last.
+    which recovery turned to the robot last asked for help.
     """
 
     robot: Robot

@@ -1,4 +1,4 @@
-"""The capabilities that robots possess, and advertise to whom. Paper: eq:adv, eq:possess, eq:advertise."""
+"""The capabilities that robots possess and advertise, and to whom. Paper: eq:adv, eq:possess, eq:advertise."""
 
 from collections.abc import Iterator
 from typing import assert_never
@@ -46,7 +46,7 @@ class Module(msgspec.Struct, frozen=True, gc=False):
 
 
 class Advertisement(msgspec.Struct, frozen=True, gc=False):
-    """The record of one capability of one robot, with the seven fields of `eq:adv` and who may see it."""
+    """A robot's record of one capability, with the seven fields of `eq:adv` and who may see it."""
 
     robot: Robot
     capability: str
@@ -65,11 +65,11 @@ class Advertisement(msgspec.Struct, frozen=True, gc=False):
 
 
 class Offers(msgspec.Struct, frozen=True, gc=False):
-    """The registry of one domain, and in it those of the domains below.
+    """The registry of one domain, which contains those of the domains below it.
 
-    A change copies only the registries on its path. `records`: capability to robot to record of the domain's own
-    robots; `below`: name to the registry of that domain; `ways`: capability to names of those below in which somebody
-    offers it. Paper: sec:discussion:heterogeneity.
+    A change copies only the registries on its path. `records`: capability -> robot -> record, for the domain's own
+    robots; `below`: name -> registry of that domain; `ways`: capability -> names of the domains below that offer it.
+    Paper: sec:discussion:heterogeneity.
     """
 
     records: dict[str, dict[str, Advertisement]] = {}
@@ -87,8 +87,8 @@ class Cache(msgspec.Struct, frozen=True, gc=False):
 class Registry(msgspec.Struct, frozen=True, gc=False):
     """What robots possess and offer.
 
-    `domains`: robot to its domain; `modules`: robot to what it possesses; `offers`: robots' surfaces; `caches`: holder
-    to its copy; `silent`: robot that did not answer to the availability that each of its capabilities had before.
+    `domains`: robot -> its domain; `modules`: robot -> what it possesses; `offers`: what robots advertise; `caches`:
+    holder -> its copy; `silent`: robot that did not answer -> capability -> its availability before that.
     """
 
     domains: dict[Robot, str] = {}
@@ -99,16 +99,16 @@ class Registry(msgspec.Struct, frozen=True, gc=False):
 
 
 INITIAL = Registry()
-NO_ANSWER = "no answer"  # reason of `AvailabilityChanged` for a robot that others found silent
+NO_ANSWER = "no answer"  # the reason in `AvailabilityChanged` when a robot did not answer
 
 
 def possesses(state: Registry, robot: Robot, capability: str) -> bool:
-    """Tell whether the robot has the capability installed. Paper: eq:possess."""
+    """Return whether the robot has the capability installed. Paper: eq:possess."""
     return capability in state.modules.get(robot, ())
 
 
 def advertisement(state: Registry, robot: Robot, capability: str) -> Advertisement | None:
-    """Return the robot's record of the capability, or None while it does not advertise it. Paper: eq:advertise."""
+    """Return the robot's record of the capability, or None if it does not advertise it. Paper: eq:advertise."""
     found = state.offers
     for name in path_of(state.domains.get(robot, "")):
         if name not in found.below:
@@ -118,7 +118,7 @@ def advertisement(state: Registry, robot: Robot, capability: str) -> Advertiseme
 
 
 def surface(state: Registry, robot: Robot) -> Iterator[Advertisement]:
-    """Return what the robot advertises. Paper: sec:model:robot (capability surface)."""
+    """Yield what the robot advertises. Paper: sec:model:robot (capability surface)."""
     for capability in state.modules.get(robot, ()):
         record = advertisement(state, robot, capability)
         if record is not None:
@@ -126,9 +126,9 @@ def surface(state: Registry, robot: Robot) -> Iterator[Advertisement]:
 
 
 def offers(found: Offers, capability: str, but: str | None = None) -> Iterator[Advertisement]:
-    """Yield every record of the capability in the domain, then in each of those below (except `but`).
+    """Yield every record of the capability in the domain, then in each domain below it (except `but`).
 
-    The order is that of advertisement.
+    Records come in order of advertisement.
     """
     yield from found.records.get(capability, {}).values()
     for name in found.ways.get(capability, ()):
@@ -137,9 +137,9 @@ def offers(found: Offers, capability: str, but: str | None = None) -> Iterator[A
 
 
 def enclosing(found: Offers, domain: str) -> Iterator[tuple[str, Offers, str | None]]:
-    """Yield the registries around a domain, from its own to the fleet's.
+    """Yield the registries that enclose a domain, from its own to the fleet's.
 
-    Each with its path, and the one below that was the last.
+    Each comes with its path and the name of the registry below that came before it, if any.
     """
     path = path_of(domain)
     levels = [found]
@@ -153,7 +153,7 @@ def enclosing(found: Offers, domain: str) -> Iterator[tuple[str, Offers, str | N
 
 
 def path_of(domain: str) -> tuple[str, ...]:
-    """Return the names on the way from the fleet's registry to the domain's; none for the fleet's own."""
+    """Return the names on the path from the fleet's registry to the domain's; empty for the fleet's own."""
     return tuple(domain.split("/")) if domain else ()
 
 
@@ -231,7 +231,7 @@ def _put(state: Registry, robot: Robot, capability: str, record: Advertisement |
 def _silent(
     state: Registry, event: AvailabilityChanged, changed: list[Advertisement]
 ) -> dict[Robot, dict[str, Availability]]:
-    """Return the robots that are silent: those that did not answer, except for what they have reported since."""
+    """Return `Registry.silent` after the event: robots that did not answer, less what they have reported since."""
     known = state.silent.get(event.robot)
     if event.reason == NO_ANSWER and event.availability == "offline":
         return {
@@ -248,7 +248,7 @@ def _silent(
 def _changed(
     found: Offers, path: tuple[str, ...], robot: Robot, capability: str, record: Advertisement | None
 ) -> Offers:
-    """Return the registry with this record of the robot in the domain at the path, or with none of it."""
+    """Return the registry with the robot's record replaced in the domain at this path, or removed if None."""
     if path:
         name = path[0]
         before = found.below.get(name, Offers())
@@ -274,7 +274,7 @@ def _leads(found: Offers, capability: str) -> bool:
 
 
 def _turned(ways: dict[str, tuple[str, ...]], name: str, capability: str) -> dict[str, tuple[str, ...]]:
-    """Return the ways with this one if it was not there, else without it."""
+    """Return `ways` with this name added for the capability, or removed if it was there."""
     names = ways.get(capability, ())
     if name not in names:
         return {**ways, capability: (*names, name)}

@@ -69,15 +69,15 @@ HANDLES = (
 class Request(msgspec.Struct, frozen=True, gc=False):
     """The request for one action. `target` is the robot asked; `round` counts negotiations from 0.
 
-    `is_adhoc`: it was issued by itself and is no step of a task, whatever its context; it is kept when it is over, so
+    `is_adhoc`: it was issued on its own and is no step of a task, whatever its context; it is kept when it is over, so
     that its name is not used again.
-    `offered` is the override level of the counter-offer that waits for an answer, `offers` counts them.
-    `result` is known once the execution is over. `is_over`: it was refused, closed or let go, and nothing is decided
-    about it any more.
-    `is_relayed`: the relay has passed it on. `is_heard`: the robot asked has put it off, or before a supervisor.
-    `is_received`: a robot has it, in its queue or before H_F who orders two. `is_unanswered`: the time for an answer
-    is over; `silent`: the robots whose time it was.
-    `bidders`: robots that have sent a bid; `bids`: those that have come in.
+    `offered` is the override level of the counter-offer that awaits an answer, `offers` the number of counter-offers.
+    `result` is known once the execution is over. `is_over`: it was refused, closed or given up, and nothing more is
+    decided about it.
+    `is_relayed`: the relay has passed it on. `is_heard`: the robot asked has deferred it or put it before a supervisor.
+    `is_received`: a robot has it, in its queue or before H_F, who orders two. `is_unanswered`: the time for an answer
+    has run out; `silent`: the robots that did not answer in time.
+    `bidders`: robots that have sent a bid; `bids`: the bids received.
     """
 
     task_id: str
@@ -119,7 +119,7 @@ class Request(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def request_subject(self) -> RequestSubject[TaskId, ActionId, RequestId]:
-        """Return what an event of this request is about, which has the name of its action."""
+        """Return what an event of this request is about; the request has the name of its action."""
         return RequestSubject(self.task_id, self.action_id, self.action_id)
 
 
@@ -143,7 +143,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             return _injected(state, event)
         case RegistryQueried():
             asking = state.get(event.subject.action_id or "")
-            if asking is None or asking.capability != event.capability:  # a query in service of the action's recovery
+            if asking is None or asking.capability != event.capability:  # a query for the action's recovery
                 return state
             return _changed(state, event.subject.action_id, candidates=event.candidates, relay=event.relay)
         case RequestIssued():
@@ -184,7 +184,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
 
 
 def _begun(state: Requests, event: StepBegan) -> Requests:
-    """Begin the request for the step, in place of the task's earlier one."""
+    """Begin the request for the step, which replaces the task's earlier one."""
     others = {
         name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.subject.task_id
     }
@@ -201,7 +201,7 @@ def _begun(state: Requests, event: StepBegan) -> Requests:
 
 
 def _abandoned(state: Requests, event: TaskAbandoned) -> Requests:
-    """Keep what a robot has, which goes on or is withdrawn there; nobody answers the rest."""
+    """Keep the requests that a robot has, which continue or are withdrawn there; the rest get no answer."""
     kept = {
         name: request
         for name, request in state.items()
@@ -211,7 +211,7 @@ def _abandoned(state: Requests, event: TaskAbandoned) -> Requests:
 
 
 def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
-    """Begin an outsider's request, which has the name of its task."""
+    """Begin an outsider's request, which is named after its task."""
     injected = Request(
         event.task_id,
         event.task_id,
@@ -227,7 +227,7 @@ def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
 
 
 def _bid_received(state: Requests, event: BidReceived) -> Requests:
-    """Note the bid as read, in place of an earlier one: a robot that answers late was asked again."""
+    """Record the bid as read, replacing an earlier one: a robot that answers late was asked again."""
     earlier = tuple(bid for bid in state[event.subject.action_id].bids if bid[0] != event.robot)
     bids = (*earlier, (event.robot, event.outcome))
     return _changed(state, event.subject.action_id, bids=bids)
@@ -250,7 +250,7 @@ def _voided(state: Requests, event: ContractVoided) -> Requests:
 
 
 def _issued(state: Requests, event: RequestIssued) -> Requests:
-    """Put the step's request on its way; a request that is nobody's step begins here. Paper: eq:request."""
+    """Record the request as sent; one that belongs to no step begins here. Paper: eq:request."""
     task_id, action_id, robot, executor = (
         event.subject.task_id,
         event.subject.action_id,
@@ -273,7 +273,7 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
 
 
 def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
-    """End the request or set its result; a step's success is news only when the step ends."""
+    """End the request or set its result; the success of a step is only known when the step ends."""
     known = state.get(event.subject.action_id or "")
     if known is None:
         return state
@@ -298,7 +298,7 @@ def _called(state: Requests, event: SupervisorCalled) -> Requests:
 
 
 def _bid(state: Requests, event: BidSubmitted) -> Requests:
-    """Note a bid, which names the task: a task has one step at a time."""
+    """Record a bid; it names only the task, which has one step at a time."""
     for name, request in state.items():
         if request.task_id == event.task_id and not request.is_adhoc:
             return _changed(state, name, bidders=(*request.bidders, event.robot))
@@ -306,9 +306,9 @@ def _bid(state: Requests, event: BidSubmitted) -> Requests:
 
 
 def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
-    """End the request for the robot that did not answer.
+    """End the request to the robot that did not answer.
 
-    Without a name nobody did, or there was nobody to ask.
+    If the event names none, nobody answered or there was nobody to ask.
     """
     if event.subject.action_id not in state:
         return state
@@ -321,7 +321,7 @@ def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
 
 
 def _answered(state: Requests, event: OfferAnswered) -> Requests:
-    """Take the requester's answer: the executor judges again, or the request is over."""
+    """Record the requester's answer: the executor evaluates again, or the request is over."""
     if event.subject.action_id is None or event.subject.action_id not in state:
         return state
     asked = state[event.subject.action_id].offered if event.is_accepted else event.override

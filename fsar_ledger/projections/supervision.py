@@ -1,4 +1,4 @@
-"""Supervision: what supervisors were asked, what they approved, how often they are asked. Paper: eq:supervision."""
+"""Supervision: what supervisors are asked, what they approved, and how often they review. Paper: eq:supervision."""
 
 from typing import assert_never
 
@@ -17,8 +17,8 @@ class Supervision(msgspec.Struct, frozen=True, gc=False):
     """What is open between robots and their supervisors.
 
     `approved`: actions whose review was approved; `calls`: number of the call (from 1, within the run) -> the call,
-    while it is open; `review_every`: robot (None: every one) -> density; `admissions`: executor -> requests it has
-    admitted; `called`: how many calls there were.
+    while open; `review_every`: robot (None: every one) -> density; `admissions`: executor -> number of requests it has
+    admitted; `called`: number of calls so far.
     """
 
     approved: frozenset[str] = frozenset()
@@ -32,15 +32,15 @@ INITIAL = Supervision()
 
 
 def density(state: Supervision, robot: Robot) -> int:
-    """Return the robot's review density, its own before every robot's.
+    """Return n, where every n-th admission by the robot is put before a supervisor; 0 is none.
 
-    One in so many admissions is put before a supervisor; 0 is none.
+    A density of the robot's own takes precedence over the one for every robot.
     """
     return state.review_every.get(robot, state.review_every.get(None, 0))
 
 
 def is_asked(state: Supervision, action_id: str, purpose: Purpose) -> bool:
-    """Tell whether a supervisor is asked this about the action."""
+    """Return whether a call for this purpose is open for the action."""
     return any((call.subject.action_id, call.purpose) == (action_id, purpose) for call in state.calls.values())
 
 
@@ -72,7 +72,7 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
 
 
 def _without(calls: dict[int, SupervisorCalled], action_id: str, purpose: str) -> dict[int, SupervisorCalled]:
-    """Return the calls that stay open once this is settled.
+    """Return the calls that stay open once this one is answered.
 
     The first supervisor to answer answers for all who were asked the same.
     """

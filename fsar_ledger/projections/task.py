@@ -15,8 +15,8 @@ HANDLES = TaskArrived | StepBegan | StepCompleted | TaskCompleted | TaskAbandone
 class Task(msgspec.Struct, frozen=True, gc=False):
     """An open task.
 
-    `step` counts the steps done; `attempt` the attempts of the present one, from 1; `checkpoints` as in `TaskArrived`.
-    `action_id` is the last attempt, empty while none was made.
+    `step` counts the steps done, `attempt` the attempts at the present one, from 1; `checkpoints` as in `TaskArrived`.
+    `action_id` is the last attempt, empty before the first.
     """
 
     task_id: str
@@ -62,7 +62,7 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
 def given_up_us(task: TaskArrived | Task, budgets: int) -> int:
     """Return the run time at which the task is given up, even while it waits.
 
-    That is after so many budgets, at the latest when the run ends.
+    That is after this many budgets, or when the run ends if that is earlier.
     """
     return min(task.due_us + (budgets - 1) * task.budget_us, END_US)
 

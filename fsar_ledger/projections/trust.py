@@ -1,4 +1,4 @@
-"""Trust scopes between robots, and the record of results on which trust can move. Paper: eq:trust."""
+"""Trust scopes between robots, and the record of results by which trust can move. Paper: eq:trust."""
 
 from collections.abc import Iterator
 from typing import assert_never
@@ -18,7 +18,7 @@ Result = RequestIssued | OutsiderRequestInjected | RequestDenied | RequestClosed
 HANDLES = RobotJoined | TrustSet | RoleTrustSet | TrustThresholdsSet | Result
 
 SCOPES: tuple[TrustScope, ...] = ("none", "capability", "task", "session", "persistent")  # from narrow to broad
-VIOLATIONS = ("trust", "authority", "advertisement")  # refusals that are the requester's own doing
+VIOLATIONS = ("trust", "authority", "advertisement")  # refusals that are the requester's fault
 About = tuple[str | None, str | None]  # capability, context; None: all of them
 Entries = dict[About, TrustScope]
 Member = tuple[str, str]  # role, domain
@@ -27,20 +27,20 @@ Key = tuple[Robot, Robot, str, str | None]  # robot, peer, capability, and the c
 
 
 class Record(msgspec.Struct, frozen=True, gc=False):
-    """Results in a row: each success ends the row of failures, each failure that of successes."""
+    """Consecutive results: a success resets the count of failures, a failure the count of successes."""
 
     successes: int = 0
     failures: int = 0
 
 
 class Trust(msgspec.Struct, frozen=True, gc=False):
-    """Who trusts whom, and how each has fared with the other.
+    """Who trusts whom, and the results that each has had with the other.
 
-    `entries`: (robot, peer) -> what about -> scope, for single pairs; `of_roles`: (role, role of the peer, domain) ->
-    the same, for all of them; `members`: robot -> its role and domain; `promote_after`, `downgrade_after`: results in a
-    row, 0 is never; `contexts`: those that some entry is limited to. While a threshold is set, `asked`: action -> each
-    direct request that is open; `records`: what each robot has seen of its peer, by what its trust is set for;
-    `judged`: the records that the last result changed.
+    `entries`: (robot, peer) -> capability and context -> scope, for single pairs; `of_roles`: (role, role of the peer,
+    domain) -> the same, for all robots of the roles; `members`: robot -> its role and domain; `promote_after`,
+    `downgrade_after`: consecutive results, 0 is never; `contexts`: those that some entry is limited to. Only while a
+    threshold is set, `asked`: action -> open direct request; `records`: results of the peer as the robot saw them, by
+    what its trust is set for; `judged`: the records that the last result changed.
     """
 
     entries: dict[tuple[Robot, Robot], Entries] = {}
@@ -60,16 +60,16 @@ INITIAL = Trust()
 def scope_of(
     state: Trust, robot: Robot, peer: Robot, capability: str | None = None, context: str | None = None
 ) -> TrustScope:
-    """Return how far the robot trusts the peer, by the most specific entry; none without any."""
+    """Return how far the robot trusts the peer, by the most specific entry; `none` if there is no entry."""
     return _holding(state, robot, peer, capability, context)[1]
 
 
 def _holding(
     state: Trust, robot: Robot, peer: Robot, capability: str | None, context: str | None
 ) -> tuple[About, TrustScope]:
-    """Return what the entry is about that holds between the two, and its scope.
+    """Return the capability and context of the entry that holds between the two, and its scope.
 
-    Of those about the pair, else of those about their roles in the smallest domain.
+    Entries for the pair come first, then those for their roles in the smallest domain.
     """
     entries = state.entries.get((robot, peer))
     if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
@@ -91,7 +91,7 @@ def _most_specific(entries: Entries, capability: str | None, context: str | None
 
 
 def around(domain: str) -> Iterator[str]:
-    """Yield the domain and those that it lies in, the smallest first, the whole fleet last."""
+    """Yield the domain and those that enclose it, the smallest first, the whole fleet last."""
     while domain:
         yield domain
         domain = domain.rpartition("/")[0]
@@ -99,17 +99,17 @@ def around(domain: str) -> Iterator[str]:
 
 
 def is_within(domain: str, other: str) -> bool:
-    """Tell whether the domain is the other or lies below it; everything lies in the fleet's own, the empty one."""
+    """Return whether the domain is the other one or lies below it; the empty domain, the fleet's, contains all."""
     return other in ("", domain) or domain.startswith(other + "/")
 
 
 def covers(scope: TrustScope, required: TrustScope) -> bool:
-    """Tell whether the scope is at least as broad as the required one; `none` covers nothing."""
+    """Return whether the scope is at least as broad as the required one; `none` covers nothing."""
     return scope != "none" and SCOPES.index(scope) >= SCOPES.index(required)
 
 
 def follows_record(state: Trust) -> bool:
-    """Tell whether trust moves by itself."""
+    """Return whether trust moves with the record of results."""
     return state.promote_after > 0 or state.downgrade_after > 0
 
 
@@ -141,7 +141,7 @@ def evolve(state: Trust, event: HANDLES) -> Trust:
 
 
 def _set(state: Trust, event: TrustSet | RoleTrustSet) -> Trust:
-    """Set the entry and begin again the rows of results that it is about."""
+    """Return trust with the new entry's context, and without the records of results that the entry concerns."""
     contexts = state.contexts if event.context is None else state.contexts | {event.context}
     if not state.records:
         return replace(state, contexts=contexts)
@@ -156,7 +156,7 @@ def _set(state: Trust, event: TrustSet | RoleTrustSet) -> Trust:
 
 
 def is_about(state: Trust, event: TrustSet | RoleTrustSet, robot: Robot, peer: Robot) -> bool:
-    """Tell whether the entry is about how far this robot trusts that one."""
+    """Return whether the entry concerns the trust of this robot in this peer."""
     if isinstance(event, TrustSet):
         return (event.robot, event.peer) == (robot, peer)
     if robot not in state.members or peer not in state.members:
@@ -170,7 +170,7 @@ def is_about(state: Trust, event: TrustSet | RoleTrustSet, robot: Robot, peer: R
 
 
 def _noted(state: Trust, event: Result) -> Trust:
-    """Return the record after the result. Paper: sec:model:trust (performance history, failures)."""
+    """Return trust with the result on record. Paper: sec:model:trust (performance history, failures)."""
     match event:
         case RequestIssued():
             if (
@@ -179,7 +179,7 @@ def _noted(state: Trust, event: Result) -> Trust:
                 or event.principals.executed_by is None
                 or event.relay is not None
             ):
-                return state  # whoever needs a relay has no direct trust that could move
+                return state  # a request that needs a relay has no direct trust that could move
             return _asking(
                 state,
                 event.subject.action_id,
@@ -232,7 +232,7 @@ def _closed(state: Trust, action_id: str | None) -> Trust:
 
 
 def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
-    """Return each record with one more success or failure; None is neither, and ends the row of successes."""
+    """Return trust with these results counted; None is neither success nor failure, and resets the successes."""
     records = dict(state.records)
     judged: list[Key] = []
     for about, is_success in filter(None, results):
@@ -246,9 +246,9 @@ def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
 
 
 def _row(state: Trust, robot: Robot, peer: Robot, capability: str, context: str | None) -> Key:
-    """Return the key under which a result between the two counts.
+    """Return the key of the record in which a result between the two counts.
 
-    It is that of the trust that holds there, in the context or in all of them.
+    Its context is that of the trust entry that holds: the given one, or None for all.
     """
     (_, of_context), _ = _holding(state, robot, peer, capability, context)
     return robot, peer, capability, of_context

@@ -47,8 +47,7 @@ Windows = dict[Robot, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open wi
 class World(msgspec.Struct, frozen=True, gc=False):
     """The true state of the world; deciders may read only what is local to them or what they were told.
 
-    `degraded`: robot -> how far its actuator has gone; `off`: robots that are off; `unlinked`: robots whose link is
-    down.
+    `degraded`: robot -> grade of its actuator; `off`: robots that are off; `unlinked`: robots whose link is down.
     """
 
     local: Windows = {}
@@ -64,14 +63,14 @@ INITIAL = World()
 
 
 def stricter(one: PolicyOutcome, other: PolicyOutcome) -> PolicyOutcome:
-    """Compose two outcomes: deny before review before allow. Paper: eq:policy."""
+    """Return the stricter of two outcomes: deny over review over allow. Paper: eq:policy."""
     if one == "deny" or other == "deny":
         return "deny"
     return "review" if one == "review" or other == "review" else "allow"
 
 
 def in_force(windows: Windows, robot: Robot) -> PolicyOutcome:
-    """Return the policy in force for the robot: the strictest of its open windows."""
+    """Return the strictest outcome of the robot's open windows."""
     outcome: PolicyOutcome = "allow"
     for _, found in windows.get(robot, ()):
         outcome = stricter(outcome, found)
@@ -79,9 +78,9 @@ def in_force(windows: Windows, robot: Robot) -> PolicyOutcome:
 
 
 def is_linked(state: World, principal: str) -> bool:
-    """Tell whether messages reach and leave the principal.
+    """Return whether messages reach and leave the principal.
 
-    A robot has to be on with its link up; any other principal is always linked.
+    A robot must be on and its link up; any other principal is always linked.
     """
     return principal not in state.off and principal not in state.unlinked
 
@@ -106,8 +105,8 @@ def evolve(state: World, event: HANDLES) -> World:
         case AssistanceEnded():  # the helper has cleared the way
             return _cleared(state, event.robot)
         case FailureResolved():
-            # A supervisor clears the way too. A robot that recovered by itself found it clear, and one whose step
-            # another took over stays where it is.
+            # A supervisor also clears the way. A robot that recovered by itself found it clear; one whose step another
+            # robot took over stays where it is.
             return _cleared(state, event.robot) if event.level == "human" else state
         case ActuatorDegraded():
             return _graded(state, event.robot, event.grade)
@@ -135,7 +134,7 @@ def evolve(state: World, event: HANDLES) -> World:
 
 
 def _graded(state: World, robot: Robot, grade: Grade) -> World:
-    """Degrade the actuator, or leave it as it was where that is worse: only a service makes it better."""
+    """Degrade the actuator, unless it is already worse: only a service improves it."""
     worst = max(state.degraded.get(robot, grade), grade, key=GRADES.index)
     return msgspec.structs.replace(state, degraded={**state.degraded, robot: worst})
 

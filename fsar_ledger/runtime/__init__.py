@@ -1,1 +1,1 @@
-"""Commands become events here: the world's draws, pure handlers, architectures, and the clock that runs them."""
+"""Turns commands into events: the world's draws, pure handlers, architectures, and the clock that runs them."""

@@ -1,9 +1,9 @@
-"""How many events a run may make, found out before it is made.
+"""Estimates how many events a run will make, before it is simulated.
 
-A commit holds a batch of whole runs, and no more than `ledger.bounds` allow. The numbers are upper bounds of what runs
-were seen to make with 4 to 1,024 robots, in every scenario, architecture and configuration; a test compares them with
-runs. They only decide what is refused before work begins: what is too much all the same is refused when the batch is
-staged.
+A commit holds a batch of whole runs, within the limits of `ledger.rows.bounds`. The estimates are upper bounds of what
+runs were observed to make with 4 to 1,024 robots, in every scenario, architecture and configuration; a test compares
+them with runs. They only decide what is refused before work begins; a batch that is too large nevertheless is refused
+when it is staged.
 """
 
 from collections.abc import Iterable
@@ -23,20 +23,20 @@ from .world.schedule import arrivals_expected, happening, teams_working
 
 Cell = tuple[str, str, Configuration]  # scenario (or workflow), architecture, configuration
 
-FACTS_PER_ARRIVAL = 1.45  # windows and obstructions end, too
-USUAL_STEPS = 8  # of one set of tasks: the growth of a team is that of as many, at least
-POLLING_PER_ROBOT = 45  # without a registry each meeting is remembered
+FACTS_PER_ARRIVAL = 1.45  # windows and obstructions also end
+USUAL_STEPS = 8  # steps of one set of tasks, own and delegated, that `Growth.of_team` allows for
+POLLING_PER_ROBOT = 45  # without a registry each encounter is remembered
 
 
 class Expected(NamedTuple):
-    """Upper bounds of what a run makes, as far as one can tell."""
+    """Estimated upper bounds of what a run makes."""
 
     events: float
     list_values: float
 
 
 def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
-    """Return the bounds of one run of the cell with such a fleet; a workflow is small, and of four robots."""
+    """Return the bounds of one run of the cell with this fleet; a workflow is small and has four robots."""
     name, architecture, configuration = cell
     scenario = happening(constants, name)
     if isinstance(scenario, Workflow):
@@ -44,7 +44,7 @@ def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
     growth, of_team = growth_of(architecture), team_size(constants.fleet)
     load = constants.load
     sets = teams_working(constants, fleet_size) * (1 if load is None else load.task_sets)
-    if constants.scenario is not None:  # the numbers of growth are those of the paper's
+    if constants.scenario is not None:  # `Growth` is measured on the paper's scenarios
         sets *= max(1, ceil(sum(len(task.steps) + task.delegated for task in scenario.tasks) / USUAL_STEPS))
     asked = sets * sum(task.delegated for task in scenario.tasks) * (fleet_size // of_team)
     polling = POLLING_PER_ROBOT if "shared-registry" in lacks(configuration) else 0
@@ -60,18 +60,18 @@ def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
 
 @lru_cache(maxsize=4)
 def _founding_of_robot(fleet: Fleet | None) -> int:
-    """Return how many events found a robot, at most: it joins, and each capability is installed and advertised."""
+    """Return the most events that found one robot: it joins, and each capability is installed and advertised."""
     return 1 + 2 * max(len(robot.capabilities) for robot in (fleet or registered.fleet()).robots)
 
 
 def growth_of(architecture: str) -> Growth:
-    """Return what a registered architecture adds to the world's facts."""
+    """Return how many events a registered architecture adds to the world's facts."""
     found: Growth = import_module(f".architectures.{architecture}", __package__).GROWTH
     return found
 
 
 def fits(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, fleet_size: int, constants: Constants) -> bool:
-    """Tell whether one commit holds this many consecutive runs of each scenario, whose cells take turns."""
+    """Return whether one commit can hold this many consecutive runs of each scenario, whose cells take turns."""
     for cells in scenarios:
         rounds, rest = divmod(runs_at_once, len(cells))
         found = [expected(cell, fleet_size, constants) for cell in cells]
@@ -85,7 +85,7 @@ def fits(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, fleet_size: i
 
 
 def largest_fleet(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, constants: Constants) -> int:
-    """Return the largest fleet of which a commit holds this many consecutive runs; 0 if there is none."""
+    """Return the size of the largest fleet of which a commit holds this many consecutive runs; 0 if there is none."""
     cells = tuple(scenarios)
     of_team = team_size(constants.fleet)
     low, high = 0, MAX_ROWS // of_team + 1  # teams

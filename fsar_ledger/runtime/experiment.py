@@ -1,7 +1,4 @@
-"""An experiment: a sequence of runs in canonical order, committed in batches.
-
-Its dimensions are architectures, configurations, scenarios and runs.
-"""
+"""Experiments: runs over architectures, configurations and scenarios, in canonical order, committed in batches."""
 
 import gc
 from collections import deque
@@ -37,14 +34,14 @@ from .world.founding import team_size
 from .world.schedule import happening
 
 ORIGIN = "fsar-ledger/simulated"
-WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # another ledger of `reproduce`: no key signs two trees under one origin
-BATCH_RUNS = 25  # runs in a commit, if it holds so many, whatever the number of workers
+WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # a ledger of its own: no key signs two trees under one origin
+BATCH_RUNS = 25  # runs in a commit, if it can hold that many; independent of the number of workers
 MAX_OWN = 60_000
-"""The most characters of parameters with a fleet or a scenario in them.
+"""The most characters of parameters that contain a fleet or a scenario; readers take them constant by constant.
 
-Every reader takes them constant by constant. Those of the model have 2,000.
+Without either, they have about 2,000.
 """
-IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
+IN_FLIGHT = 2  # batches in progress per worker at most, so that memory stays flat
 
 _P = ParamSpec("_P")
 Progress = Callable[[int, int], None]
@@ -52,13 +49,13 @@ Batch: TypeAlias = tuple[RunSpec, ...]
 
 
 class Experiment(msgspec.Struct, frozen=True):
-    """Which runs to make: `runs` for each scenario (or workflow), architecture and configuration.
+    """The runs to simulate: `runs` of each scenario (or workflow), architecture and configuration.
 
-    Names are put in canonical order. They are of what is registered, or of the scenario that the constants hold.
+    Names are sorted into canonical order. They must be registered, or that of the scenario in the constants.
 
     Raises:
         InvalidExperiment: a name is unknown, a number impossible, a scenario impossible for the fleet, or a workflow
-            meant for anything but FSAR and its fleet of four.
+            asked for with anything but FSAR and its fleet of four.
     """
 
     architectures: tuple[str, ...]
@@ -93,9 +90,9 @@ class Experiment(msgspec.Struct, frozen=True):
         self.require_fits(1)
 
     def require_fits(self, runs_at_once: int = BATCH_RUNS) -> None:
-        """Check that a commit holds so many runs of such a fleet, or all there are.
+        """Check that a commit can hold this many runs with this fleet, or all runs if there are fewer.
 
-        Raises: InvalidExperiment, with the largest fleet of which it does.
+        Raises: InvalidExperiment, with the largest fleet for which it can.
         """
         at_once = min(runs_at_once, self.size)
         cells = [
@@ -108,23 +105,23 @@ class Experiment(msgspec.Struct, frozen=True):
         ]
         if fits(cells, at_once, self.fleet_size, self.constants):
             return
-        at_once = min(BATCH_RUNS, self.size)  # what is named fits the whole experiment
+        at_once = min(BATCH_RUNS, self.size)  # so that the suggested size fits the whole experiment
         largest = largest_fleet(cells, at_once, self.constants)
         many = "one run" if at_once == 1 else f"{at_once} runs at once"
         raise InvalidExperiment(
             f"fleet size: found {self.fleet_size}, "
-            f"expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and those of so large a "
-            "fleet are more; take a smaller fleet, "
+            f"expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and so large a fleet makes "
+            "more; take a smaller fleet, "
             f"{'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
         )
 
     def _known_scenarios(self) -> tuple[str, ...]:
-        """Return the designer's own scenario alone, where there is one, else all that are registered."""
+        """Return the designer's own scenario alone if there is one, else all registered ones."""
         own = self.constants.scenario
         return (*registered.scenarios(), *registered.workflows()) if own is None else (own.name,)
 
     def _require_designs(self) -> None:
-        """Check that the designer's own designs are well made and every scenario can happen to the fleet."""
+        """Check that the designer's own designs are well formed and that every scenario suits the fleet."""
         own, fleet = self.constants.scenario, self.constants.fleet
         if own is None and fleet is None:
             return
@@ -135,8 +132,8 @@ class Experiment(msgspec.Struct, frozen=True):
                 raise InvalidExperiment(f"workflow {name}: found a fleet of your own, expected the paper's")
             if fleet is not None and name in registered.PAPER_SCENARIOS:
                 raise InvalidExperiment(
-                    f"scenario {name}: found fleet {printable.value(fleet.name)}, expected the paper's, whose scenario "
-                    "it is; give your own --scenario to your own --fleet"
+                    f"scenario {name}: found fleet {printable.value(fleet.name)}, expected the paper's, for which the "
+                    "scenario is written; use your own --scenario with your own --fleet"
                 )
             for problem in problems_of_scenario(scenario, fleet or registered.fleet()):
                 raise InvalidExperiment(f"scenario {printable.value(scenario.name)}: {problem}")
@@ -144,7 +141,7 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"fleet and scenario: found {found:,} characters, expected at most {MAX_OWN:,}")
 
     def _require_mechanisms(self) -> None:
-        """Check that every architecture has what is taken out of it."""
+        """Check that every architecture has the mechanisms that are taken out of it."""
         for architecture in self.architectures:
             for name in sorted(
                 frozenset().union(*map(lacks, self.configurations)) - set(MECHANISMS_OF.get(architecture, ()))
@@ -152,11 +149,11 @@ class Experiment(msgspec.Struct, frozen=True):
                 [whose] = [one for one, names in MECHANISMS_OF.items() if name in names]
                 raise InvalidExperiment(
                     f"without {name}: found architecture {architecture}, "
-                    f"expected {whose} alone, whose mechanism it is; one experiment is of one architecture's"
+                    f"expected {whose} alone, whose mechanism it is; run one experiment for each architecture"
                 )
 
     def _require_possible_load(self) -> None:
-        """Check that each floor holds a team and tasks fall to teams that exist, within the horizon."""
+        """Check that each floor holds a team, and that tasks go to teams that exist, within the horizon."""
         world, load = self.constants.world, self.constants.load
         if world.floor_teams < 1:
             raise InvalidExperiment(f"teams of a floor: found {world.floor_teams}, expected at least 1")
@@ -199,7 +196,7 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"{about}: found outages, expected none: the world of a workflow is its script")
 
     def _put_in_order(self) -> None:
-        """Put the names in one order, so that the same question asked in another order is the same plan."""
+        """Sort the names, so that the same experiment asked for in another order is the same plan."""
         in_order = msgspec.structs.force_setattr
         in_order(self, "architectures", tuple(sorted(self.architectures, key=REGISTERED.index)))
         in_order(self, "scenarios", tuple(sorted(self.scenarios, key=self._known_scenarios().index)))
@@ -219,10 +216,10 @@ class Experiment(msgspec.Struct, frozen=True):
         return len(self.scenarios) * self.runs * len(self.architectures) * len(self.configurations)
 
     def batches(self, is_there: Callable[[RunSpec], bool] | None = None) -> list[Batch]:
-        """Yield the missing runs of each commit: so many, or as many in a row as it is expected to hold.
+        """Return the missing runs of each commit: `BATCH_RUNS`, or as many in a row as a commit is expected to hold.
 
-        Where all runs are missing their architectures take turns, and `require_fits` sees to it that so many fit; of a
-        ledger that is enlarged it may be the runs of one architecture alone.
+        When all runs are missing, architectures take turns, and `require_fits` ensures that a batch fits. When a ledger
+        is enlarged, a batch may hold runs of a single architecture.
         """
         sizes: dict[Cell, Expected] = {}
         found: list[list[RunSpec]] = []
@@ -240,7 +237,7 @@ class Experiment(msgspec.Struct, frozen=True):
         return [tuple(batch) for batch in found]
 
     def plan(self) -> ExperimentPlanned:
-        """Return what goes on record before the first run."""
+        """Return the plan, which is committed before the first run."""
         return ExperimentPlanned(
             architectures=self.architectures,
             configurations=self.configurations,
@@ -273,7 +270,7 @@ def _require_configurations(found: tuple[Configuration, ...]) -> None:
 
 
 def require_designs(own: Scenario | None, fleet: Fleet | None) -> None:
-    """Check an own fleet and scenario, and that their names are not registered. Raises: InvalidExperiment."""
+    """Check a designer's fleet and scenario, and that their names are not registered. Raises: InvalidExperiment."""
     if fleet is not None:
         for problem in problems_of_fleet(fleet):
             raise InvalidExperiment(f"fleet {printable.value(fleet.name)}: {problem}")
@@ -292,15 +289,15 @@ def require_designs(own: Scenario | None, fleet: Fleet | None) -> None:
 def workflow_experiment(
     seed: int = 42, runs: int = 1, workflows: tuple[str, ...] = registered.PAPER_WORKFLOWS
 ) -> Experiment:
-    """Return the runs of the paper's workflows, all three unless some are named. Paper: sec:prototype:workflows."""
+    """Return the experiment of the paper's workflows, all three unless named. Paper: sec:prototype:workflows."""
     return Experiment(("fsar",), workflows, runs, seed)
 
 
 class Made(msgspec.Struct, frozen=True):
     """The head of the ledger after `carry_out`, and counts of runs.
 
-    `asked` were asked for, `made` of them now, the others were there before. `held` are in the ledger now, also of
-    other experiments.
+    `asked` is the number asked for and `made` how many of those were missing and are made now; `held` is the number in
+    the ledger now, including those of other experiments.
     """
 
     head: Head
@@ -319,17 +316,17 @@ def carry_out(
     *,
     adopts: bool = False,
 ) -> Made:
-    """Make the runs of the experiment that the ledger lacks, after its plan.
+    """Commit the experiment's plan and the runs that the ledger lacks.
 
-    Where all runs are there, nothing is done. Else the plan is committed first, unless it is on record: a larger one
-    than before makes the ledger larger, run by run as if it had been asked for at once. The missing runs come in
-    canonical order, in `batches`: each commit follows from those before it, so neither `workers` nor an interruption
-    changes a byte. `progress` is told batches done and batches in all. What is committed now carries a signature of
-    `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there. A new
-    ledger has this origin, else the name of the signer, else `ORIGIN`.
+    If all runs are there, nothing is done. Otherwise the plan is committed first, unless it is on record; a larger plan
+    than before enlarges the ledger, run by run as if it had been asked for at once. The missing runs follow in
+    canonical order, in `batches`. Each commit follows from those before it, so neither `workers` nor an interruption
+    changes a byte. `progress` is called with (batches done, batches in all). New commits are signed by `signer`, whose
+    key stays in this process; with `adopts` even where another key or none signed the existing ones. A new ledger gets
+    `origin`, else the name of the signer, else `ORIGIN`.
 
     Raises:
-        InvalidExperiment: a commit does not hold so many runs of so large a fleet.
+        InvalidExperiment: a commit cannot hold this many runs of so large a fleet.
         SequenceConflict: another process commits to the ledger meanwhile; the same call again makes what is missing
             then.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
@@ -366,7 +363,7 @@ def _head_of(function: Callable[_P, Made]) -> Callable[_P, Head]:
 
 
 simulate = _head_of(carry_out)
-"""As `carry_out`; returns the head of the ledger."""
+"""Does the same as `carry_out`, and returns the head of the ledger."""
 
 
 def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:
@@ -383,7 +380,7 @@ def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:
 
 
 def _staged(out: Path, batches: list[Batch], constants: Constants, workers: int) -> Iterator[Staged]:
-    """Yield the staged batches in order, made by this process or by `workers` others."""
+    """Yield the staged batches in order, made by this process or by `workers` worker processes."""
     if workers <= 1:
         for batch in batches:
             yield _stage(out, batch, constants)

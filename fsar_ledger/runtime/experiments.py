@@ -1,10 +1,10 @@
-"""The experiments of the paper by name: what `reproduce` makes, one ledger each. Paper: sec:evaluation.
+"""The experiments of the paper by name, as `reproduce` makes them, one ledger each. Paper: sec:evaluation.
 
-`results` is the table of results. `ablation` is FSAR in full and without one mechanism each, and without the registry
-over the rates at which robots meet; then every architecture without each of its further mechanisms, to show which
-number each of them carries. `scaling` is the table of fleet sizes at both ends of the load that the text leaves open,
-with loads in between and fleets beyond. `workflows` are the three workflows. Each ledger has an origin of its own, so a
-key signs each under another name.
+`results` is the results table. `ablation` is FSAR in full and without one mechanism each, and without the registry at
+several encounter rates; then every architecture without each of its further mechanisms, to show which number each of
+them carries. `scaling` is the table of fleet sizes at both ends of the load that the text leaves open, with loads in
+between and larger fleets. `workflows` are the three workflows. Each ledger has an origin of its own, so a key signs
+each under a different name.
 """
 
 from collections.abc import Iterator
@@ -28,16 +28,16 @@ RUNS: dict[Name, int] = {"results": 200, "ablation": 40, "scaling": 20, "workflo
 """Runs of each scenario, architecture and configuration: the registered number, twice the paper's, and the paper's."""
 
 ENCOUNTERS_S = (30.0, 60.0, 180.0, 300.0)
-"""Mean times between encounters of two robots, beside that of the model."""
+"""Mean times between encounters of two robots, in addition to the model's."""
 
 TABLED_SIZES, LOADED_SIZE = (4, 8, 16), 16
-"""Fleet sizes of the paper's table, and the one that is played at every load."""
+"""Fleet sizes of the paper's table, and the one that is simulated at every load."""
 
 FURTHER = 2
-"""The factor by which runs are fewer without a mechanism that is not among the paper's ablations."""
+"""The factor by which the number of runs is reduced for ablations that are not the paper's."""
 
 BEYOND: dict[int, int] = {32: 5, 64: 10}
-"""Larger fleets, and how many times fewer runs they have: one run of 64 robots costs as much as twenty of four."""
+"""Larger fleets, and the factor by which their runs are reduced: a run of 64 robots costs as much as 20 of four."""
 
 _ORIGINS: dict[Name, str] = {
     "results": ORIGIN,
@@ -48,7 +48,7 @@ _ORIGINS: dict[Name, str] = {
 
 
 class Named(msgspec.Struct, frozen=True):
-    """One ledger to be made: its name, its origin, and its experiments in order."""
+    """One ledger to make: its name, its origin, and its experiments in order."""
 
     name: Name
     origin: str
@@ -60,9 +60,9 @@ class Named(msgspec.Struct, frozen=True):
         return sum(part.size for part in self.parts)
 
     def signer(self, signer: Signer | None) -> Signer | None:
-        """Return the same secret under this ledger's name; None is unsigned.
+        """Return a signer with the same secret under this ledger's name; None is unsigned.
 
-        The name is the key's own for `results`, else that and the experiment's.
+        The name is the key's own for `results`, else the key's and the experiment's.
         """
         return (
             signer if signer is None or self.name == "results" else signer.under(f"{signer.verifier.name}/{self.name}")
@@ -70,9 +70,9 @@ class Named(msgspec.Struct, frozen=True):
 
 
 def named(name: Name, seed: int, runs: int | None = None) -> Named:
-    """Return the experiment of this name, with so many runs of each scenario.
+    """Return the experiment of this name with this many runs of each scenario, by default as in `RUNS`.
 
-    None is `RUNS`; the workflows are scripts, and always one run.
+    The workflows are scripts and always have one run.
     """
     many = RUNS[name] if runs is None or name == "workflows" else runs
     parts = {"results": _results, "ablation": _ablation, "scaling": _scaling, "workflows": _workflows}[name]
@@ -95,7 +95,7 @@ def _ablation(seed: int, runs: int) -> Iterator[Experiment]:
 
 
 def _scaling(seed: int, runs: int) -> Iterator[Experiment]:
-    """Return the experiment at full load, where all teams work, or with fewer teams at work."""
+    """Yield the experiments over fleet sizes, at full load (all teams work) and with fewer teams at work."""
     for size in TABLED_SIZES:
         yield Experiment(ARCHITECTURES, SCENARIOS, runs, seed, size)
     for size in (*TABLED_SIZES[1:], *BEYOND):

@@ -1,4 +1,4 @@
-"""The handler table that a run is played with: its architecture's, without what its configuration lacks."""
+"""The handler table of a run: its architecture's, without the mechanisms that its configuration lacks."""
 
 from functools import lru_cache
 from importlib import import_module
@@ -9,9 +9,9 @@ from .architectures.handler_table import HandlerTable
 
 
 def handler_table_of(architecture: str, configuration: Configuration = FULL) -> HandlerTable:
-    """Return the architecture's handlers and reactions, without what the configuration lacks.
+    """Return the architecture's handlers and reactions, without the mechanisms that the configuration lacks.
 
-    The handlers check the mechanisms of the paper's ablation themselves, so these leave the table as it is.
+    The handlers themselves check the mechanisms of the paper's ablation, so those leave the table unchanged.
     """
     module = import_module(f".architectures.{architecture}", __package__)
     table: HandlerTable = getattr(module, architecture.upper())
@@ -20,7 +20,7 @@ def handler_table_of(architecture: str, configuration: Configuration = FULL) -> 
 
 @lru_cache(maxsize=32)
 def _knocked_out(architecture: str, configuration: Configuration) -> HandlerTable:
-    """Return one object for all runs, so that the kernel plans it once."""
+    """Return the table from a cache, so that the kernel plans it once for all runs."""
     from .knockouts import knock_out
 
     return knock_out(handler_table_of(architecture), architecture, configuration)

@@ -1,14 +1,14 @@
 """The kernel: pops the next command or fact in the total order (time, priority, serial) and records what it makes.
 
 Facts of the world come before commands of the same instant. A command never runs at the instant at which it was
-scheduled, and two commands of one cause never share an instant; so (caused_by, time_us) of the first event of a batch
-names the command that made it, and a run can be resumed from its events alone. The further events of a batch are caused
-by its first.
+scheduled, and two commands with the same cause never share an instant. So (caused_by, time_us) of the first event of a
+batch identifies the command that made it, and a run can be resumed from its events alone. The first event of a batch
+causes the others.
 
-What a robot should do while it is off, and what a message should bring over a link that is down, is kept until the fact
-that brings the robot or the link back. A robot then goes on for as long as it had left. A message sets out when its
-sender can send, travels whatever happens meanwhile to the sender or the receiver, and waits at the receiver until it
-can be received. So the world binds every architecture; which robot carries out a command is data of the handler table.
+Commands of a robot that is off, and messages over a link that is down, are kept until the fact that brings the robot or
+the link back. A robot then continues for the time it had left. A message departs when its sender can send, travels
+whatever happens to the sender or the receiver meanwhile, and waits at the receiver until it can be received. So the
+world constrains every architecture alike; which robot carries out a command is data of the handler table.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,20 +30,20 @@ from .world.schedule import Fact
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
 _Pending = tuple[
     int, int, int, Scheduled
-]  # when it is due (or, of what is kept, after how long then), serial, cause, command
+]  # due time (or, for what is kept, the delay once it is released), serial, cause, command
 
-LATEST_US = 2 * END_US  # a run is this long at most; one that still does things a moment apart by then is a bug
+LATEST_US = 2 * END_US  # no run is longer; one that is still busy then, with moments between commands, is a bug
 MOMENT_US = 60_000_000
 
 
 @lru_cache(maxsize=32)
 def _plan(table: HandlerTable) -> _Plan:
-    """Return, for each event type, the projections that handle it and the reactions that follow it."""
+    """Return, for each event type, the projections that handle it and the reactions to it."""
     return {kind: (ROUTES.get(kind, ()), table.reacts.get(kind, ())) for kind in EVENT_TYPES}
 
 
 class Kernel:
-    """One run in progress: what was recorded, the state it makes, and the commands that are pending."""
+    """One run in progress: the events recorded so far, their state, and the pending commands."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class Kernel:
     ) -> None:
         """Begin the run with `founding`.
 
-        `founded` is the state that all of it but its first event makes, where that is known already.
+        `founded` is the state after all founding events but the first, if already known.
         """
         self.times_us: list[int] = []
         self.caused_by: list[int | None] = []
@@ -76,7 +76,7 @@ class Kernel:
             self._begin(founding, founded)
 
     def _begin(self, founding: Sequence[Event], founded: State) -> None:
-        """Record the founding. Nothing is pending after it: reactions are to what a fleet does."""
+        """Record the founding. It leaves nothing pending: handlers react only to what a fleet does."""
         self.times_us += [0] * len(founding)
         self.caused_by += [None, *[0] * (len(founding) - 1)]
         self.events += founding
@@ -113,16 +113,16 @@ class Kernel:
                 return
 
     def _require_end(self, time_us: int, cause: int, scheduled: Scheduled) -> None:
-        """Check that what is due so late was waited for long. Raises: RuntimeError if it was not."""
+        """Check that a command due so late was scheduled long before. Raises: RuntimeError if it was not."""
         if time_us - self.times_us[cause] < MOMENT_US:
             raise RuntimeError(
                 f"the run does not end: {scheduled.command} is due at {time_us} microseconds, caused by event {cause}"
             )
 
     def restore(self, times_us: Sequence[int], caused_by: Sequence[int | None], events: Sequence[Event]) -> None:
-        """Put the run before the last batch of these recorded events; `run` makes that batch again and goes on.
+        """Restore the run to just before the last batch of these events; `run` makes that batch again and continues.
 
-        The first event must be the founding batch's that this kernel was made with.
+        The events must begin with the founding batch with which this kernel was made.
         """
         end = len(events) - 1
         while end > 0 and _is_same_batch(times_us, caused_by, end):
@@ -139,7 +139,7 @@ class Kernel:
             self._discard_before(times_us[end], caused_by[end])
 
     def _discard_until(self, time_us: int, cause: int | None) -> None:
-        """Pop the command that made the recorded batch, and those before it that made nothing."""
+        """Pop the command that made the recorded batch, and those before it that made no event."""
         if cause == 0:
             self._next_fact += 1
             while self._pending and self._pending[0][0] < time_us:
@@ -184,14 +184,14 @@ class Kernel:
                     due_us += 1
                 taken = (*taken, due_us)
                 self._serial += 1
-                if not self._keep((due_us, self._serial, seq, scheduled), due_us - time_us):  # a message sets out
+                if not self._keep((due_us, self._serial, seq, scheduled), due_us - time_us):  # a message departs
                     heappush(self._pending, (due_us, self._serial, seq, scheduled))
 
     def _keep(self, one: _Pending, after_us: int = 0) -> bool:
-        """Keep what cannot be done now, because a robot is off or a link down, and tell whether it was kept.
+        """Keep a command that cannot run now, because a robot is off or a link down; return whether it was kept.
 
-        It is due after the time it had left once they are back. Of a message that sets out (it has time to go) only its
-        sender counts; of one that is there only its receiver, and who passed it on.
+        Once they are back, it is due after the time it had left. For a message that departs (it has time to go) only
+        the sender matters; for one that has arrived, only its receiver and who passed it on.
         """
         world = self.state.world
         if not world.off and not world.unlinked:
@@ -214,7 +214,7 @@ class Kernel:
         return None if actor is None else actor(self.state, scheduled.command)
 
     def _happened(self, fact: Event, time_us: int) -> None:
-        """Apply a fact of the world: keep what it stops, and make due again what it brings back."""
+        """Apply a fact of the world: keep the commands it stops, and schedule again those it brings back."""
         self._record(fact, time_us, 0)
         if isinstance(fact, RobotWentOff):
             stopped = [one for one in self._pending if self._actor(one[3]) == fact.robot and not _is_message(one[3])]
@@ -228,9 +228,9 @@ class Kernel:
             self._release(time_us)
 
     def _release(self, now_us: int) -> None:
-        """Make all that is kept due again, or keep it on.
+        """Schedule everything kept again, or keep it further.
 
-        No two items are due at one instant, nor at that of another command of their cause.
+        No two items become due at the same instant, nor at that of another command with the same cause.
         """
         kept, self._kept = self._kept, []
         taken = {(due_us, cause) for due_us, _, cause, _ in self._pending}
@@ -246,16 +246,13 @@ class Kernel:
 
 
 def _is_message(scheduled: Scheduled) -> bool:
-    """Tell whether this only travels.
-
-    A message goes on its way while its receiver is off, and waits there.
-    """
+    """Return whether this is only a message, which travels while its receiver is off, and waits there."""
     return (
         scheduled.after_us <= 1 and bool(scheduled.draws) and all(draw.sender is not None for draw in scheduled.draws)
     )
 
 
 def _is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:
-    """Tell whether the event belongs to the batch of the event before it."""
+    """Return whether the event belongs to the batch of the event before it."""
     cause = caused_by[seq]
     return cause is not None and times_us[cause] == times_us[seq]

@@ -1,6 +1,6 @@
-"""A designer's own scenario, fleet and constants from outside the package, checked.
+"""Reads and checks a designer's own scenario, fleet and constants from outside the package.
 
-They are put among the constants of a run, so event 0 of every run holds them and the run replays anywhere without the
+They become part of a run's constants, so event 0 of every run holds them and the run replays anywhere without the
 files.
 """
 
@@ -29,15 +29,13 @@ _SHARES = ("_share", "_probability", "_reliability")
 def with_own(
     constants: Constants, scenarios: Sequence[str], fleet: str | None = None, settings: Sequence[str] = ()
 ) -> tuple[Constants, tuple[str, ...]]:
-    """Return the constants with what is a designer's own, and the names of the scenarios.
+    """Return the constants with the designer's own parts, and the names of the scenarios.
 
-    A scenario that ends in `.toml` is a file; so is a fleet, which else is the name of a registered one. `settings` are
-    `NAME=VALUE`.
+    A scenario or fleet that ends in `.toml` is a file, else the name of a registered one. `settings` are `NAME=VALUE`.
 
     Raises:
-        UsageError: a file cannot be read, or what is in it cannot be (with line and field); a name is unknown; a value
-            is
-            impossible.
+        UsageError: a file cannot be read, or its content is impossible (with line and field); a name is unknown; a
+            value is impossible.
     """
     own_fleet = _fleet(fleet)
     own: Scenario | None = None
@@ -46,7 +44,7 @@ def with_own(
             continue
         if len(scenarios) > 1:
             raise UsageError(
-                f"--scenario {name}: found {len(scenarios)} scenarios, expected a file alone; run the others apart"
+                f"--scenario {name}: found {len(scenarios)} scenarios, expected a file alone; run the others separately"
             )
         path = Path(name)
         design, text = read_design(path, Scenario)
@@ -60,12 +58,12 @@ def with_own(
 
 
 def is_file(name: str) -> bool:
-    """Tell whether what stands where a name may stand is a file."""
+    """Return whether the argument is a file rather than a registered name."""
     return name.endswith(".toml")
 
 
 def _fleet(asked: str | None) -> Fleet | None:
-    """Return the fleet that goes on record; None is the paper's."""
+    """Return the fleet to store in event 0; None is the paper's."""
     if asked is None or asked == registered.PAPER_FLEET:
         return None
     if is_file(asked):
@@ -95,7 +93,7 @@ def _taken(name: str, names: Sequence[str]) -> Problem:
 
 
 def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
-    """Return the constants with each `NAME=VALUE`, by dotted name as `info --json` shows them. Raises: UsageError."""
+    """Return the constants with each `NAME=VALUE` set, by the dotted names of `info --json`. Raises: UsageError."""
     if not settings:
         return constants
     tree = msgspec.to_builtins(constants)
@@ -132,7 +130,7 @@ def _nearest(name: str, names: Sequence[str]) -> str:
 
 
 def _number(setting: str, name: str, value: str) -> float | int:
-    """Return the value of a setting. Raises: UsageError if it is none that the constant can have."""
+    """Return the value of a setting. Raises: UsageError if the constant cannot have it."""
     try:
         found = msgspec.json.decode(value)
     except msgspec.DecodeError:
@@ -147,7 +145,7 @@ def _number(setting: str, name: str, value: str) -> float | int:
 
 
 def _put(tree: dict[str, Any], name: str, value: float | int) -> None:
-    """Put the value where the name says; a group that is absent is made."""
+    """Set the value at the dotted name; an absent group is created."""
     parts = [one or other for one, other in _PART.findall(name)]
     where: Any = tree
     for at, part in enumerate(parts[:-1]):
@@ -162,7 +160,7 @@ def _put(tree: dict[str, Any], name: str, value: float | int) -> None:
 
 
 def _ranges(name: str, value: Any) -> Iterator[tuple[str, float, float]]:
-    """Yield each uniform law with its name and ends."""
+    """Yield the name and the ends of each range."""
     if isinstance(value, dict):
         if value.keys() == {"low_s", "high_s"}:
             yield name, value["low_s"], value["high_s"]

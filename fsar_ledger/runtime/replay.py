@@ -1,23 +1,24 @@
-"""Replay: from its parameters, the world and the handlers must make a run as recorded, event by event.
+"""Replay: the world and the handlers must make a run again from its parameters, exactly as recorded, event by event.
 
-- What was played (seed, architecture, scenario, constants): from `RunStarted`, as recorded. Constants other than this
-  version's are a remark (`worlds.py`).
+- What was simulated (seed, architecture, scenario, constants): taken from `RunStarted` as recorded. Constants other
+  than this version's are a remark (`worlds.py`).
 - What the world did by itself (`events/world.py`), and when: made again (`world/schedule.py`) and compared, so that
-  none is left out, added or changed.
+  nothing is left out, added or changed.
 - Who founds the fleet, with which capabilities and trust: made again for the recorded fleet size, and compared.
 - Every decision (what, by whom, when, caused by which event): made again by the handlers, and compared.
-- What was planned (`ExperimentPlanned`, which is no run): as recorded; its name is a digest of it.
+- What was planned (`ExperimentPlanned`, which is no run): taken as recorded; its name is a digest of it.
 - How long messages, ways, attempts, answers and executions take, and whether a degraded actuator holds: drawn again
   under the recorded seed.
 
-So a simulated run has one record only, and nothing in it is taken on trust but its first event, which its name is a
-digest of. The schedule is made to its horizon and a run ends when nothing is left to happen, so all of the schedule is
-in the record. The facts of the paper's workflows are named by their scenario, and made again, too. What another kind of
-run (scripted, forked, live) differs in from the world of its seed has to be declared in its first event: `_Replay`
-takes the schedule with what is declared there, and `_parameters` refuses the kinds that declare nothing.
+So a simulated run has only one possible record, and nothing in it is taken on trust but its first event, whose digest
+is in the run's name. The schedule is made to its horizon and a run ends when nothing is left to happen, so the whole
+schedule is in the record. The facts of the paper's workflows follow from their scenario, and are also made again. Any
+other kind of run (scripted, forked, live) would have to declare in its first event how it differs from the world of its
+seed: `_Replay` takes the schedule with what is declared there, and `_parameters` refuses the kinds that declare
+nothing.
 
-The record has the length of an execution, too, as `ends_us`. It is drawn again all the same: to take it from there
-would be to believe the decision that is in question.
+The record also holds the length of an execution, as `ends_us`. It is drawn again all the same: taking it from the
+record would be to believe the decision in question.
 """
 
 import gc
@@ -58,21 +59,21 @@ _FACTS = frozenset(get_args(WorldEvent))
 _END = "the end of the run"
 
 FACTS_PER_ROBOT = 1_000
-"""The most facts of the world that recorded rates may lead one to expect.
+"""The most facts of the world that recorded rates may make, for each robot, in addition to the number of events.
 
-Counted for each robot, and beside as many as there are events; the model's make 37 to 373. Recorded rates may be an
-enemy's: a world of a billion facts is no record of a few events, and is not made to find that out.
+The model's rates make 37 to 373. Recorded rates may come from an adversary: a world of a billion facts cannot be that
+of a record of a few events, and is not made to find that out.
 """
 
 MAX_SILENT = 100_000
-"""Decisions in a row that make nothing; no run of the model takes a hundred."""
+"""The most consecutive decisions that make no event; no run of the model needs a hundred."""
 
 
 class Difference(msgspec.Struct, frozen=True):
-    """The first place where a record is not what was decided, or why that could not be checked.
+    """The first place where a record differs from what was decided, or the reason why that could not be checked.
 
     `expected` and `actual` say which. `handler` is the function that makes what is expected, or that had its turn there
-    and made nothing; None where there is none. `commit` and `segment` are where the run is stored, None while that is
+    and made nothing; None where there is none. `commit` and `segment` say where the run is stored, None where that is
     not known.
     """
 
@@ -97,9 +98,9 @@ class Difference(msgspec.Struct, frozen=True):
 class ReplayReport(msgspec.Struct, frozen=True):
     """The result of `replay`.
 
-    Units: `commits`, `runs` and `events` (of runs) count what is as made again, to the last event.
+    Units: `commits`, `runs` and `events` (of runs) count what replay made exactly as recorded.
 
-    `remarks` are no doubts: constants that are not this version's.
+    `remarks` do not cast doubt on a run: they name constants that are not this version's.
     """
 
     ok: bool
@@ -111,9 +112,9 @@ class ReplayReport(msgspec.Struct, frozen=True):
 
 
 class CommitReport(msgspec.Struct, frozen=True):
-    """The result of `replay_commit`: as `ReplayReport`, of one commit.
+    """The result of `replay_commit`: as `ReplayReport`, for one commit.
 
-    `worlds` are those of the runs that are as made again.
+    `worlds` are those of the runs that replayed as recorded.
     """
 
     differences: tuple[Difference, ...]
@@ -123,7 +124,7 @@ class CommitReport(msgspec.Struct, frozen=True):
 
     @property
     def ok(self) -> bool:
-        """Tell whether nothing differs."""
+        """Return whether nothing differs."""
         return not self.differences
 
 
@@ -134,11 +135,11 @@ NOT_REPLAYED = ReplayReport(False)
 def replay(
     path: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, commits: int | None = None
 ) -> ReplayReport:
-    """Play every run again, and report the first difference of each run that differs or could not be checked.
+    """Replay every run, and report the first difference of each run that differs or could not be checked.
 
     Args:
-        path: The directory of the ledger, which is taken to verify.
-        workers: Processes that play; the report does not depend on it.
+        path: The directory of the ledger, which is assumed to verify.
+        workers: Number of processes; the report does not depend on it.
         progress: Called with (segments done, segments in all).
         commits: Only the first so many; None is all of them.
 
@@ -186,7 +187,7 @@ def replay_commit(path: str, number: int, file: str) -> CommitReport:
                 starts += [event for event in record.events[:1] if isinstance(event, RunStarted)]
             else:
                 found.append(msgspec.structs.replace(difference, commit=number, segment=file))
-    except Exception as error:  # a check that fails in a way nobody thought of is still a finding
+    except Exception as error:  # a check that fails in an unforeseen way is still a finding
         found.append(Difference(None, None, None, None, "runs that can be replayed", _told(error), number, file))
     finally:
         gc.enable()
@@ -194,16 +195,16 @@ def replay_commit(path: str, number: int, file: str) -> CommitReport:
 
 
 def _replay_plan(record: LedgerRun) -> Difference | None:
-    """Return the first field in which a plan is not as it is committed, or None.
+    """Return the first field in which the record of a plan is wrong, or None.
 
-    What was meant is taken as recorded; the plan's name is a digest of it.
+    What was planned is taken as recorded; the plan's name is a digest of it.
     """
     found = misnamed(record)
     return None if found is None else Difference(record.run_id, 0, found[0], "plan.plan_record", found[2], found[1])
 
 
 def replay_run(record: LedgerRun) -> Difference | None:
-    """Return the first difference of the record from what the world and the handlers make, or None. Never raises."""
+    """Return the first difference between the record and what world and handlers make, or None. Never raises."""
     one: _Replay | None = None
     try:
         if type(record.events[0]) in ALONE:
@@ -221,27 +222,27 @@ def replay_run(record: LedgerRun) -> Difference | None:
 
 def _told(error: Exception) -> str:
     if isinstance(error, MemoryError):
-        raise error  # no fault of the ledger's
+        raise error  # not the ledger's fault
     return f"{type(error).__name__}: {error!s:.300}"
 
 
 class _Differs(Exception):
-    """The end of a replay at a difference."""
+    """Raised to end a replay at a difference."""
 
     def __init__(self, run: str, seq: int, field: str | None, handler: str | None, expected: str, actual: str) -> None:
         self.difference = Difference(run, seq, field, handler, expected, actual)
 
 
 class _Replay(Kernel):
-    """A run in progress that stops at the first event that is not as recorded."""
+    """A run in progress that stops at the first event that differs from the record."""
 
     def __init__(self, record: LedgerRun, spec: RunSpec, constants: Constants) -> None:
-        """Put the run after its founding. Raises: _Differs if the record has another one."""
+        """Make the run up to its founding. Raises: _Differs if the record has another one."""
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
         self._facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
-        self._silent: list[tuple[int, Decide]] = []  # when, and who had a turn since the last event and made nothing
+        self._silent: list[tuple[int, Decide]] = []  # decisions since the last event, which made none
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
         draws = draws_of(spec, constants)
@@ -259,7 +260,7 @@ class _Replay(Kernel):
             raise self._unasked(seq) or _Differs(self._stored.run_id, seq, "type", None, _END, self._actual(seq))
 
     def _noted(self, decide: Decide) -> Decide:
-        """Return the same decision, which notes that it is being taken."""
+        """Return the decision wrapped so that it is noted when it is taken."""
 
         def noted(state: State, command: Command) -> tuple[Event, ...]:
             self._deciding = decide
@@ -283,7 +284,7 @@ class _Replay(Kernel):
         super()._record(event, time_us, cause)
 
     def _require(self, seq: int, event: Event, time_us: int, cause: int | None) -> None:
-        """Check that the event of that seq is recorded as this one. Raises: _Differs."""
+        """Check that the record has this event at that seq. Raises: _Differs."""
         stored = self._stored
         if seq >= self._count:
             raise _Differs(stored.run_id, seq, "type", self.handler(), _at(event, time_us), _END)
@@ -291,7 +292,7 @@ class _Replay(Kernel):
             raise self._unasked(seq) or _Differs(stored.run_id, seq, *self._first_field(seq, event, time_us, cause))
 
     def _first_field(self, seq: int, event: Event, time_us: int, cause: int | None) -> tuple[str, str | None, str, str]:
-        """Return the first field in which the recorded event is another one: name, handler, expected, actual."""
+        """Return the first field in which the recorded event differs: name, handler, expected, actual."""
         stored, actual_us = self._stored.events[seq], self._stored.times_us[seq]
         if type(stored) is not type(event):
             return "type", self.handler(), _at(event, time_us), self._actual(seq)
@@ -307,13 +308,13 @@ class _Replay(Kernel):
         return name, self.handler(), f"{expected!r:.300}", f"{actual!r:.300}"
 
     def _actual(self, seq: int) -> str:
-        """Return what is recorded there; of a fact of the world, also whether the world has it."""
+        """Return what is recorded there; for a fact of the world, also say if the world does not have it."""
         event, time_us = self._stored.events[seq], self._stored.times_us[seq]
         invented = type(event) in _FACTS and (time_us, event) not in self._facts
         return _at(event, time_us) + (", which the world of this run does not have" if invented else "")
 
     def _unasked(self, seq: int) -> _Differs | None:
-        """Return the difference, if the recorded event stands where a handler had its turn and made nothing."""
+        """Return the difference if the recorded event is where a handler had its turn and made nothing, else None."""
         decide = dict(self._silent).get(self._stored.times_us[seq])
         return (
             None
@@ -327,13 +328,13 @@ def _name(function: Callable[..., object]) -> str:
 
 
 def _at(event: Event, time_us: int) -> str:
-    """Return the event, for a fact of the world with what it is about."""
+    """Describe the event; for a fact of the world, with its fields."""
     about = ", ".join(f"{name} {value!r:.80}" for name, value in flat(event).items()) if type(event) in _FACTS else ""
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 
 def _begun(record: LedgerRun) -> _Replay:
-    """Return the run at its founding. Raises: _Differs if it cannot be replayed, or founding or name differ."""
+    """Return the run at its founding. Raises: _Differs if it cannot be replayed, or its founding or name differs."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
         raise _Differs(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
@@ -344,7 +345,7 @@ def _begun(record: LedgerRun) -> _Replay:
 
 
 def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpec, Constants]:
-    """Return what the run was made from. Raises: _Differs if this program cannot make such a run."""
+    """Return the parameters of the run. Raises: _Differs if this version cannot make such a run."""
 
     def refused(field: str | None, expected: str, actual: str) -> _Differs:
         return _Differs(run, 0, field, None, expected, f"{actual}, so the run cannot be replayed")
@@ -360,9 +361,7 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
         constants = _constants(started.parameters or "")
         most = FACTS_PER_ROBOT * spec.fleet_size + event_count
         if not arrivals_expected(constants, spec.fleet_size) <= most:
-            raise refused(
-                "parameters", f"rates of the world that make at most {most} facts", "more than that to be expected"
-            )
+            raise refused("parameters", f"rates of the world that make at most {most} facts", "rates that make more")
         Experiment(
             (spec.architecture,),
             (spec.scenario,),

@@ -25,12 +25,12 @@ from .world.schedule import schedule
 MODEL_VERSION = "2"
 
 ARCHITECTURES = ("fsar", "cfc", "dhma")
-"""The three that the paper compares, which stay three however many are registered."""
+"""The three architectures that the paper compares, however many others are registered."""
 SCENARIOS = PAPER_SCENARIOS
 
 
 class RunSpec(msgspec.Struct, frozen=True):
-    """What identifies a run; another value anywhere is another run."""
+    """What identifies a run; changing any value gives another run."""
 
     seed: int
     architecture: str
@@ -60,7 +60,7 @@ def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
 
 
 def run_id(started: RunStarted) -> str:
-    """Return a readable name and a digest of all parameters, so that other parameters are another run."""
+    """Return a readable name with a digest of all parameters, so that other parameters give another run."""
     digest = sha256(msgspec.json.encode(started, order="sorted")).hexdigest()[:12]
     cell = f"{started.architecture}.{started.configuration}.{started.scenario}"
     return f"{cell}.n{started.fleet_size}.s{started.seed}.r{started.run:04d}-{digest}"
@@ -78,7 +78,7 @@ def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = Non
 
 
 def draws_of(spec: RunSpec, constants: Constants) -> Draws:
-    """Return the draws that the run meets on its way; how long capabilities of an own fleet take is among them."""
+    """Return the draws of the run; the durations of an own fleet's capabilities are among them."""
     return Draws(run_key(spec.seed, spec.scenario, spec.run), _world(constants.world, constants.fleet))
 
 
@@ -89,7 +89,7 @@ def _world(world: WorldConstants, fleet: Fleet | None) -> WorldConstants:
 
 
 def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:
-    """Return the events that the run begins with, and the state that all of them but the first make."""
+    """Return the events with which the run begins, and the state after all of them but the first."""
     fleet = (spec.fleet_size, constants.world.floor_teams, constants.fleet)
     return (run_started(spec, constants), *_founding(*fleet)), _founded(*fleet)
 
@@ -99,7 +99,7 @@ _founding = lru_cache(maxsize=4)(founding)
 
 @lru_cache(maxsize=4)
 def _founded(fleet_size: int, floor_teams: int, fleet: Fleet | None) -> State:
-    """Return the state of a fleet of which only the run is not known yet."""
+    """Return the state after the founding of a fleet, before its run is known."""
     return fold(_founding(fleet_size, floor_teams, fleet))
 
 

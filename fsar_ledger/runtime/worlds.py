@@ -1,8 +1,8 @@
-"""Which worlds the runs of a ledger met: replay makes every run under the constants that the run itself records.
+"""Remarks on the worlds of a ledger's runs: replay makes every run under the constants that the run itself records.
 
-A ledger's maker may record other constants than this version's, for all of its runs or for some. Such a run is as its
-world and its handlers make it, so replay does not doubt it. But a world without obstructions says little of one with
-them, and two runs of one seed that met different worlds are no pair. So a reader is told.
+The maker of a ledger may record constants other than this version's, for some or all of its runs. Such a run is what
+its world and its handlers make, so replay does not doubt it. But a world without obstructions says little about one
+with them, and two runs of one seed that met different worlds are no pair. So the reader is told.
 """
 
 from collections import Counter
@@ -17,7 +17,7 @@ from fsar_ledger.printable import NAMED, some
 
 KINDS = {
     "other constants": "met a world or a structure that is not this version's",
-    "another load": "had other work than by default",
+    "another load": "had a non-default load",
 }
 
 World = tuple[int | None, str | None, int | None, int | None]  # seed, scenario, fleet size, run
@@ -33,14 +33,14 @@ class Played(msgspec.Struct, frozen=True):
 
 
 def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
-    """Return what these runs met, in the order in which it was first met."""
+    """Return the worlds that these runs met, in the order in which they were first met."""
     groups: dict[tuple[str, str, str], list[World]] = {}
     for one in starts:
         kind = (
             one.parameters or "",
             one.architecture or "",
             one.configuration or "",
-        )  # all there of a run that was replayed
+        )  # none is missing in a replayed run
         groups.setdefault(kind, []).append((one.seed, one.scenario, one.fleet_size, one.run))
     return tuple(Played(*kind, tuple(worlds)) for kind, worlds in groups.items())
 
@@ -48,7 +48,7 @@ def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
 def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
     """Return a line for each set of constants that is not this version's.
 
-    Another line says that a world has no pair of two architectures under the same set.
+    A last line says if two architectures or configurations met a world under no set of constants in common.
     """
     runs: dict[str, Counter[str]] = {}
     met: dict[World, dict[str, set[int]]] = {}
@@ -68,7 +68,7 @@ def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
         if (differences := unlike_ours(parameters))
     ]
     if len(lines) > NAMED:
-        lines[NAMED:] = [f"other constants: {len(lines) - NAMED:,} sets more"]
+        lines[NAMED:] = [f"other constants: {len(lines) - NAMED:,} more sets"]
     unlike = [
         world
         for world, sides in met.items()

@@ -1,1 +1,1 @@
-"""Witnesses of a ledger (C2SP tlog-witness): the service that cosigns, the client that asks, the auditor's policy."""
+"""Witnesses of a ledger (C2SP tlog-witness): the service that cosigns, the client, and the auditor's policy."""

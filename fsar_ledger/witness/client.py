@@ -1,6 +1,6 @@
-"""The HTTP client that asks witnesses, with bounds on the size and the time of every answer.
+"""The HTTP client that asks witnesses, with limits on the size and the time of every answer.
 
-An answer is only transport: its callers believe what a signature in it proves.
+Answers themselves are not trusted: callers believe only what a signature in one proves.
 """
 
 import http.client
@@ -13,7 +13,7 @@ from urllib.parse import SplitResult, urlsplit
 from fsar_ledger.witness.protocol import MAX_BODY_BYTES, Answer
 
 ANSWER_S = 10.0
-"""A witness that has not answered within this time counts as silent."""
+"""Seconds after which a witness that has not answered counts as silent."""
 
 _One = TypeVar("_One")
 _Found = TypeVar("_Found")
@@ -50,7 +50,7 @@ def ask(url: str, path: str, body: bytes | None = None) -> Answer:
 def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list[_Found | NoAnswer]:
     """Ask all members at once and return each one's answer, in the order of the members.
 
-    A member whose whole answer takes longer than `ANSWER_S` is silent, even if it sends a byte now and then.
+    A member whose complete answer takes longer than `ANSWER_S` is silent, even if it sends a byte now and then.
     """
     found: list[_Found | NoAnswer] = [NoAnswer(f"no answer within {ANSWER_S:.0f} s")] * len(members)
     finished = [Event() for _ in members]
@@ -74,7 +74,7 @@ def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list
 
 
 def _parse_url(url: str) -> SplitResult:
-    """Parse the URL of a witness. Raises: NoAnswer if it is not one that can be asked."""
+    """Parse the URL of a witness. Raises: NoAnswer if it is not a usable one."""
     try:
         place = urlsplit(url)
         is_right = (
@@ -87,7 +87,7 @@ def _parse_url(url: str) -> SplitResult:
     except ValueError:
         is_right = False
     if not is_right or place.query or place.fragment or place.username is not None:
-        raise NoAnswer(f"{url}: no URL of a witness, expected http://HOST:PORT or https://HOST, with or without a path")
+        raise NoAnswer(f"{url}: not a witness URL, expected http://HOST:PORT or https://HOST, with or without a path")
     return place
 
 

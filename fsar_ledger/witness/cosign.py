@@ -1,4 +1,4 @@
-"""Sends a ledger's newest checkpoint to witnesses, each with a proof that the log only grew since the one it knows."""
+"""Sends a ledger's newest checkpoint to witnesses, each with a proof that the log only grew since the one it has."""
 
 from http import HTTPStatus
 from pathlib import Path
@@ -16,13 +16,13 @@ from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness
 from fsar_ledger.witness.protocol import ADD_CHECKPOINT, SIZE, Answer, Request
 
-_TRIES = 3  # the first learns the size that the witness knows; another client may advance it before the second
+_TRIES = 3  # the first gets the size that the witness knows; another client may advance it before the second
 
 
 class Cosigned(msgspec.Struct, frozen=True):
-    """The outcome of asking the witnesses of a policy.
+    """The outcome of asking the witnesses of a policy to cosign.
 
-    `note` carries their cosignatures. `times` says when each one cosigned (seconds since 1970, by witness name), and
+    `note` carries their cosignatures. By witness name, `times` holds when each one cosigned (seconds since 1970) and
     `silent` why the others did not.
     """
 
@@ -32,7 +32,7 @@ class Cosigned(msgspec.Struct, frozen=True):
 
 
 def published_note(view: LedgerView) -> Note:
-    """Return the note of the newest commit, or of the one before it while the newest one's tiles are unwritten.
+    """Return the note of the newest commit, or of the one before it if the newest one's tiles are not yet written.
 
     Raises:
         UsageError: There is no commit, or its checkpoint is unsigned.
@@ -45,7 +45,7 @@ def published_note(view: LedgerView) -> Note:
     if not note.signatures:
         raise UsageError(
             f"{view.path}: found an unsigned checkpoint, expected one signed by the ledger's key: "
-            "witnesses cosign no other; see simulate --key"
+            "witnesses cosign only signed ones; see simulate --key"
         )
     return note
 
@@ -54,16 +54,16 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
     """Send the ledger's newest checkpoint to every witness of the policy that has a URL.
 
     Raises:
-        UsageError: The policy has no URL, or the ledger no signed checkpoint.
+        UsageError: The policy has no URL, or the ledger has no signed checkpoint.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`.
     """
     asked = [witness for witness in policy.witnesses if witness.url is not None]
     if not asked:
-        raise UsageError(f"{policy.file}: found no witness with a URL, expected one that can be asked")
+        raise UsageError(f"{policy.file}: found no witness with a URL, expected at least one")
     note = published_note(open_ledger(ledger))
     answers = ask_all(lambda witness: _obtain(ledger, note, witness), asked)
     silent = {
-        witness.name: f"the policy has no URL of {witness.name}" for witness in policy.witnesses if witness.url is None
+        witness.name: f"the policy has no URL for {witness.name}" for witness in policy.witnesses if witness.url is None
     }
     cosignatures: list[Signature] = []
     times: dict[str, int] = {}
@@ -95,7 +95,7 @@ def _obtain(ledger: Path, note: Note, witness: Witness) -> tuple[int, Signature]
                 "this is an older copy, or the newest were removed"
             )
     else:
-        raise NoAnswer(f"{url}: refused {_TRIES} times: it says each time that it knows another size")
+        raise NoAnswer(f"{url}: refused {_TRIES} times: each time it said that it knows a different size")
     meaning = _MEANINGS.get(answer.status, "")
     raise NoAnswer(f"{url}: refused with {answer.status}{meaning}")
 
@@ -119,7 +119,7 @@ def _proof(ledger: Path, old: int, new: int) -> tuple[bytes, ...]:
 
 
 def _cosignature(answer: Answer, note: Note, witness: Witness) -> tuple[int, Signature]:
-    """Return the newest cosignature of this witness in the answer, with its time. Raises: NoAnswer if none is."""
+    """Return the time and the newest cosignature of this witness in the answer. Raises: NoAnswer if it has none."""
     try:
         found = parse_cosigned("answer", f"{note.checkpoint.text()}\n{answer.text}".encode())
     except LedgerCorrupted as error:

@@ -45,7 +45,7 @@ MAX_TIME_S = 2**63 - 1
 
 
 class WitnessKey(msgspec.Struct, frozen=True):
-    """The public key of a witness. Raises: ValueError for a key under which anybody could sign."""
+    """The public key of a witness. Raises: ValueError for a key for which anyone could sign."""
 
     name: str
     public: bytes
@@ -92,7 +92,7 @@ class Cosigner:
         """Cosign the checkpoint: the witness knew no larger tree of this log at `time_s` (seconds since 1970).
 
         Raises:
-            ValueError: The time is not one.
+            ValueError: The time is not a valid one.
         """
         if not 0 < time_s <= MAX_TIME_S:
             raise ValueError(f"found time {time_s}, expected seconds since 1970")
@@ -101,7 +101,7 @@ class Cosigner:
 
 
 def cosigned_text(checkpoint: Checkpoint, time_s: int) -> bytes:
-    """Return the bytes that a cosignature of that time signs."""
+    """Return the bytes that a cosignature made at this time signs."""
     return f"cosignature/v1\ntime {time_s}\n{checkpoint.text()}".encode()
 
 
@@ -109,7 +109,7 @@ def parse_cosigned(where: str, data: bytes) -> Note:
     """Parse a note as `parse_note` does, but with up to 64 signatures.
 
     Raises:
-        LedgerCorrupted: The bytes are no such note.
+        LedgerCorrupted: The bytes are not such a note.
     """
     try:
         body, _, signatures = data.decode().rpartition("\n\n")
@@ -127,8 +127,8 @@ def parse_vkey(text: str) -> VerifierKey | WitnessKey:
     """Parse the public key of a log (0x01) or of a witness (0x04).
 
     Raises:
-        ValueError: The text is no such key, or a key under which anybody could sign. The message does not repeat the
-            text, which may be a secret.
+        ValueError: The text is no such key, or a key for which anyone could sign. The message does not repeat the text,
+            which may be a secret.
     """
     name, _, rest = text.partition("+")
     key_id, _, data = rest.partition("+")
@@ -153,12 +153,10 @@ def parse_vkey(text: str) -> VerifierKey | WitnessKey:
     except ValueError as error:
         raise ValueError(
             f"found {error}, expected an Ed25519 public key of prime order; "
-            "no signature of it would prove anything, get another key"
+            "no signature by this key would prove anything; get another key"
         ) from error
     if key.key_id.hex() != key_id:
-        raise ValueError(
-            f"found another key id than {key.key_id.hex()}, which this key has; it was altered, get it again"
-        )
+        raise ValueError(f"found another key id than this key's, {key.key_id.hex()}; it was altered, get it again")
     return key
 
 
@@ -167,7 +165,7 @@ def _is_utf8(text: str) -> bool:
 
 
 def read_log_key(key: str) -> VerifierKey:
-    """Return the log's public key, given as its text or as the name of a file. Raises: UsageError."""
+    """Return the log's public key, given as text or as the name of a file. Raises: UsageError."""
     is_text = key.count("+") >= 2 and not os.path.lexists(key)
     where = "--log" if is_text else f"--log {key}"
     try:
@@ -182,7 +180,7 @@ def read_log_key(key: str) -> VerifierKey:
 
 
 def _read(path: Path) -> str:
-    """Read the text of this file without its last line feed. Raises: ValueError if it cannot be read."""
+    """Return the text of this file without its last line feed. Raises: ValueError if it cannot be read."""
     try:
         return disk.read_document(Path(os.path.realpath(path))).decode().removesuffix("\n")
     except (OSError, UnicodeDecodeError) as error:

@@ -1,8 +1,8 @@
-"""What the witnesses of a policy saw of a ledger, weighed for an auditor.
+"""Weighs, for an auditor, what the witnesses of a policy saw of a ledger.
 
-Two things follow from it. The ledger must begin with every checkpoint that its own key signed, whoever shows it: no
-witness can forge one. And the number of events that enough witnesses vouch for: each vouches for the tree that it
-cosigned and for every prefix of that tree.
+Two things follow from it. The ledger must begin with every checkpoint that its own key signed, whoever presents it: no
+witness can forge one. It also gives the number of events for which enough witnesses vouch: each vouches for the tree
+that it cosigned and for every prefix of that tree.
 """
 
 import os
@@ -22,13 +22,13 @@ from fsar_ledger.witness.policy import Policy, Witness
 from fsar_ledger.witness.protocol import checkpoint_path
 
 MAX_AGE_S = 300
-"""How far the time of a fresh cosignature may be from ours, in seconds: beyond it, it is old or a clock is wrong."""
+"""Seconds by which the time of a fresh cosignature may differ from ours; beyond that it is old or a clock is wrong."""
 
 
 class Statement(msgspec.Struct, frozen=True):
     """The statement of one witness: it saw `size` events at `time_s` (seconds since 1970).
 
-    Both are None where the statement does not count, and `reason` says why.
+    Both are None if the statement does not count; `reason` then says why.
     """
 
     witness: str
@@ -40,8 +40,8 @@ class Statement(msgspec.Struct, frozen=True):
 class Evidence(msgspec.Struct, frozen=True):
     """The statements of all witnesses of a policy.
 
-    `size` is the number of events that enough of them saw, 0 if there is none. `checkpoints` are those that the log's
-    key signed: the ledger must begin with each.
+    `size` is the largest number of events that enough of them saw, or 0. `checkpoints` are those that the log's key
+    signed: the ledger must begin with each.
     """
 
     size: int
@@ -54,7 +54,7 @@ def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_
     asked = [witness for witness in policy.witnesses if witness.url is not None]
     if not asked:
         raise UsageError(
-            f"{policy.file}: found no witness with a URL, expected one that can be asked; "
+            f"{policy.file}: found no witness with a URL, expected at least one; "
             "or give what they cosigned with --cosigned FILE"
         )
     answers = dict(
@@ -78,7 +78,7 @@ def read_cosigned(
     """Read the statements of the policy's witnesses from notes that were cosigned at any time.
 
     Raises:
-        UsageError: A file cannot be read, or is no note of this log.
+        UsageError: A file cannot be read, or is not a note of this log.
     """
     notes = {file: _read(file) for file in files}
     for file, note in notes.items():
@@ -132,7 +132,7 @@ def _is_of(logs: Sequence[VerifierKey], note: Note, origin: str) -> bool:
 def _statement(
     witness: Witness, where: str, note: Note, logs: Sequence[VerifierKey], origin: str, now_s: int, *, is_asked: bool
 ) -> Statement:
-    """Judge what this note says as the statement of this witness."""
+    """Return the statement of this witness according to this note."""
     time_s = witness.key.time_of(note)
     reason = None
     if not _is_of(logs, note, origin):
@@ -152,7 +152,7 @@ def _statement(
 
 
 def _weigh(policy: Policy, statements: Sequence[Statement], checkpoints: Sequence[Anchor]) -> Evidence:
-    """Find the largest size that enough witnesses cover; one that saw a larger tree saw the smaller one in it."""
+    """Find the largest size that enough witnesses saw; one that saw a larger tree also saw the smaller one in it."""
     sizes = sorted({one.size for one in statements if one.size}, reverse=True)
     enough = (
         size

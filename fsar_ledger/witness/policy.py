@@ -1,4 +1,4 @@
-"""The auditor's policy (C2SP tlog-policy): logs, witnesses, groups of them, and how many of each must have cosigned.
+"""The auditor's policy (C2SP tlog-policy): logs, witnesses, groups, and how many of each must have cosigned.
 
 ```
 log fsar-ledger/simulated+192e3659+AQ...
@@ -57,7 +57,7 @@ class Policy(msgspec.Struct, frozen=True):
     quorum: str | None
 
     def is_met(self, cosigned: AbstractSet[str]) -> bool:
-        """Return whether the witnesses of these names are enough."""
+        """Return whether the witnesses with these names are enough."""
         if self.quorum is None:
             return True
         enough = {witness.name for witness in self.witnesses if witness.name in cosigned}
@@ -67,7 +67,7 @@ class Policy(msgspec.Struct, frozen=True):
         return self.quorum in enough
 
     def rule(self) -> str:
-        """Say the quorum in words."""
+        """Describe the quorum in words."""
         groups = {group.name: group for group in self.groups}
         if self.quorum not in groups:
             return f"that of {self.quorum}"
@@ -89,7 +89,7 @@ def parse_policy(file: str, data: bytes) -> Policy:
     """Parse the bytes of a policy file.
 
     Raises:
-        UsageError: A line is not one of C2SP tlog-policy, or says what it forbids; the message names the line.
+        UsageError: A line is not valid in C2SP tlog-policy; the message names the line.
     """
     reader = _Reader(file)
     found = _FORBIDDEN.search(data)

@@ -38,7 +38,7 @@ _OLD = re.compile(r"old (0|[1-9][0-9]{0,18})")
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """An HTTP answer: its status, its text and the media type of that."""
+    """An HTTP answer: its status, its text and the media type."""
 
     status: int
     text: str
@@ -72,7 +72,7 @@ def parse_request(body: bytes) -> Request:
     """Parse a request to `add-checkpoint`.
 
     Raises:
-        ValueError: The bytes are no request; the message repeats nothing of them.
+        ValueError: The bytes are not a request; the message repeats nothing of them.
     """
     head, blank, note = body.partition(b"\n\n")
     try:
@@ -109,7 +109,7 @@ def judge(request: Request, logs: Sequence[VerifierKey], known: Checkpoint | Non
     Args:
         request: The parsed request.
         logs: The keys of all logs that this witness trusts.
-        known: The newest checkpoint of this log that it cosigned, None if there is none.
+        known: The newest checkpoint of this log that it cosigned, if any.
     """
     new = request.note.checkpoint
     trusted = [key for key in logs if key.name == new.origin]
@@ -134,7 +134,7 @@ def judge(request: Request, logs: Sequence[VerifierKey], known: Checkpoint | Non
 
 
 def signatures_of(note: Note, trusted: Sequence[VerifierKey]) -> tuple[Signature, ...]:
-    """Return the signatures by these keys of the log; none at all if one of them is forged."""
+    """Return the signatures by these keys of the log, or none at all if one of them is forged."""
     found: list[Signature] = []
     for key in trusted:
         of_key = [one for one in note.signatures if one.key == key.key]

@@ -1,4 +1,4 @@
-"""The HTTP/1.1 server of a witness: one POST, one GET, with bounds on size, number and time."""
+"""The HTTP/1.1 server of a witness: one POST, one GET, with limits on size, number and time of requests."""
 
 import io
 import socket
@@ -16,7 +16,7 @@ from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, Answer
 from fsar_ledger.witness.service import Service
 
 REQUEST_S = 10.0
-"""Seconds in which a request must arrive, from the start of its connection or from the previous answer."""
+"""Seconds within which a request must arrive, from the start of its connection or from the previous answer."""
 
 MAX_CONNECTIONS = 64
 _NAME_CHARACTERS = 64
@@ -26,14 +26,14 @@ _BUSY = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: c
 
 
 class _DeadlineReader(io.RawIOBase):
-    """A reader of a socket with one deadline for the whole request, however slowly it comes."""
+    """A reader of a socket with one deadline for the whole request, however slowly it arrives."""
 
     def __init__(self, connection: socket.socket, monotonic: Callable[[], float]) -> None:
         self._connection, self._monotonic = connection, monotonic
         self.begin()
 
     def begin(self) -> None:
-        """Start the time of the next request."""
+        """Start the deadline of the next request."""
         self._deadline = self._monotonic() + REQUEST_S
 
     def readable(self) -> bool:
@@ -123,18 +123,18 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(data)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:  # noqa: ARG002
-        """Answer what `http.server` refuses by itself in one line that repeats nothing of the request."""
+        """Answer requests that `http.server` refuses with one line that repeats nothing of the request."""
         self.close_connection = True
         if getattr(self, "request_version", "HTTP/0.9") == "HTTP/0.9":  # no HTTP/1 request, so no HTTP/1 answer
             self.request_version = self.protocol_version
         self._send(Answer(code, f"{HTTPStatus(code).phrase.lower()}\n"))
 
     def log_message(self, format: str, *args: object) -> None:
-        """Log nothing here: the service reports what matters, and strangers must not fill a log."""
+        """Log nothing: the service reports what matters, and strangers must not fill a log."""
 
 
 class WitnessServer(ThreadingHTTPServer):
-    """The listening server of a witness, one thread a connection.
+    """The listening server of a witness, with one thread per connection.
 
     Raises:
         UsageError: It cannot listen at this address.
@@ -151,7 +151,7 @@ class WitnessServer(ThreadingHTTPServer):
             self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0][0]
             super().__init__((host, port), _Handler)
         except (OSError, OverflowError, UnicodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "no such place"
+            reason = error.strerror if isinstance(error, OSError) else "no such address"
             raise UsageError(
                 f"--host {host} --port {port}: found no way to listen there ({reason}), "
                 "expected an address of this machine and a free port"
@@ -183,7 +183,7 @@ class WitnessServer(ThreadingHTTPServer):
             raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Serve the connection from beginning to end."""
+        """Serve the connection until it ends."""
         try:
             super().process_request_thread(request, client_address)
         finally:

@@ -1,4 +1,4 @@
-"""The service of a witness: it judges, stores and cosigns checkpoints, one request of a log at a time."""
+"""The service of a witness: it judges, stores and cosigns checkpoints, one request per log at a time."""
 
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
@@ -10,7 +10,7 @@ from fsar_ledger.witness.protocol import Answer, judge, origin_hash, parse_reque
 from fsar_ledger.witness.state import State
 
 Clock = Callable[[], int]
-"""Returns the time in seconds since 1970."""
+"""A function that returns the time in seconds since 1970."""
 
 
 class Service:
@@ -30,7 +30,7 @@ class Service:
         self._locks = {origin: Lock() for origin in self._origins.values()}
 
     def add_checkpoint(self, body: bytes) -> Answer:
-        """Cosign the checkpoint in this request, which is stored first, or say why not."""
+        """Store and cosign the checkpoint in this request, or say why not."""
         try:
             request = parse_request(body)
         except ValueError as error:

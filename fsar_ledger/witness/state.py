@@ -8,8 +8,9 @@ STATE/
                                 of the origin
 ```
 
-A witness that forgot would cosign a rewritten log as if it were new. So key and checkpoints are in one folder and are
-lost together, a checkpoint is on disk before its cosignature is sent, and one process at a time has the folder open.
+A witness that forgot would cosign a rewritten log as if it were new. So the key and the checkpoints are in one folder
+and are lost together, a checkpoint is on disk before its cosignature is sent, and only one process at a time has the
+folder open.
 """
 
 import errno
@@ -33,7 +34,7 @@ LOGS = "logs"
 
 
 class State:
-    """The folder of a witness, open in this process alone."""
+    """The folder of a witness, open only in this process."""
 
     def __init__(self, folder: Path, cosigner: Cosigner, newest: dict[str, Note]) -> None:
         self.folder, self.cosigner, self._newest = folder, cosigner, newest
@@ -55,16 +56,16 @@ class State:
 
 
 def new_state(folder: Path, name: str) -> WitnessKey:
-    """Make the folder of a new witness, with a new key and no checkpoints.
+    """Create the folder of a new witness, with a new key and no checkpoints.
 
     Raises:
-        UsageError: The name is not one of a key, or the folder is not empty; it is left as it is.
-        WriteFailed: The disk refused; there is no key.
+        UsageError: The name is not valid for a key, or the folder is not empty; it is left as it is.
+        WriteFailed: The disk refused; no key was made.
     """
     if not is_name(name):
         raise UsageError(
             f"--name {name!r}: expected a printable name without spaces and plus signs, "
-            "by custom host/path, as example.org/w1"
+            "by convention host/path, such as example.org/w1"
         )
     secret = os.urandom(KEY_BYTES)
     key = Cosigner(name, secret).key
@@ -82,17 +83,17 @@ def new_state(folder: Path, name: str) -> WitnessKey:
 
 @contextmanager
 def open_state(folder: Path) -> Iterator[State]:
-    """Open the witness in this folder, for this process alone.
+    """Open the witness in this folder, for this process only.
 
     Raises:
-        UsageError: The folder holds no witness, others may read its key, or another process has it open.
-        LedgerCorrupted: A stored checkpoint cannot be read, or is not what this witness wrote.
+        UsageError: The folder holds no witness, others can read its key, or another process has it open.
+        LedgerCorrupted: A stored checkpoint cannot be read, or was not written by this witness.
         WriteFailed: The folder cannot be locked.
     """
     if not (folder / SECRET).is_file():
         raise UsageError(
             f"{folder}: found no witness there, expected the folder that `fsar-ledger witness new` made; "
-            "a lost one cannot be made again"
+            "a lost one cannot be recreated"
         )
     handle = _locked(folder)
     try:
@@ -143,7 +144,7 @@ def _read_key(path: Path) -> Cosigner:
 
 
 def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:
-    """Read the newest note of each log, by origin."""
+    """Return the newest note of each log, by origin."""
     found: dict[str, Note] = {}
     try:
         names = [entry.name for entry in disk.entries(folder / LOGS)]
@@ -167,6 +168,6 @@ def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:
 
 
 _GONE = (
-    "expected the newest checkpoint of a log; do not take the file away, for then the witness would cosign a rewritten "
+    "expected the newest checkpoint of a log; do not remove the file, or the witness would cosign a rewritten "
     "log as a new one: retire this witness and make another"
 )

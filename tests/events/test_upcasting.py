@@ -206,10 +206,10 @@ def test_a_field_may_come_to_take_more() -> None:
         (
             (MovedV4, MovedV8),
             {},
-            r"field millimetres: found <class 'int'> become <class 'str'>, expected a type that takes every value",
+            r"field millimetres: found <class 'int'> turned into <class 'str'>, expected a type that takes every value",
         ),
-        ((MovedV7, MovedV10), {}, r"field millimetres: found int \| None become <class 'int'>"),
-        ((MovedV9, MovedV7), {}, r"field pace: found .* become typing.Literal\['slow', 'fast'\]"),
+        ((MovedV7, MovedV10), {}, r"field millimetres: found int \| None turned into <class 'int'>"),
+        ((MovedV9, MovedV7), {}, r"field pace: found .* turned into typing.Literal\['slow', 'fast'\]"),
     ],
     ids=[
         "too little",

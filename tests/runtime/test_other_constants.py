@@ -82,7 +82,7 @@ def test_runs_of_one_seed_under_different_constants_are_said_to_be_no_pairs() ->
 def test_another_load_is_said_as_such_and_pairs_under_a_common_one_are_pairs() -> None:
     both = [Constants(), Constants(load=Load(task_sets=2))]
     one, other = (RunSpec(9, architecture, "full", "door-relay", 4, 1) for architecture in ("fsar", "cfc"))
-    said = "another load: 2 of 4 runs (1 of fsar, 1 of cfc) had other work than by default: load.task_sets=2 (here 1)"
+    said = "another load: 2 of 4 runs (1 of fsar, 1 of cfc) had a non-default load: load.task_sets=2 (here 1)"
     assert remarks_on(played([run_started(spec, constants) for spec in (one, other) for constants in both])) == (said,)
     assert len(remarks_on(played([run_started(one, constants) for constants in both]))) == 1
     assert remarks_on(played([run_started(one, both[0]), run_started(other, both[1])]))[-1].startswith(
@@ -114,7 +114,7 @@ def test_remarks_are_few_and_short_whatever_the_constants() -> None:
     sides = cycle([RunSpec(9, architecture, "full", "door-relay", 4, 1) for architecture in ("fsar", "cfc")])
     remarks = remarks_on(played([started_with(world, spec) for world, spec in zip(odd, sides, strict=False)]))
     assert len(remarks) == 7
-    assert remarks[5] == "other constants: 44 sets more"
+    assert remarks[5] == "other constants: 44 more sets"
     assert all(len(remark) < 1000 and remark.isprintable() for remark in remarks)
 
 

@@ -296,9 +296,9 @@ def test_what_a_witness_cannot_answer_is_explained(ledgers: Path, tmp_path: Path
     policy = tmp_path / "policy"
     line = f"witness w {new_state(tmp_path / 'w', 'example.org/w')}"
     policy.write_text(f"log {SIGNER.verifier}\n{line} ftp://127.0.0.1\nquorum w\n")
-    one_message(call("verify", ledgers / "1", "--witness-policy", policy), 3, "no URL of a witness")
+    one_message(call("verify", ledgers / "1", "--witness-policy", policy), 3, "not a witness URL")
     one_message(
-        call("witness", "ask", ledgers / "1", "--policy", policy), 1, "no URL of a witness", "nothing was written"
+        call("witness", "ask", ledgers / "1", "--policy", policy), 1, "not a witness URL", "nothing was written"
     )
     one_message(
         call("witness", "ask", ledgers / "1", "--policy", policy, "--out", ledgers / "1" / "x"), 2, "inside the ledger"

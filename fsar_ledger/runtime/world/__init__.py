@@ -1,1 +1,1 @@
-"""The world: the only home of randomness. It knows scenarios and robots, and never the architecture."""
+"""The world: the only home of randomness. It knows scenarios and robots, but not the architecture."""

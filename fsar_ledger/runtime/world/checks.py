@@ -1,4 +1,4 @@
-"""Checks of what types cannot say about a design: a fleet in itself, and a scenario for a fleet."""
+"""Checks of designs beyond their types: a fleet by itself, and a scenario for a fleet."""
 
 import re
 from collections.abc import Collection, Iterator, Sequence
@@ -20,7 +20,7 @@ MOST_TIMES = 1_000
 
 
 class Problem(NamedTuple):
-    """A fault in a design: what is wrong, and where."""
+    """A fault in a design: where it is, what was found and what was expected."""
 
     field: Field
     found: str
@@ -31,7 +31,7 @@ class Problem(NamedTuple):
 
 
 def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
-    """Yield what is wrong with the fleet by itself, in the order of its fields."""
+    """Yield the problems of the fleet by itself, in the order of its fields."""
     yield from _named(("name",), fleet.name, _NAME, "a name of small letters, digits and -, as ward-night")
     robots, capabilities = [one.name for one in fleet.robots], [one.name for one in fleet.capabilities]
     if not robots:
@@ -108,7 +108,7 @@ def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:
 
 
 def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
-    """Yield why the scenario cannot happen to the fleet, or is none, in the order of its fields."""
+    """Yield the problems of the scenario, by itself or for this fleet, in the order of its fields."""
     yield from _named(("name",), scenario.name, _NAME, "a name of small letters, digits and -, as night-shift")
     if scenario.name.startswith("workflow-"):
         yield Problem(("name",), printable.value(scenario.name), "a name that does not begin as those of workflows do")

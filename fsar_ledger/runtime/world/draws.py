@@ -1,7 +1,7 @@
-"""Draws: pure functions of what they serve.
+"""Draws: pure functions of what they are used for.
 
-A draw is the BLAKE2b hash of its name under the key of the run, so it does not depend on what was drawn
-before, on any other stream, or on the architecture. No name contains an architecture or a configuration.
+A draw is the BLAKE2b hash of its name under the key of the run, so it does not depend on earlier draws, on any other
+stream, or on the architecture. No name contains an architecture or a configuration.
 """
 
 import struct
@@ -12,7 +12,7 @@ from fsar_ledger.constants import Range, WorldConstants
 
 FOREVER_US = (
     10**15
-)  # some 30 years; a longer length of time is this long, so that every time is an integer that is stored as it is
+)  # some 30 years; longer durations are cut to this, so that every time is an integer that can be stored
 _SHARE = 2.0**-53
 _BLOCK = struct.Struct("<8Q")
 _ONE = struct.Struct("<Q")
@@ -24,7 +24,7 @@ def run_key(seed: int, scenario: str, run: int) -> bytes:
 
 
 class Stream:
-    """An endless row of uniform draws in [0, 1) under one name, for schedules that need many."""
+    """An endless sequence of uniform draws in [0, 1) under one name, for schedules that need many."""
 
     __slots__ = ("_block", "_buffer", "_key")
 
@@ -42,16 +42,16 @@ class Stream:
         return self._buffer.pop()
 
     def within_us(self, law: Range) -> int:
-        """Return a uniform length of time. Units: microseconds."""
+        """Return a uniformly distributed duration. Units: microseconds."""
         return round(min((law.low_s + (law.high_s - law.low_s) * self.uniform()) * 1e6, FOREVER_US))
 
     def exponential_us(self, mean_s: float) -> int:
-        """Return an exponential length of time, at least one microsecond."""
+        """Return an exponentially distributed duration of at least 1. Units: microseconds."""
         return max(1, round(min(-log(1.0 - self.uniform()) * mean_s * 1e6, FOREVER_US)))
 
 
 class Draws:
-    """Draws met on the way, named by stream and by the task, step, attempt and hop they serve."""
+    """Draws made during the run, named by stream and by the task, step, attempt and hop that use them."""
 
     __slots__ = ("_hash", "_laws", "_reliability")
 
@@ -70,7 +70,7 @@ class Draws:
         }
 
     def value(self, stream: str, key: str, share_ppm: int = 1_000_000) -> int:
-        """Return the draw: a time in microseconds, or for `reliability` 1 when a degraded actuator holds, else 0."""
+        """Return the draw: a duration in microseconds; for `reliability`, 1 if a degraded actuator holds, else 0."""
         digest = self._hash.copy()
         digest.update(f"{stream}|{key}".encode())
         word: int = _ONE.unpack(digest.digest())[0] >> 11

@@ -16,7 +16,7 @@ FLOOR_TEAMS = WorldConstants().floor_teams
 
 
 class Member(NamedTuple):
-    """A robot of the fleet: its principal, its team, and what its design says."""
+    """A robot of the fleet: its principal, its team, and its design."""
 
     name: Robot
     team: int
@@ -24,12 +24,12 @@ class Member(NamedTuple):
 
     @property
     def supervisor(self) -> Supervisor | None:
-        """Return its own supervisor, if it has one."""
+        """Return the robot's own supervisor, if any."""
         return local_supervisor(self.name) if self.design.has_supervisor else None
 
 
 def team_size(fleet: Fleet | None) -> int:
-    """Return how many robots a team has; None is the paper's fleet."""
+    """Return the number of robots in a team; None is the paper's fleet."""
     return max(1, len((fleet or registered.fleet()).robots))
 
 
@@ -41,15 +41,15 @@ def members(fleet_size: int, fleet: Fleet | None = None) -> tuple[Member, ...]:
 
 
 def floor_of(team: int, floor_teams: int) -> int:
-    """Return the floor on which the team works, from 1; this many teams share one."""
+    """Return the floor on which the team works, from 1; `floor_teams` teams share one."""
     return (team - 1) // floor_teams + 1
 
 
 def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | None = None) -> tuple[Event, ...]:
     """Return the events that found the fleet: members, capabilities, trust and policy. Paper: sec:prototype:design.
 
-    Trust and policy are given by role, so there are as many entries for any number of teams; a fleet that needs one
-    floor names no place.
+    Trust and policy are given by role, so their number does not depend on the number of teams. The robots of a fleet
+    that fits on one floor have no place.
     """
     design = fleet or registered.fleet()
     everyone = members(fleet_size, design)

@@ -1,7 +1,7 @@
 """The schedule: everything the world does by itself, generated before the run and independent of it.
 
 It is a function of constants, seed, scenario, run and fleet size; a designer's own scenario and fleet are among the
-constants. Each robot's streams are its own, so another draw in one stream moves no other.
+constants. Each robot has its own streams, so an extra draw in one stream shifts no other.
 """
 
 from functools import lru_cache
@@ -45,7 +45,7 @@ Fact = tuple[int, Event]  # run time in microseconds, what happens
 
 
 def happening(constants: Constants, name: str) -> Scenario | Workflow:
-    """Return what the name stands for: the designer's own scenario, or one that is registered."""
+    """Return the scenario or workflow of this name: the designer's own, or a registered one."""
     if constants.scenario is not None:
         return constants.scenario
     return registered.workflow(name) if name in registered.workflows() else registered.scenario(name)
@@ -61,9 +61,9 @@ def schedule(constants: Constants, seed: int, scenario: str, run: int, fleet_siz
 
 
 def arrivals_expected(constants: Constants, fleet_size: int) -> float:
-    """Return how many arrivals to expect in a run with such rates.
+    """Return how many arrivals to expect in a run with these rates.
 
-    They are nearly all of its facts, but for some of each robot, task and window.
+    They make up nearly all of its facts, except for a few of each robot, task and window.
     """
     world, outages = constants.world, constants.outages
     rates: tuple[float, ...] = (world.context_rate_per_s, world.fleet_rule_rate_per_s, world.obstruction_rate_per_s)
@@ -85,20 +85,20 @@ def arrivals_expected(constants: Constants, fleet_size: int) -> float:
 
 
 def floor_sizes(world: WorldConstants, fleet_size: int, of_team: int) -> tuple[tuple[int, int], ...]:
-    """Return how many floors there are with how many robots."""
+    """Return pairs of a number of floors and the number of robots on each."""
     most = of_team * max(1, world.floor_teams)
     full, left = divmod(fleet_size, most)
     return (full, most), (1, left)
 
 
 def teams_working(constants: Constants, fleet_size: int) -> int:
-    """Return how many teams have tasks, and routine."""
+    """Return how many teams have tasks and routine."""
     teams, load = fleet_size // team_size(constants.fleet), constants.load
     return teams if load is None or load.teams_working is None else min(teams, load.teams_working)
 
 
 def _expected(mean_s: float, until_s: float) -> float:
-    """Return how many instants `_arrivals` makes on average; they are a microsecond apart at least."""
+    """Return how many instants `_arrivals` gives on average; they are at least a microsecond apart."""
     return max(0.0, until_s * 1e6) / max(1.0, mean_s * 1e6)
 
 
@@ -131,7 +131,7 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
 
 
 def _apart(facts: list[Fact]) -> tuple[Fact, ...]:
-    """Return the facts, each at a microsecond of its own, without those later than any run."""
+    """Return the facts moved so that no two share a microsecond, without those after the end of any run."""
     apart: list[Fact] = []
     last_us = 0
     for time_us, event in facts:
@@ -143,12 +143,12 @@ def _apart(facts: list[Fact]) -> tuple[Fact, ...]:
 
 
 def _mean_s(rate_per_s: float) -> float:
-    """Return the mean distance of what happens at this rate; infinite where it never happens."""
+    """Return the mean time between arrivals at this rate; infinite for a rate of 0."""
     return 1 / rate_per_s if rate_per_s else inf
 
 
 def _arrivals(stream: Stream, mean_s: float, until_s: float) -> list[int]:
-    """Yield the instants of a Poisson process with this mean distance. Units: microseconds."""
+    """Return the instants of a Poisson process with this mean time between them. Units: microseconds."""
     if mean_s == inf:
         return []
     instants, time_us, until_us = [], stream.exponential_us(mean_s), round(until_s * 1e6)
@@ -198,7 +198,7 @@ def _obstructions(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]
 
 
 def _crowding(world: WorldConstants, key: bytes, robot: Robot, others: int) -> list[Fact]:
-    """Yield how each robot of other teams on the floor is in the way; a team keeps out of its own way."""
+    """Return the obstructions by robots of other teams on the floor; those of one team keep out of each other's way."""
     return _in_the_way(world, key, robot, "crowding", world.crowding_rate_per_s * others)
 
 
@@ -222,9 +222,9 @@ def _routine(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
 
 
 def _absences(constants: Constants, key: bytes, member: Member) -> list[Fact]:
-    """Return the spells without the robot's own supervisor, none overlapping.
+    """Return the spells in which the robot's own supervisor is absent, none overlapping.
 
-    They are the one absence, and those of the fleet's shifts.
+    They are the one absence that is drawn, and those when off shift by the fleet's design.
     """
     supervisor, fleet = member.supervisor, constants.fleet
     if supervisor is None:
@@ -249,7 +249,7 @@ def _absences(constants: Constants, key: bytes, member: Member) -> list[Fact]:
 
 
 def _merged(spells: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return the spells in order, as one where they overlap or touch."""
+    """Return the spells in order, merged where they overlap or touch."""
     found: list[tuple[int, int]] = []
     for begin, end in sorted(spells):
         if found and begin <= found[-1][1]:
@@ -298,9 +298,9 @@ def _spells(
     until_s: float,
     edges: tuple[Event, Event],
 ) -> list[Fact]:
-    """Yield both edges of each spell of something that begins in time.
+    """Yield the beginning and the end of each spell that begins in time.
 
-    Spells and the times between them are exponential.
+    Spells and the times between them are exponentially distributed.
     """
     facts: list[Fact] = []
     begins_us, until_us = from_us + before.exponential_us(before_s), round(until_s * 1e6)

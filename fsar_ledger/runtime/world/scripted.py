@@ -1,7 +1,7 @@
 """The paper's workflows as worlds: their tasks and their wear, and no other disturbance.
 
-Paper: sec:prototype:workflows. Only facts of the world are scripted; what follows from them is FSAR's to decide. The
-seed draws how long things take, as everywhere.
+Paper: sec:prototype:workflows. Only facts of the world are scripted; FSAR decides what follows from them. Durations are
+drawn under the seed, as everywhere.
 """
 
 from fsar_ledger.constants import WorldConstants
@@ -13,11 +13,11 @@ from fsar_ledger.events.world import ActuatorDegraded, TaskArrived
 from .draws import FOREVER_US, Stream
 
 WEAR_AFTER_US = 1_000_000
-"""How long after the tasks' arrival an actuator degrades: while its robot is on its first way, 2 s at least."""
+"""How long after the tasks arrive an actuator degrades: while its robot is on its first way, at least 2 s long."""
 
 
 def workflow_facts(world: WorldConstants, key: bytes, workflow: Workflow) -> list[tuple[int, Event]]:
-    """Return what the world does in the workflow, in order of time. Units: microseconds of run time."""
+    """Return the facts of the workflow in order of time. Units: microseconds of run time."""
     arrival_us = Stream(key, "start/1").within_us(world.start)
     facts: list[tuple[int, Event]] = [
         (arrival_us, arrived(world, task, 1, ordinal, arrival_us))
