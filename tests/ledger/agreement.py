@@ -1,4 +1,4 @@
-"""Good and damaged ledgers by the hundred, and whether `verify` and the independent verifier say the same of each."""
+"""Judge good and damaged ledgers by the hundred with `verify` and the independent verifier, and compare them."""
 
 import importlib
 import json
@@ -61,7 +61,7 @@ ODD = [
 
 @cache
 def independent() -> Any:
-    """The independent verifier, as a file beside its own and not as a part of any package."""
+    """Load the independent verifier from its file, as a module outside any package."""
     sys.path.insert(0, str(ROOT / "tests"))
     try:
         return importlib.import_module("independent_verifier")
@@ -78,7 +78,7 @@ def event_types() -> Any:
 
 
 def odd_run(run_id: str, size: int, draw: random.Random) -> LedgerRun:
-    """A run of events of any type with strings, integers and times that are hard to write."""
+    """Return a run of events of any type, with strings, integers and times that are hard to write."""
 
     def text() -> str:
         return "".join(draw.choice(ODD) for _ in range(draw.randrange(4)))
@@ -105,7 +105,7 @@ def odd_run(run_id: str, size: int, draw: random.Random) -> LedgerRun:
 
 
 def long_run(run_id: str, size: int) -> LedgerRun:
-    """A run of many small events."""
+    """Return a run of many small events."""
     events = [
         RunStarted(kind="live", observes=CONCERNS),
         *(TaskCompleted(f"T{number % 7}") for number in range(1, size)),
@@ -114,7 +114,7 @@ def long_run(run_id: str, size: int) -> LedgerRun:
 
 
 def write(path: Path, batches: Sequence[Sequence[LedgerRun]], signers: Sequence[Signer | None]) -> Path:
-    """A ledger of these batches, each signed by its signer."""
+    """Write a ledger of these batches, each signed by its signer."""
     with Writer(path, ORIGIN):
         pass
     for batch, signer in zip(batches, signers, strict=True):
@@ -124,7 +124,7 @@ def write(path: Path, batches: Sequence[Sequence[LedgerRun]], signers: Sequence[
 
 
 def plain(sizes: Sequence[int]) -> list[list[LedgerRun]]:
-    """Batches of so many events, in two runs where there are enough."""
+    """Return one batch for each number of events, in two runs where there are enough."""
     cuts = [[size // 2, size - size // 2] if size > 1 else [size] for size in sizes]
     return [
         [made_up_run(f"run-{number}-{at}", part, 10 * number + at) for at, part in enumerate(parts)]
@@ -133,8 +133,8 @@ def plain(sizes: Sequence[int]) -> list[list[LedgerRun]]:
 
 
 def bases(folder: Path, is_large: bool) -> list[Path]:
-    """Ledgers of several shapes: sizes about a tile's width, signed, half signed, odd text; one (`is_large`) with tiles
-    of level 2."""
+    """Write ledgers of several shapes: sizes around a tile's width, signed, half signed, odd text; one (`is_large`)
+    with tiles of level 2."""
     shapes: list[tuple[list[int], list[Signer | None]]] = [
         ([], []),
         ([1], [None]),
@@ -169,12 +169,12 @@ def files_of(path: Path) -> list[Path]:
 
 
 def newest_tiles(old: int, new: int) -> list[str]:
-    """The names of the tiles that a commit adds, full ones and partial ones."""
+    """Return the names of the tiles that a commit adds, full and partial."""
     before, _ = Edge().extend(bytes(32 * old))
     return [tile.name for tile in before.extend(bytes(32 * (new - old)))[1]]
 
 
-# --- what a forger can do who knows the format ---
+# --- what a forger who knows the format can do ---
 
 
 def records_of(path: Path) -> list[CommitRecord]:
@@ -201,7 +201,7 @@ def rewrite(
     signer: Signer | None = None,
     pack: Pack = lambda table: bytes(segment.to_parquet(table)),
 ) -> None:
-    """The whole ledger again from other rows, with every hash and note as the format wants them."""
+    """Write the whole ledger again from other rows, with every hash and note as the format requires."""
     shutil.rmtree(path / "tile", ignore_errors=True)
     (path / "checkpoint").unlink(missing_ok=True)
     edge, previous = Edge(), sha256_hex((path / "ledger.json").read_bytes())
@@ -230,7 +230,7 @@ def rewrite(
 
 
 def write_tiles(path: Path, made: Mapping[Tile, bytes]) -> None:
-    """These tiles are there, and no partial tile whose full tile is among them."""
+    """Write these tiles, and remove partial tiles whose full tile is among them."""
     for tile, data in made.items():
         (path / tile.name).parent.mkdir(parents=True, exist_ok=True)
         (path / tile.name).write_bytes(data)
@@ -239,7 +239,7 @@ def write_tiles(path: Path, made: Mapping[Tile, bytes]) -> None:
 
 
 def chain(path: Path, records: Sequence[dict[str, Any]]) -> None:
-    """These records, each with the hash of the one before it unless it says otherwise."""
+    """Write these records, each with the hash of the one before it unless it names one itself."""
     previous = sha256_hex((path / "ledger.json").read_bytes())
     for number, record in enumerate(records):
         data = canonical.document(dict(record) | {"previous_sha256": record["previous_sha256"] or previous})
@@ -248,7 +248,7 @@ def chain(path: Path, records: Sequence[dict[str, Any]]) -> None:
 
 
 def unchained(path: Path) -> list[dict[str, Any]]:
-    """The records as `chain` takes them."""
+    """Return the records as `chain` takes them."""
     return [
         json.loads(file.read_bytes()) | {"previous_sha256": None} for file in sorted((path / "commits").glob("*.json"))
     ]
@@ -262,7 +262,7 @@ def with_value(table: pa.Table, name: str, row: int, value: object) -> pa.Table:
 
 
 def anchor_at(path: Path, size: int, signer: Signer | None, to: Path) -> Path:
-    """A checkpoint over the first so many events, as somebody may have kept it."""
+    """Write a checkpoint over the first so many events, as somebody may have kept it."""
     leaves = b"".join(b"".join(canonical.hashes(canonical.from_table(table))) for table in tables_of(path))
     to.write_text(note_of(Frontier().extend(leaves[: size * 32]), signer), "utf-8")
     return to
@@ -272,7 +272,7 @@ def anchor_at(path: Path, size: int, signer: Signer | None, to: Path) -> Path:
 
 
 class Case(NamedTuple):
-    """A ledger to judge; `is_good` is what it should be, None where that depends on what was drawn."""
+    """A ledger to judge. `is_good` is the expected verdict, None if that depends on what was drawn."""
 
     name: str
     path: Path
@@ -285,9 +285,9 @@ Make = Callable[[Path, random.Random, Path], Case | None]
 
 
 class Outcome(NamedTuple):
-    """What was found: whether `verify` calls it good, and where the two differ, or both from what was expected.
+    """The verdict of `verify`, and the difference between the two verifiers, or between both and the expected verdict.
 
-    `is_stricter`: `verify` doubts only that its own version of the library wrote these bytes for right rows, or that a
+    `is_stricter`: `verify` only doubts that its own version of the library wrote these bytes for right rows, or that a
     footer and its columns agree, which is more than the format asks.
     """
 
@@ -300,7 +300,7 @@ Place = tuple[str, int | None, str | None, int | None]
 
 
 def judged(case: Case) -> Outcome:
-    """The case by both verifiers."""
+    """Judge the case by both verifiers."""
     ours, theirs = by_package(case), by_independent(case)
     is_about_bytes = ours is not None and ("found other bytes" in ours[1] or "found no segment (" in ours[1])
     if is_about_bytes and theirs is None and case.is_good is None:
@@ -319,7 +319,7 @@ def judged(case: Case) -> Outcome:
 
 
 def is_same_place(one: Place, other: Place) -> bool:
-    """The same file, and the same commit, run and seq where both name them."""
+    """Return whether both name the same file, and the same commit, run and seq where both name them."""
     return one[0] == other[0] and all(a == b or a is None or b is None for a, b in zip(one[1:], other[1:], strict=True))
 
 

@@ -1,7 +1,7 @@
-"""What can be wrong with a ledger: each function damages one thing, and says whether a verifier must find it.
+"""Damage to a ledger: each function damages one thing, and tells whether a verifier must find it.
 
-A function gets a ledger of its own to change, what is drawn, and a folder for files beside the ledger. It returns None
-where it does not apply.
+A function takes a ledger that it may change, a source of draws, and a folder for files beside the ledger. It returns
+None if it does not apply.
 """
 
 import os
@@ -53,7 +53,7 @@ def a_flipped_bit(path: Path, draw: random.Random, beside: Path) -> Case | None:
     file.write_bytes(data)
     is_vouched = (
         file.name != "ledger.json" or len(files_of(path)) > 1
-    )  # for the origin of an empty ledger stands nothing
+    )  # nothing vouches for the origin of an empty ledger
     return Case(f"a flipped bit in byte {at} of {file.relative_to(path)}", path, False if is_vouched else None)
 
 
@@ -125,7 +125,7 @@ def swapped_files(path: Path, draw: random.Random, beside: Path) -> Case | None:
 
 
 def a_lost_tail(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """The newest commits gone, with the derived files as they were then: found by an anchor only."""
+    """Remove the newest commits and restore the derived files of that time: only an anchor finds it."""
     records = records_of(path)
     if not records:
         return None
@@ -144,7 +144,7 @@ def a_lost_tail(path: Path, draw: random.Random, beside: Path) -> Case | None:
     )
 
 
-# --- damaged records, notes and derived files, whose hashes were made to fit ---
+# --- damaged records, notes and derived files with matching hashes ---
 
 
 def a_forged_record(path: Path, draw: random.Random, beside: Path) -> Case | None:
@@ -224,8 +224,8 @@ def a_forged_note(path: Path, draw: random.Random, beside: Path) -> Case | None:
 
 
 def a_foreign_signature(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """Signatures of a stranger, of nobody, or broken ones of the trusted key: damage with the key where they count,
-    never without."""
+    """Add signatures of a stranger, of nobody, or broken ones of the trusted key: damage if that key is trusted, never
+    without."""
     records = unchained(path)
     if not records:
         return None

@@ -1,8 +1,7 @@
-"""What a good ledger may look like, and what depends on the key or the anchor: each function makes one thing so, and
-says what a verifier must find.
+"""Variants of good ledgers, and changes whose verdict depends on the key or the anchor.
 
-A function gets a ledger of its own to change, what is drawn, and a folder for files beside the ledger. It returns None
-where it does not apply.
+Each function makes one change, and tells what a verifier must find. It takes a ledger that it may change, a source of
+draws, and a folder for files beside the ledger. It returns None if it does not apply.
 """
 
 import random
@@ -89,7 +88,7 @@ def one_commit_behind(path: Path, draw: random.Random, beside: Path) -> Case | N
 
 
 def outgrown_tiles_left(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """Partial tiles of the commit before the newest whose full tile is there."""
+    """Leave partial tiles of the commit before the newest beside their full tile."""
     records = records_of(path)
     if len(records) < 2:
         return None
@@ -109,8 +108,8 @@ def outgrown_tiles_left(path: Path, draw: random.Random, beside: Path) -> Case |
 
 
 def another_history(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """Everything rewritten consistently from an altered row: good without a key and an anchor, and with an anchor of
-    what came before; else damage."""
+    """Rewrite everything consistently from an altered row. This is good without a key or anchor, and with an anchor of
+    what came before; otherwise it is damage."""
     tables = tables_of(path)
     if not tables:
         return None
@@ -131,8 +130,8 @@ def another_history(path: Path, draw: random.Random, beside: Path) -> Case | Non
 
 
 def packed_otherwise(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """The same rows in other Parquet, by what says that it is another version of the library: other pages, compressed
-    otherwise, with fewer statistics."""
+    """Write the same rows as other Parquet, by an alleged other version of the library: other pages, other compression,
+    fewer statistics."""
     level, pages, bounded = (
         draw.randrange(1, 10),
         draw.choice([100, 1 << 20]),

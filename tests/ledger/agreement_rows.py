@@ -1,5 +1,5 @@
-"""Damage to rows and Parquet files whose hashes fit: each function damages one thing and tells whether a verifier must
-find it."""
+"""Damage to rows and Parquet files with matching hashes: each function damages one thing, and tells whether a verifier
+must find it."""
 
 import random
 from pathlib import Path
@@ -24,7 +24,7 @@ from tests.ledger.agreement import (
     with_value,
 )
 
-# --- rows that break one rule, whose hashes were all made to fit ---
+# --- rows that break one rule, with all hashes matching ---
 
 
 def a_broken_rule(path: Path, draw: random.Random, beside: Path) -> Case | None:
@@ -71,7 +71,7 @@ def a_broken_rule(path: Path, draw: random.Random, beside: Path) -> Case | None:
 
 
 def an_altered_row(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """A row is altered and its segment's hash made to fit, but not the tree."""
+    """Alter a row and make the hash of its segment fit, but not the tree."""
     records, tables = unchained(path), tables_of(path)
     if not tables:
         return None
@@ -97,7 +97,7 @@ def forged_segment(path: Path, records: list[dict[str, Any]], number: int, data:
 
 
 def other_parquet(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """The right rows in a file that may not be: other columns, several row groups, statistics that lie."""
+    """Write the right rows to a file that is not allowed: other columns, several row groups, false statistics."""
     records, tables = unchained(path), tables_of(path)
     if not tables:
         return None
@@ -123,9 +123,9 @@ def other_parquet(path: Path, draw: random.Random, beside: Path) -> Case | None:
 
 
 def a_flipped_bit_whose_hash_fits(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """A bit of a segment, in half of the cases of its footer.
+    """Flip a bit of a segment, in half of the cases of its footer.
 
-    It may say the same in other bytes, which the format allows and `verify` may doubt.
+    The result may say the same in other bytes, which the format allows and `verify` may doubt.
     """
     records = unchained(path)
     if not records:

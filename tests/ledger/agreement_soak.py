@@ -1,5 +1,5 @@
-"""How often `verify` and the independent verifier agree: `python -m tests.ledger.agreement_soak [N]` judges N ledgers
-(1,000), good and damaged."""
+"""Count how often `verify` and the independent verifier agree: `python -m tests.ledger.agreement_soak [N]` judges N
+ledgers (1,000), good and damaged."""
 
 import random
 import shutil
@@ -15,7 +15,7 @@ from tests.ledger.agreement_structure import STRUCTURES
 
 
 def drawn(folder: Path, count: int, *, is_large: bool) -> Iterator[Case]:
-    """So many ledgers, the same each time; each is gone when the next is asked for."""
+    """Yield so many ledgers, the same each time. Each is removed when the next is asked for."""
     shapes = bases(folder / "bases", is_large)
     large = shapes.pop() if is_large else None
     beside, path = folder / "beside", folder / "ledger"
@@ -39,7 +39,7 @@ def drawn(folder: Path, count: int, *, is_large: bool) -> Iterator[Case]:
 
 
 def odd(path: Path, draw: random.Random) -> None:
-    """A ledger of some commits of events whose strings are hard to write."""
+    """Write a ledger of some commits of events whose strings are hard to write."""
     batches = [
         [odd_run(f"\u2028{commit}/{at}", draw.randrange(1, 9), draw) for at in range(draw.randrange(1, 3))]
         for commit in range(draw.randrange(1, 4))
@@ -48,13 +48,13 @@ def odd(path: Path, draw: random.Random) -> None:
 
 
 def outcomes(count: int, *, is_large: bool) -> list[Outcome]:
-    """What both verifiers say of so many ledgers."""
+    """Return the verdicts of both verifiers on so many ledgers."""
     with tempfile.TemporaryDirectory() as folder:
         return [judged(case) for case in drawn(Path(folder), count, is_large=is_large)]
 
 
 def main(arguments: list[str]) -> int:
-    """Print the counts; return 1 where the two differ from each other or from what was expected."""
+    """Print the counts; return 1 if the two differ from each other or from what was expected."""
     found = outcomes(int(arguments[0]) if arguments else 1000, is_large=True)
     differences = [outcome.difference for outcome in found if outcome.difference]
     good = sum(outcome.is_good for outcome in found)

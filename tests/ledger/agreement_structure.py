@@ -1,4 +1,4 @@
-"""Segments that hold the right rows and say something twice, or say what nobody reads; their hashes fit.
+"""Segments with the right rows and matching hashes that say something twice, or something that nobody reads.
 
 Functions as in `agreement_damage`.
 """
@@ -15,8 +15,8 @@ from tests.ledger.parts import two_faced
 
 
 def a_segment_with_two_faces(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """Readers that begin at the data find the rows of the tree, readers that begin at the dictionary find others; or
-    the other way round."""
+    """Write a segment in which readers that begin at the data find the rows of the tree, and readers that begin at the
+    dictionary find others; or the other way round."""
     records, tables = unchained(path), tables_of(path)
     if not tables:
         return None
@@ -30,7 +30,7 @@ def a_segment_with_two_faces(path: Path, draw: random.Random, beside: Path) -> C
 
 
 def a_structure_that_disagrees(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """One of the ways to say a thing twice, by what says that it is this or another version of the library."""
+    """Say something twice in one of several ways, by this or an alleged other version of the library."""
     records = unchained(path)
     if not records:
         return None

@@ -1,8 +1,7 @@
-"""What a call of the command line costs; `python -m tests.ledger.bomb_trial SECONDS ARGUMENT ...` runs one and prints
-its cost.
+"""Measure the cost of a command: `python -m tests.ledger.bomb_trial SECONDS ARGUMENT ...` runs it and prints its cost.
 
-A process begins with the memory of the one that started it, as the operating system counts: so a small one is between a
-test and the command.
+The operating system counts the memory of the process that started another as its own at first, so a small process
+stands between a test and the command.
 """
 
 import json
@@ -19,9 +18,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Cost(NamedTuple):
-    """The exit code (-9: its time was over), the message, and what it took.
+    """The exit code (-9: timed out), the message, and the cost.
 
-    Units: seconds of processor and wall, MiB of its largest process.
+    Units: CPU and wall seconds, MiB of the largest process.
     """
 
     code: int
@@ -32,7 +31,7 @@ class Cost(NamedTuple):
 
 
 def cost_of(arguments: Sequence[str], place: Path, patience_s: float = 120, checkout: Path = ROOT) -> Cost:
-    """The command of this checkout has run in that folder, with a cache there."""
+    """Run the command of this checkout in that folder, with its cache there."""
     environment = {**os.environ, "PYTHONPATH": str(checkout), "XDG_CACHE_HOME": str(place / "cache")}
     call = [sys.executable, "-S", str(Path(__file__).resolve()), str(patience_s), *arguments]
     done = subprocess.run(call, cwd=place, env=environment, capture_output=True, text=True, check=True)
@@ -40,7 +39,7 @@ def cost_of(arguments: Sequence[str], place: Path, patience_s: float = 120, chec
 
 
 def main(patience_s: float, arguments: Sequence[str]) -> None:
-    """Prints the cost of this call as JSON."""
+    """Print the cost of this call as JSON."""
     with tempfile.TemporaryFile() as said:
         began = time.monotonic()
         process = subprocess.Popen(

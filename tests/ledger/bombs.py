@@ -1,7 +1,7 @@
-"""Thirty bombs: small things that an enemy hands over so that whoever looks at them runs out of memory or time.
+"""Thirty bombs: small things that an attacker hands over to make whoever reads them run out of memory or time.
 
-Those in a ledger are committed as a writer would have: every hash in the records fits what lies there, and only the
-leaves were never made.
+Those in a ledger are committed as by a writer: every hash in the records matches, and only the leaves were never
+computed.
 """
 
 import os
@@ -49,19 +49,20 @@ Values = dict[str, object]
 
 
 class Bomb(NamedTuple):
-    """What is put into or beside a whole ledger of one small commit, and the calls that touch it."""
+    """What is put into or beside a ledger of one small commit, and the calls that touch it."""
 
     lay: Callable[[Path], None]
     calls: tuple[tuple[str, ...], ...] = READERS
 
 
 def base_ledger(path: Path) -> None:
-    """A whole ledger of one commit, of two runs of three events: bombs are put into copies of it."""
+    """Write a ledger of one commit with two runs of three events. Bombs are put into copies of it."""
     append_all(path, [[record("fsar", 0), record("cfc", 0)]])
 
 
 def rows(count: int, **values: object) -> pa.Table:
-    """So many rows of one run that begins with RunStarted: a value stands in every row, an array as it is."""
+    """Return so many rows of one run that begins with RunStarted. A value goes into every row, an array is used as it
+    is."""
     started = {
         "kind": "simulated",
         "architecture": "fsar",
@@ -94,7 +95,7 @@ def rows(count: int, **values: object) -> pa.Table:
 
 
 def _first(count: int, value: object) -> pa.Array:
-    """The value in the first row, and NULL in all others."""
+    """Return a column with the value in the first row and NULL in all others."""
     if isinstance(value, str):
         return pa.DictionaryArray.from_arrays(
             pa.array(np.zeros(count, np.int32), mask=np.arange(count) > 0), pa.array([value])
@@ -118,7 +119,7 @@ def _column(field: pa.Field, value: object, count: int) -> pa.Array:
 
 
 def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> None:
-    """Commit this segment so many times after what is there; only hashing its rows would tell."""
+    """Commit this segment so many times after what is there; only hashing its rows would reveal it."""
     data = data if isinstance(data, bytes) else bytes(segment.to_parquet(data))
     for _ in range(times):
         number = len(list((path / "commits").iterdir()))
@@ -148,7 +149,7 @@ def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> No
 
 
 def committed(make: Callable[[], pa.Table], times: int = 1) -> Callable[[Path], None]:
-    """Commits what is made."""
+    """Return a function that commits what is made."""
 
     def lay(path: Path) -> None:
         table = make()
@@ -158,12 +159,12 @@ def committed(make: Callable[[], pa.Table], times: int = 1) -> Callable[[Path], 
 
 
 def texts(count: int, *values: str) -> pa.DictionaryArray:
-    """So many texts that go through these in turn."""
+    """Return so many texts that cycle through these."""
     return pa.DictionaryArray.from_arrays(pa.array((np.arange(count) % len(values)).astype(np.int32)), pa.array(values))
 
 
 def claims(count: int, claimants: int) -> pa.Table:
-    """So many claims of one dimension of one action, none of them released."""
+    """Return so many claims of one dimension of one action, none of them released."""
     numbers = pa.array((np.arange(count) % claimants).astype(np.int32))
     types = pa.DictionaryArray.from_arrays(
         pa.array(np.minimum(np.arange(count), 1).astype(np.int32)), pa.array(["RunStarted.v2", "AuthorityClaimed.v1"])
@@ -173,7 +174,7 @@ def claims(count: int, claimants: int) -> pa.Table:
 
 
 def lists(count: int, each: int) -> pa.Table:
-    """Rows with a list of the same name, again and again."""
+    """Return rows with a list that repeats one name."""
     values = pa.array(["robot/A1"]).take(pa.array(np.zeros(count * each, np.int32)))
     return rows(
         count, path=pa.ListArray.from_arrays(pa.array(np.arange(0, (count + 1) * each, each, dtype=np.int32)), values)
@@ -181,7 +182,7 @@ def lists(count: int, each: int) -> pa.Table:
 
 
 def runs(count: int) -> pa.Table:
-    """So many runs of one event."""
+    """Return so many runs of one event."""
     names = pa.array([f"run-{number:07d}" for number in range(count)])
     started = {
         "kind": "simulated",
@@ -205,7 +206,7 @@ def runs(count: int) -> pa.Table:
 
 
 def replaced(name: str, data: bytes) -> Callable[[Path], None]:
-    """The file of the ledger holds other bytes."""
+    """Return a function that replaces the content of this file of the ledger."""
 
     def lay(path: Path) -> None:
         (path / name).write_bytes(data)
@@ -214,7 +215,7 @@ def replaced(name: str, data: bytes) -> Callable[[Path], None]:
 
 
 def instead(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]:
-    """Something else stands where this file of the ledger was."""
+    """Return a function that puts something else in place of this file of the ledger."""
 
     def lay(path: Path) -> None:
         (path / name).unlink(missing_ok=True)
@@ -224,7 +225,7 @@ def instead(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]
 
 
 def sparse(size: int) -> Callable[[Path], None]:
-    """A file of so many bytes that takes none."""
+    """Return a function that makes a file of so many bytes that takes no space."""
 
     def make(file: Path) -> None:
         file.touch()
@@ -234,7 +235,7 @@ def sparse(size: int) -> Callable[[Path], None]:
 
 
 def beside(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]:
-    """Something beside the ledger."""
+    """Return a function that puts something beside the ledger."""
 
     def lay(path: Path) -> None:
         make(path.parent / name)
@@ -243,17 +244,17 @@ def beside(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]:
 
 
 def document(what: str) -> bytes:
-    """One of the malformed documents."""
+    """Return one of the malformed documents."""
     return dict(documents(b'{"format":"fsar-ledger","origin":"example.org/x","version":1}'))[what]
 
 
 def unpacking(size: int) -> bytes:
-    """A segment of another layout whose one page unpacks to so many bytes."""
+    """Return a segment of another layout whose one page unpacks to so many bytes."""
     return written(pa.table({"a": [" " * size]}), use_dictionary=False, write_statistics=False)
 
 
 def asked(*selects: str) -> tuple[tuple[str, ...], ...]:
-    """Calls of sql."""
+    """Return calls of `sql`."""
     return tuple(("sql", LEDGER, select, "--seconds", "8", "--memory", "1024", "--json") for select in selects)
 
 
@@ -293,7 +294,7 @@ BOMBS: dict[str, Bomb] = {
     ),
     "a page that unpacks to 600 MB": Bomb(lambda path: commit(path, unpacking(600 * MIB), 1), SOME),
     "a segment of 256 MB of nothing": Bomb(lambda path: commit(path, bytes((1 << 28) - 1), 1), SOME),
-    # files that are none
+    # things that are not files
     "a pipe for a segment": Bomb(instead("segments/000000000000.parquet", os.mkfifo), SOME),
     "a terabyte of nothing for a segment": Bomb(instead("segments/000000000000.parquet", sparse(1 << 40))),
     "a link to itself for a record": Bomb(

@@ -1,4 +1,4 @@
-"""A ledger to be damaged, for tests that look at many damaged copies of it."""
+"""A ledger for tests that look at many damaged copies of it."""
 
 import shutil
 from collections.abc import Iterator
@@ -13,15 +13,15 @@ from tests.ledger.forgery import examined_once
 
 @pytest.fixture(scope="session")
 def nursery() -> Iterator[Nursery]:
-    """Where processes are born that are killed."""
+    """Start the process that forks the processes to be killed."""
     with Nursery() as nursery:
         yield nursery
 
 
 @pytest.fixture(scope="module")
 def snapshots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """In `N`, a signed ledger as it was after N of its commits, whose numbers of events are the module's `SIZES`; in
-    `whole`, after all."""
+    """Write a signed ledger: folder `N` holds it after N commits, whose numbers of events are the module's `SIZES`;
+    `whole` holds all."""
     folder = tmp_path_factory.mktemp("snapshots")
     write_ledger(folder / "whole", request.module.SIZES, folder)
     return folder
@@ -29,7 +29,7 @@ def snapshots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
 
 @pytest.fixture
 def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
-    """A copy to be damaged, whose segments are decoded only where they were damaged."""
+    """Copy the ledger, to be damaged. Only damaged segments are decoded again."""
     path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
     with examined_once(path):
         yield path

@@ -1,10 +1,9 @@
-"""Everything that test_crash.py and test_concurrency.py do a part of: `python -m tests.ledger.crash_soak [KILLS]
+"""Try everything of which test_crash.py and test_concurrency.py try a part: `python -m tests.ledger.crash_soak [KILLS]
 [PAIRS]`.
 
-Every kind of fault at every call of two appends, each followed by power failures; pairs of faults, the second during
-the
-recovery from the first; processes really killed at every call; KILLS processes (2,000) really killed at random moments,
-two to eight at a time on one ledger. Prints counts and ends with exit code 1 if anything was lost or torn.
+Tries every kind of fault at every call of two appends, each followed by power failures; pairs of faults, the second
+during the recovery from the first; processes killed at every call; KILLS processes (2,000) killed at random moments,
+two to eight at a time on one ledger. Prints counts, and exits with 1 if anything was lost or torn.
 """
 
 import random
@@ -21,19 +20,19 @@ from tests.ledger.faults import Fault, FaultyOs, calls_of, faults_at
 from tests.ledger.power import choices
 
 ROUNDS = 6
-"""So often the writers of one ledger are killed before a new ledger is begun."""
+"""How often the writers of one ledger are killed before a new ledger is begun."""
 MAX_COMPLAINTS = 20
 DEFAULTS = ("2000", "2000")
 
 
 def single_faults(laboratory: Laboratory, calls: list[str]) -> None:
-    """Every kind of fault at every call, and nine ways in which the power fails after it and after the recovery."""
+    """Try every kind of fault at every call, with nine ways for the power to fail after it and after the recovery."""
     for number, fault in enumerate(faults_at(calls)):
         laboratory.trial([fault], choices(number, 2))
 
 
 def pairs_of_faults(laboratory: Laboratory, calls: list[str], pairs: int) -> None:
-    """Any fault, then any during the recovery; half of them with a power failure in between."""
+    """Try pairs of any fault and any other during the recovery, half of them with a power failure in between."""
     draw = random.Random(11)
     faults = list(faults_at(calls))
     for number in range(pairs):
@@ -47,7 +46,7 @@ def pairs_of_faults(laboratory: Laboratory, calls: list[str], pairs: int) -> Non
 
 
 def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -> None:
-    """A process is really killed at every call, and in the middle of every write."""
+    """Kill a process at every call, and in the middle of every write."""
     kills = [Fault(at, "killed") for at in range(len(calls))] + [
         Fault(at, "killed-in-write") for at, name in enumerate(calls) if name == "write"
     ]
@@ -64,7 +63,7 @@ def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -
 
 
 def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, seed: int = 13) -> int:
-    """So many processes are really killed at random moments while they open, recover and append.
+    """Kill so many processes at random moments while they open, recover and append.
 
     Returns how many batches were acknowledged.
     """
@@ -83,7 +82,7 @@ def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, s
             tally.kills += outcome.killed
             for complaint in (*outcome.wrong, *judge(path, known)):
                 tally.note(complaint, (path.name, again))
-        outcome = nursery(Order(str(path), writers, ROUNDS))  # nobody is killed: all that was begun is finished
+        outcome = nursery(Order(str(path), writers, ROUNDS))  # nobody is killed, so that everything begun is finished
         for complaint in (*outcome.wrong, *judge(path, dict.fromkeys(writers, ROUNDS))):
             tally.note(complaint, (path.name, "the end"))
         acknowledged += ROUNDS * len(writers)
@@ -92,7 +91,7 @@ def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, s
 
 
 def soak(folder: Path, kills: int, pairs: int) -> Tally:
-    """All of it, with a line on each part."""
+    """Run all parts, and print a line on each."""
     laboratory = Laboratory(folder)
     tally = laboratory.tally
     root = folder / "calls"
@@ -125,7 +124,7 @@ def soak(folder: Path, kills: int, pairs: int) -> Tally:
 
 
 def main(arguments: list[str]) -> int:
-    """Prints the counts. Returns 0 if nothing was lost or torn, else 1."""
+    """Print the counts. Return 0 if nothing was lost or torn, else 1."""
     kills, pairs = (int(given) for given in [*arguments, *DEFAULTS[len(arguments) :]])
     with tempfile.TemporaryDirectory() as folder:
         tally = soak(Path(folder), kills, pairs)

@@ -1,5 +1,5 @@
-"""One trial: appends that a fault interrupts, perhaps a recovery that another interrupts, perhaps a power failure; then
-the judgement."""
+"""One trial: appends that a fault interrupts, perhaps a recovery that another fault interrupts, perhaps a power
+failure, and then the verdict."""
 
 import hashlib
 import re
@@ -30,16 +30,16 @@ from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
 COMMITS = 3
 BATCHES = made_up_batches(COMMITS, size=70)
-"""140 events a commit, so that the tree passes 256 leaves, a full tile, within the appends that are interrupted."""
+"""140 events per commit, so that the tree passes 256 leaves, a full tile, within the interrupted appends."""
 INTERRUPTED = 2
-"""So many commits are appended while things fail; one more shows that the ledger goes on."""
+"""How many commits are appended while things fail; one more shows that the ledger goes on."""
 READ_TABLE = segment.read_table
 TOKEN = re.compile(r"[0-9a-f]{16}(?=\.tmp$)")
 
 
 @dataclass
 class Tally:
-    """What was tried and what was found. `lost` and `torn` count trials; `complaints` says what was wrong in each."""
+    """What was tried and found. `lost` and `torn` count trials; `complaints` describe what was wrong in each."""
 
     faults: int = 0
     faults_in_recovery: int = 0
@@ -54,14 +54,14 @@ class Tally:
         return not (self.lost or self.torn or self.complaints)
 
     def note(self, what: str, where: object) -> None:
-        """Something was wrong there."""
+        """Note that something was wrong there."""
         self.lost += what.startswith("lost")
         self.torn += what.startswith("torn")
         self.complaints.append(f"{where}: {what}")
 
 
 def _state(path: Path) -> str:
-    """One name for each state of the files, whatever their temporary names are."""
+    """Return one name for each state of the files, whatever their temporary names are."""
     files = sorted((TOKEN.sub("", name), data) for name, data in contents(path).items())
     folders = sorted(str(folder.relative_to(path)) for folder in path.rglob("*") if folder.is_dir())
     return hashlib.sha256(repr((path.exists(), folders, files)).encode()).hexdigest()
@@ -90,7 +90,7 @@ def encode_all() -> None:
 
 @cache
 def _decoded() -> dict[str, pa.Table]:
-    """The rows of each batch by the SHA-256 of its segment."""
+    """Return the rows of each batch by the SHA-256 of its segment."""
     return {sha256_hex(_parquet(batch[0].run_id)): encode(batch) for batch in BATCHES}
 
 
@@ -118,7 +118,7 @@ def encoded_once() -> Iterator[None]:
 
 @dataclass
 class Session:
-    """How far one process came. `acknowledged` is the number of commits that the ledger has told it were safe."""
+    """How far one process came. `acknowledged` is the number of commits that the ledger reported as safe."""
 
     acknowledged: int = 0
     error: FsarLedgerError | None = None
@@ -128,7 +128,7 @@ class Session:
 def append_with(
     faulty: FaultyOs, path: Path, commits: int = INTERRUPTED, acknowledge: Callable[[int], None] | None = None
 ) -> Session:
-    """A process opens the ledger and appends what it lacks, and the newest batch once more: it may not have been
+    """Open the ledger in a process and append what it lacks, and the newest batch again, which may not have been
     acknowledged."""
     session = Session()
 
@@ -150,7 +150,7 @@ def append_with(
 
 
 class Laboratory:
-    """Makes trials in a folder of its own and keeps the tally."""
+    """Runs trials in a folder of its own and keeps the tally."""
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -163,16 +163,16 @@ class Laboratory:
         self._finished: dict[str, str | None] = {}
 
     def _fresh(self) -> Path:
-        """A path where nothing is, two folders deep in an empty root."""
+        """Return an unused path, two folders deep in an empty root."""
         self._number += 1
         root = self.folder / str(self._number)
         root.mkdir()
         return root / "out" / "ledger"
 
     def judge(self, path: Path, acknowledged: int, where: object) -> str:
-        """Readers find every acknowledged commit, whole, and no half of another.
+        """Check that readers find every acknowledged commit whole, and no part of another.
 
-        Returns the name of the state the ledger is in.
+        Returns the name of the state that the ledger is in.
         """
         state = _state(path)
         commits, complaints = self._judged.get(state) or self._judged.setdefault(state, self._read(path))
@@ -183,7 +183,7 @@ class Laboratory:
         return state
 
     def _read(self, path: Path) -> tuple[int, list[str]]:
-        """How many commits readers see, and what is wrong with them. The same files give the same answer."""
+        """Return how many commits readers see, and what is wrong with them. The same files give the same answer."""
         if not (path / MANIFEST).exists():
             return 0, []
         complaints = []
@@ -208,9 +208,9 @@ class Laboratory:
         return view.head.commits, complaints
 
     def finish(self, path: Path, state: str, where: object) -> None:
-        """Without faults a writer goes on, and the ledger ends up as if nothing had happened.
+        """Continue without faults, and check that the ledger ends up as if nothing had happened.
 
-        From each state this is tried once.
+        This is tried once from each state.
         """
         if state not in self._finished:
             self._finished[state] = self._go_on(path)
@@ -228,8 +228,8 @@ class Laboratory:
         return f"after going on other bytes are in {', '.join(names)}" if names else None
 
     def trial(self, faults: Sequence[Fault], choices: Sequence[Choice] = ()) -> list[Session]:
-        """Each fault interrupts one process, each process recovering from the one before; then the power fails in each
-        of these ways."""
+        """Let each fault interrupt one process, each recovering from the one before; then let the power fail in each of
+        these ways."""
         path = self._fresh()
         root = path.parent.parent
         disk = Disk(root)
@@ -267,7 +267,7 @@ class Laboratory:
         return root / "out" / "ledger"
 
     def trial_after_power_failure(self, first: Fault, choice: Choice, second: Fault) -> None:
-        """The first fault, the power fails, and the recovery after it is interrupted too."""
+        """Let the first fault happen, then a power failure, then a second fault during the recovery."""
         path = self._fresh()
         disk = Disk(path.parent.parent)
         session = append_with(FaultyOs(path.parent.parent, first, disk), path)

@@ -1,7 +1,7 @@
-"""A nursery of processes that append to ledgers and are killed: `python -m tests.ledger.crash_writer` answers each line
-it is sent with one.
+"""A process that forks others, which append to ledgers and are killed: `python -m tests.ledger.crash_writer` answers
+each line with one.
 
-It forks its children, so that one costs milliseconds; it has imported everything and started no threads.
+It has imported everything and started no threads, so a fork costs milliseconds.
 """
 
 import json
@@ -28,8 +28,7 @@ STUCK_AFTER_S = 120
 
 
 class Order(msgspec.Struct, frozen=True):
-    """What the nursery is to do at a path: these writers append so many batches of their own each, while so many
-    readers watch.
+    """What the nursery does at a path: these writers append so many batches each, while so many readers watch.
 
     `kill_after_us` has a moment for each writer that is killed, counted from its start. With a fault, one process
     appends the batches of the trials and is killed at that call.
@@ -45,8 +44,8 @@ class Order(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What became of it: batches acknowledged by writer, processes killed, heads that readers saw, conflicts met, and
-    all that was wrong."""
+    """The result: batches acknowledged by writer, processes killed, heads that readers saw, conflicts, and everything
+    that was wrong."""
 
     acknowledged: dict[str, int]
     killed: int
@@ -56,7 +55,7 @@ class Outcome(msgspec.Struct, frozen=True):
 
 
 def _child(work: Callable[[Callable[[str, object], None]], None], name: str, pipe: int) -> int:
-    """A forked process does the work, says what happens through the pipe, and ends. Returns its process number."""
+    """Fork a process that does the work and reports through the pipe. Returns its process id."""
     number = os.fork()
     if number:
         return number
@@ -126,8 +125,8 @@ def _fail(path: Path, fault: Fault, say: Callable[[str, object], None]) -> None:
 
 
 def _gather(listen: int, writers: list[int], stopper: int, readers: list[int]) -> tuple[bytes, list[int]]:
-    """All that the children said, and the signal that ended each (0: none); readers are told to stop when the writers
-    have ended."""
+    """Return everything that the children wrote, and the signal that ended each (0: none). Readers are told to stop
+    when the writers have ended."""
     said = b""
     waiting = list(writers)
     ends = []
@@ -155,7 +154,7 @@ def _gather(listen: int, writers: list[int], stopper: int, readers: list[int]) -
 
 
 class Nursery:
-    """A nursery of its own process, for tests that have threads and may not fork. Use as a context manager."""
+    """A nursery in a process of its own, for tests that have threads and may not fork. Use as a context manager."""
 
     def __enter__(self) -> "Nursery":
         command = [sys.executable, "-m", "tests.ledger.crash_writer"]
@@ -172,7 +171,7 @@ class Nursery:
         self._process.wait()
 
     def __call__(self, order: Order) -> Outcome:
-        """What became of the order."""
+        """Carry out the order and return its outcome."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(msgspec.json.encode(order) + b"\n")

@@ -1,4 +1,4 @@
-"""Several writers and readers of one ledger: what each does, and what must be true of the ledger at the end."""
+"""Several writers and readers of one ledger: what each does, and what must hold for the ledger at the end."""
 
 import select
 from collections import Counter
@@ -18,19 +18,19 @@ NAMES = ("anna", "bela", "carl", "dora", "emil", "fred", "gina", "hugo")
 
 
 def batch_of(name: str, number: int) -> list[LedgerRun]:
-    """The batch with this number of this writer: two runs that carry both in their ids."""
+    """Return the batch with this number of this writer: two runs that carry both in their ids."""
     return [made_up_run(f"{name}-{number:04d}-{run}", 12, seed=NAMES.index(name) * 1000 + number) for run in range(2)]
 
 
 def own_commits(view: LedgerView, name: str) -> int:
-    """How many batches of this writer the ledger holds."""
+    """Return how many batches of this writer the ledger holds."""
     return sum(record.first_run.startswith(f"{name}-") for record in view.records)
 
 
 def write(path: Path, name: str, batches: int, say: Callable[[str, object], None]) -> None:
     """Append all batches of this writer.
 
-    Acknowledges each at once; after a conflict, opens the ledger anew.
+    Each is acknowledged at once. After a conflict the ledger is opened again.
     """
     while True:
         try:
@@ -46,7 +46,7 @@ def write(path: Path, name: str, batches: int, say: Callable[[str, object], None
 
 
 def watch(path: Path, stop: int, say: Callable[[str, object], None]) -> None:
-    """Every head was a whole commit, held all that the one before it held, and all its rows could be read."""
+    """Check that every head is a whole commit and contains the one before, and that all its rows can be read."""
     before: LedgerView | None = None
     while True:
         is_last = bool(select.select([stop], [], [], 0)[0])
@@ -75,8 +75,8 @@ def watch(path: Path, stop: int, say: Callable[[str, object], None]) -> None:
 
 
 def judge(path: Path, acknowledged: Mapping[str, int]) -> list[str]:
-    """What is wrong with the ledger that these writers shared: nothing if every acknowledged batch is there once, whole
-    and in its writer's order."""
+    """Return what is wrong with the ledger that these writers shared: nothing if every acknowledged batch is there
+    once, whole and in its writer's order."""
     if not (path / MANIFEST).exists():
         return ["lost: the ledger is gone"] if any(acknowledged.values()) else []
     complaints = []

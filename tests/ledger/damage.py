@@ -1,4 +1,4 @@
-"""Damage to a ledger, one case after the other: every bit, every length, and files in each other's place."""
+"""Damage to a ledger, case by case: every bit, every length, and files in each other's place."""
 
 import os
 import shutil
@@ -25,7 +25,7 @@ class Case(NamedTuple):
 
 
 def write_ledger(path: Path, sizes: Sequence[int], snapshots: Path | None = None) -> None:
-    """Write a signed ledger with one run of so many events a commit; `snapshots/N` holds it after N commits."""
+    """Write a signed ledger with one run of so many events per commit; `snapshots/N` holds it after N commits."""
     for number, size in enumerate(sizes):
         with Writer(path, ORIGIN, SIGNER) as writer:
             writer.append(stage(path, [made_up_run(f"run-{number:04d}", size, seed=number)]))
@@ -34,12 +34,12 @@ def write_ledger(path: Path, sizes: Sequence[int], snapshots: Path | None = None
 
 
 def files_of(path: Path) -> list[str]:
-    """The names of all files of the ledger, within it."""
+    """Return the names of all files of the ledger, within it."""
     return sorted(str(file.relative_to(path)) for file in path.rglob("*") if file.is_file())
 
 
 def kind_of(name: str) -> str:
-    """Which kind of file this name is of."""
+    """Return the kind of file that has this name."""
     folder, _, rest = name.partition("/")
     return {
         "commits": "records",
@@ -49,7 +49,7 @@ def kind_of(name: str) -> str:
 
 
 def flips(data: bytes, first: int = 0, last: int | None = None) -> Iterator[bytes]:
-    """The bytes with each bit flipped in turn, of those from `first` to before `last`."""
+    """Yield the bytes with each bit flipped in turn, from byte `first` to before `last`."""
     flipped = bytearray(data)
     for at in range(first, len(data) if last is None else last):
         for bit in range(8):
@@ -59,15 +59,15 @@ def flips(data: bytes, first: int = 0, last: int | None = None) -> Iterator[byte
 
 
 def only_problem(path: Path, asked: Asked | None = None) -> Problem:
-    """The one thing that `verify` doubts."""
+    """Return the single problem that `verify` reports."""
     (problem,) = verify(path, asked=asked).problems
     return problem
 
 
 def is_placed(report: VerifyReport, places: Iterable[str]) -> bool:
-    """Whether the report doubts and names one of these files, with the commit where the file belongs to one.
+    """Return whether the report names one of these files, with its commit if it belongs to one.
 
-    A document may also be named as what another file does not agree with: nobody can know which of the two was altered.
+    For a document, it may also name the file that disagrees with it: nobody can know which of the two was altered.
     """
     return (
         not report.ok
@@ -84,8 +84,7 @@ def _names(problem: Problem, place: str) -> bool:
 
 
 def cases(path: Path) -> Iterator[Case]:
-    """Every file of the ledger taken away, emptied, made longer, or made something else, and any two of a kind
-    exchanged."""
+    """Yield each damage to whole files: any removed, emptied, extended or replaced, and any two of a kind exchanged."""
     names = files_of(path)
     for name in names:
         yield from _alone(path, name)

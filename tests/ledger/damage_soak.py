@@ -1,8 +1,8 @@
-"""Every single-bit flip and every length of every file of a ledger, and files in each other's place: `python -m
+"""Try every single-bit flip and every length of every file of a ledger, and files in each other's place: `python -m
 tests.ledger.damage_soak`.
 
-Each damage is made alone, `verify` looks at the whole ledger, and must doubt it and name the file. Segments that are as
-they were are decoded once. Prints counts by kind of file; exit code 1 if any damage is not found or not placed.
+Each damage is made alone. `verify` looks at the whole ledger, and must find it and name the file. Unchanged segments
+are decoded only once. Prints counts by kind of file; exits with 1 if a damage is not found or not placed.
 """
 
 import os
@@ -29,7 +29,7 @@ CHUNK = 512
 
 
 class Task(NamedTuple):
-    """A part of one file: its bytes from `first` to before `last` are flipped, or it is cut to each of these
+    """A part of one file: each bit from byte `first` to before `last` is flipped, or the file is cut to each of these
     lengths."""
 
     name: str
@@ -39,7 +39,7 @@ class Task(NamedTuple):
 
 
 class Tally(NamedTuple):
-    """How many damages were tried, found, and found with their place; and the first that was missed."""
+    """How many damages were tried, found, and found in their place; and the first that was missed."""
 
     kind: str
     tried: int
@@ -49,7 +49,7 @@ class Tally(NamedTuple):
 
 
 def tasks(path: Path) -> Iterator[Task]:
-    """Every flip and every length of every file, in parts."""
+    """Yield every flip and every length of every file, in parts."""
     for name in files_of(path):
         size = (path / name).stat().st_size
         for first in range(0, size, CHUNK):
@@ -58,7 +58,7 @@ def tasks(path: Path) -> Iterator[Task]:
 
 
 def try_all(place: tuple[str, str], part: Sequence[Task]) -> list[Tally]:
-    """Each task of this part was done, in a copy of the ledger of its own."""
+    """Do each task of this part, in a copy of the ledger."""
     folder, ledger = place
     with tempfile.TemporaryDirectory(dir=folder) as mine:
         path = Path(shutil.copytree(ledger, Path(mine) / "ledger"))
@@ -88,8 +88,7 @@ def _try(path: Path, task: Task) -> Tally:
 
 
 def try_places(folder: Path) -> Iterator[Tally]:
-    """Every file removed, replaced, exchanged, replayed or added; and every tail dropped, with each later checkpoint as
-    anchor."""
+    """Remove, replace, exchange, replay and add every file; drop every tail, with each later checkpoint as anchor."""
     path = folder / "swapped" / "ledger"
     write_ledger(path, SWAPPED_SIZES, folder / "snapshots")
     with examined_once(path):
@@ -122,7 +121,7 @@ def try_places(folder: Path) -> Iterator[Tally]:
 
 
 def main() -> int:
-    """Every damage was tried and counted; 0 if each was found and placed."""
+    """Try and count every damage; return 0 if each was found and placed."""
     began = time.monotonic()
     workers = len(os.sched_getaffinity(0))
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as place:

@@ -1,8 +1,8 @@
-"""A disk that fails: `os` as the ledger's writing modules see it, with a fault at one numbered call.
+"""A disk that fails: a replacement of `os` for the ledger's writing modules, with a fault at one numbered call.
 
 Every call that opens, reads, closes or changes something on the disk is counted; what the harness does not know is
-refused, so that no change escapes it. A call fails before it has an effect, after it, in the middle (a write), or the
-process ends there. What each call changed is told to a model of the disk, which knows what a power failure could undo.
+refused, so that no change escapes it. A call fails before it has an effect, after it, or in the middle (a write), or
+the process ends there. A model of the disk is told of each change, and knows what a power failure could undo.
 """
 
 import errno
@@ -40,7 +40,7 @@ HARMLESS = frozenset(
     ]
 )
 NEED_ROOM = ("write", "link", "rename", "replace", "mkdir", "fsync")
-"""What a full disk refuses, beside creating a file."""
+"""What a full disk refuses, apart from creating a file."""
 
 ONLY_READS = (
     "fsar_ledger.ledger.store.walk",
@@ -71,7 +71,7 @@ OF_WRITES = frozenset(("short-write", "short-write-no-space", "killed-in-write")
 
 
 class Killed(BaseException):
-    """The process ends here: nothing that it would have done afterwards happens."""
+    """The process ends here: nothing that it would do afterwards happens."""
 
 
 @dataclass(frozen=True)
@@ -87,10 +87,10 @@ class Fault:
 
 
 class FaultyOs:
-    """Stands for the module `os`.
+    """A stand-in for the module `os`.
 
-    `calls` are the names of the counted calls so far, `disk` is the model of what is durable, `was_hit` whether the
-    fault came, `left_open` how many handles the process had open at its end.
+    `calls` are the names of the counted calls so far, `disk` is the model of what is durable, `was_hit` tells whether
+    the fault happened, `left_open` how many handles the process had open at its end.
     """
 
     def __init__(self, root: Path, fault: Fault | None = None, disk: Disk | None = None, really_kills: bool = False):
@@ -153,9 +153,9 @@ class FaultyOs:
         raise OSError(code, os.strerror(code))
 
     def _do(self, name: str, arguments: tuple[Any, ...], options: dict[str, Any]) -> Any:
-        """The call happens, and the model learns of it.
+        """Make the call and tell the model.
 
-        Nothing is really synced: whether it was is for the model to know.
+        Nothing is really synced; the model keeps track of that.
         """
         result = None if name == "fsync" else getattr(os, name)(*arguments, **options)
         match name:
@@ -190,7 +190,7 @@ class FaultyOs:
 
 @contextmanager
 def in_place_of_os(faulty: FaultyOs) -> Iterator[FaultyOs]:
-    """Every module of the ledger that writes and knows `os` sees the faulty one, as long as the block runs."""
+    """Give every module of the ledger that writes and uses `os` the faulty one, inside the block."""
     with pytest.MonkeyPatch.context() as patch:
         for name, module in list(sys.modules.items()):
             if (
@@ -199,7 +199,7 @@ def in_place_of_os(faulty: FaultyOs) -> Iterator[FaultyOs]:
                 and getattr(module, "os", None) is os
             ):
                 patch.setattr(module, "os", faulty)
-        patch.setattr(disk, "SYNCS_AT_ONCE", 1)  # the number of a call shall name the same call each time
+        patch.setattr(disk, "SYNCS_AT_ONCE", 1)  # so that a number names the same call each time
         try:
             yield faulty
         finally:
@@ -207,7 +207,7 @@ def in_place_of_os(faulty: FaultyOs) -> Iterator[FaultyOs]:
 
 
 def faults_at(calls: list[str]) -> Iterator[Fault]:
-    """Every kind of fault at every one of these calls."""
+    """Yield every kind of fault at every one of these calls."""
     for at, name in enumerate(calls):
         for kind in KINDS:
             if name == "write" or kind not in OF_WRITES:
@@ -215,7 +215,7 @@ def faults_at(calls: list[str]) -> Iterator[Fault]:
 
 
 def calls_of(root: Path, work: Callable[[], object]) -> list[str]:
-    """The counted calls of this work where nothing fails."""
+    """Return the counted calls of this work when nothing fails."""
     with in_place_of_os(FaultyOs(root)) as faulty:
         work()
     return faulty.calls

@@ -1,4 +1,4 @@
-"""A small ledger of real runs, one bit of it flipped, and what each command that answers from a ledger then answers."""
+"""A small ledger of real runs, single flipped bits in it, and the answers of each command to it."""
 
 import io
 import random
@@ -35,11 +35,11 @@ VERBS: dict[str, tuple[str, ...]] = {
 SCENARIOS: tuple[Scenario, ...] = ("door-relay", "failure-recovery-chain", "fleet-contention")
 
 KINDS = {"segments": 75, "records": 12, "ledger.json": 5, "checkpoint": 5, "full tiles": 1, "partial tiles": 2}
-"""Of a hundred flips, so many in files of each kind: most bytes that an answer rests on are in segments."""
+"""Of a hundred flips, how many are in files of each kind. Most bytes that an answer depends on are in segments."""
 
 
 class Flip(NamedTuple):
-    """One bit of one file, the file as its name within the ledger."""
+    """One bit of one file, which is named within the ledger."""
 
     name: str
     at: int
@@ -47,7 +47,7 @@ class Flip(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a command answered: exit code, stdout, and the file that it wrote."""
+    """The answer of a command: exit code, stdout, and the file that it wrote."""
 
     code: int
     out: str
@@ -55,7 +55,7 @@ class Answer(NamedTuple):
 
 
 def write_runs(path: Path) -> None:
-    """Write a ledger of three runs of each architecture, one of them a commit: mostly data, as in a large one."""
+    """Write a ledger of three runs of each architecture, each in its own commit: mostly data, as in a large one."""
     with Writer(path, "example.org/flips") as writer:
         for architecture in ARCHITECTURES:
             specs = [RunSpec(7, architecture, "full", scenario, 4, 0) for scenario in SCENARIOS]
@@ -63,7 +63,7 @@ def write_runs(path: Path) -> None:
 
 
 def chosen(path: Path, count: int, seed: int, kinds: dict[str, int] = KINDS) -> Iterator[Flip]:
-    """So many bits of the ledger's files, drawn."""
+    """Yield so many randomly drawn bits of the ledger's files."""
     draw = random.Random(seed)
     files: dict[str, list[str]] = {}
     for name in files_of(path):
@@ -75,7 +75,7 @@ def chosen(path: Path, count: int, seed: int, kinds: dict[str, int] = KINDS) -> 
 
 
 def answered(path: Path, out: Path, verb: str) -> Answer:
-    """What this command says of the ledger now."""
+    """Return what this command answers from the ledger now."""
     text = io.StringIO()
     with redirect_stdout(text), redirect_stderr(io.StringIO()):
         code = app.run([word.replace("LEDGER", str(path)).replace("OUT", str(out)) for word in VERBS[verb]])
@@ -87,7 +87,7 @@ def answered(path: Path, out: Path, verb: str) -> Answer:
 
 
 def undamaged(path: Path, out: Path, verbs: Iterable[str] = VERBS) -> dict[str, Answer]:
-    """What these commands say of the ledger as it is, after a look that found it right."""
+    """Return what these commands answer from the intact ledger, once it has been verified."""
     with redirect_stdout(io.StringIO()):
         assert app.run(["verify", str(path), "--workers", "1"]) == 0
     good = {verb: answered(path, out, verb) for verb in verbs}
@@ -96,10 +96,10 @@ def undamaged(path: Path, out: Path, verbs: Iterable[str] = VERBS) -> dict[str, 
 
 
 def outcome(good: Answer, now: Answer) -> str:
-    """The same answer, a refusal without an answer, or a wrong answer.
+    """Return whether this is the same answer, a refusal without an answer, or a wrong answer.
 
-    The newest record names its first and last run, which only a whole look compares with rows: with another letter
-    there it is another head, and the answer is the same but that it says that nobody looked at the rows.
+    The newest record names its first and last run, which only a whole look compares with rows. With a changed letter
+    there it is another head, and the answer is the same except for saying that nobody looked at the rows.
     """
     if now._replace(out=now.out.replace('"rows_verified": false', '"rows_verified": true')) == good:
         return "same"
@@ -109,7 +109,7 @@ def outcome(good: Answer, now: Answer) -> str:
 
 
 def outcomes(path: Path, out: Path, flip: Flip, good: dict[str, Answer]) -> dict[str, str]:
-    """What becomes of each command's answer while the bit is flipped."""
+    """Return the outcome of each command while the bit is flipped."""
     file = path / flip.name
     data = file.read_bytes()
     file.write_bytes(data[: flip.at] + bytes([data[flip.at] ^ 1 << flip.bit]) + data[flip.at + 1 :])

@@ -1,8 +1,8 @@
-"""Single bits flipped in all files of a ledger, and then every command that answers from it: `python -m
+"""Flip single bits in all files of a ledger and run every command that answers from it: `python -m
 tests.ledger.flips_soak [COUNT]`.
 
-An answer must be refused, or be that of the undamaged ledger. Prints counts by kind of file and by command; exit code 1
-if any answer is wrong.
+A command must refuse to answer, or give the answer of the undamaged ledger. Prints counts by kind of file and by
+command; exits with 1 if any answer is wrong.
 """
 
 import os
@@ -25,7 +25,7 @@ from tests.ledger.flips import KINDS, VERBS, Flip, chosen, outcomes, undamaged, 
 
 COUNT = 2_000
 PARTS = 4
-"""Each part is tried on a copy of the ledger of its own."""
+"""Each part is tried on its own copy of the ledger."""
 
 OUTCOMES = ("refused", "same", "wrong")
 Tally = Counter[tuple[str, str]]
@@ -33,7 +33,7 @@ Tally = Counter[tuple[str, str]]
 
 
 def try_part(ledger: Path, flips: list[Flip]) -> tuple[Tally, list[str]]:
-    """The outcomes of these flips, and each wrong answer."""
+    """Return the outcomes of these flips, and each wrong answer."""
     tally: Tally = Counter()
     wrong: list[str] = []
     with tempfile.TemporaryDirectory(dir=ledger.parent) as folder:
@@ -51,7 +51,7 @@ def try_part(ledger: Path, flips: list[Flip]) -> tuple[Tally, list[str]]:
 
 
 def main(count: int) -> int:
-    """The exit code: 0 if no answer was wrong."""
+    """Return 0 if no answer was wrong, else 1."""
     began = time.monotonic()
     tally: Tally = Counter()
     wrong: list[str] = []

@@ -1,5 +1,5 @@
-"""What a forger does to a ledger: records that say something else, chained and hashed again; and a quick way to look at
-many damaged copies."""
+"""What a forger does to a ledger: change records, and chain and hash them again. Also a quick way to verify many
+damaged copies."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,13 +21,12 @@ from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examin
 
 
 def record_of(path: Path, number: int) -> CommitRecord:
-    """The commit record as it is, unchecked."""
+    """Return the commit record as it is, unchecked."""
     return msgspec.json.decode(commit_path(path, number).read_bytes(), type=CommitRecord)
 
 
 def forge(path: Path, number: int, /, **changes: object) -> None:
-    """One record says something else, and all records after it are chained to it again: the work of a forger without
-    our tests."""
+    """Change one record and chain all later records to it again, as a forger without our tests would."""
     records = [record_of(path, at) for at in range(len(list((path / "commits").iterdir())))]
     for at in range(number, len(records)):
         previous = sha256_hex(commit_path(path, at - 1).read_bytes() if at else (path / "ledger.json").read_bytes())
@@ -37,19 +36,19 @@ def forge(path: Path, number: int, /, **changes: object) -> None:
 
 
 def forge_segment(path: Path, number: int, table: pa.Table | bytes) -> None:
-    """The segment holds other rows, and its record knows the file, but not the tree."""
+    """Put other rows into the segment and make its record fit the file, but not the tree."""
     data = table if isinstance(table, bytes) else bytes(segment.to_parquet(table))
     segment_path(path, number).write_bytes(data)
     forge(path, number, segment_sha256=sha256_hex(data), segment_bytes=len(data))
 
 
 def table_of(path: Path, number: int) -> pa.Table:
-    """The rows of a commit."""
+    """Return the rows of a commit."""
     return segment.read_table(segment_path(path, number))
 
 
 def changed(table: pa.Table, name: str, row: int, value: object) -> pa.Table:
-    """The same rows but for one value."""
+    """Return the same rows except for one value."""
     values = table.column(name).to_pylist()
     values[row] = value
     at = SCHEMA.get_field_index(name)
@@ -68,7 +67,7 @@ class _Watched:
 
 
 class Examined:
-    """What the segments of a ledger hold, for a quick look at its damaged copies.
+    """What the segments of a ledger hold, for quick verification of its damaged copies.
 
     Decoding takes nine tenths of the time of `verify`. The same file, number and fields that `examine` reads of the
     record give the same facts.
@@ -109,7 +108,7 @@ _examined: dict[tuple[tuple[str, str], ...], Examined] = {}
 def examined_once(ledger: Path | Examined) -> Iterator[None]:
     """Make `verify` and `recover` decode only segments that differ from those that this ledger holds now.
 
-    Of equal ledgers only the first is decoded.
+    Of equal ledgers, only the first is decoded.
     """
     if isinstance(ledger, Examined):
         examined = ledger

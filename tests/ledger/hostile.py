@@ -1,4 +1,4 @@
-"""Files that somebody made to harm whoever reads them: JSON, notes and Parquet, and ledgers with any text in them."""
+"""Files made to harm whoever reads them: JSON, notes and Parquet, and ledgers with any text in them."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -21,7 +21,7 @@ MIB = 1 << 20
 
 
 def documents(good: bytes) -> Iterator[tuple[str, bytes]]:
-    """What may stand in place of a JSON file or a note."""
+    """Yield what may be in place of a JSON file or a note."""
     yield from {
         "nothing": b"",
         "null": b"null",
@@ -52,7 +52,7 @@ def documents(good: bytes) -> Iterator[tuple[str, bytes]]:
 
 
 def records(good: CommitRecord) -> Iterator[tuple[str, bytes]]:
-    """Commit records as a forger may write them: canonical JSON, but of what cannot be."""
+    """Yield commit records as a forger may write them: canonical JSON with impossible content."""
     names = ("number", "rows", "segment_bytes", "tree_size")
     fields: list[dict[str, object]] = [
         {name: value} for name in names for value in (MAX_INTEGER, -1, 10**30, True, "3")
@@ -97,7 +97,7 @@ def records(good: CommitRecord) -> Iterator[tuple[str, bytes]]:
 
 
 def parquets(table: pa.Table, good: bytes) -> Iterator[tuple[str, bytes]]:
-    """What may stand in place of a segment with these rows, all small enough to be sent by mail."""
+    """Yield what may be in place of a segment with these rows, each small enough to be sent by mail."""
     footer = len(good) - 8 - int.from_bytes(good[-8:-4], "little")
     for length in (0, 1, footer - 1, len(good), 2**31 - 1, 2**32 - 1):
         yield f"a footer that says to have {length} bytes", good[:-8] + length.to_bytes(4, "little") + good[-4:]
@@ -132,7 +132,7 @@ def parquets(table: pa.Table, good: bytes) -> Iterator[tuple[str, bytes]]:
 
 
 def written(table: pa.Table, **options: object) -> bytes:
-    """The table as some Parquet file."""
+    """Return the table as a Parquet file with these options."""
     sink = pa.BufferOutputStream()
     pq.write_table(
         table, sink, **{"compression": "zstd", "store_schema": False, "write_page_checksum": True, **options}
@@ -141,7 +141,7 @@ def written(table: pa.Table, **options: object) -> bytes:
 
 
 def _repeated(text: str, rows: int = 1000) -> pa.Table:
-    """Rows that differ in nothing, with one long string."""
+    """Return identical rows with one long string."""
 
     def column(field: pa.Field) -> pa.Array:
         if COLUMNS[field.name] == "string" and not field.nullable:
@@ -152,7 +152,7 @@ def _repeated(text: str, rows: int = 1000) -> pa.Table:
 
 
 def _unpacks_to(mebibytes: int) -> bytes:
-    """One column of text that is all blanks."""
+    """Return one column of text that is all blanks."""
     batch = pa.record_batch({"a": pa.array([" " * MIB])})
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(
@@ -164,7 +164,7 @@ def _unpacks_to(mebibytes: int) -> bytes:
 
 
 def lying_pages(table: pa.Table) -> Iterator[tuple[str, bytes]]:
-    """Segments in which the header of one page says something else than its footer: longer numbers in as many bytes."""
+    """Yield segments in which the header of one page contradicts the footer: other numbers in as many bytes."""
     good = bytes(segment.to_parquet(table))
     assert table.schema == SCHEMA
     column = pq.read_metadata(pa.BufferReader(good)).row_group(0).column(SCHEMA.get_field_index("time_us"))
@@ -179,7 +179,7 @@ def lying_pages(table: pa.Table) -> Iterator[tuple[str, bytes]]:
 
 
 def _zigzag(number: int) -> bytes:
-    """A Thrift compact integer."""
+    """Encode a Thrift compact integer."""
     rest, found = number << 1 if number >= 0 else ~(number << 1), []
     while rest > 0x7F:
         found.append(rest & 0x7F | 0x80)
@@ -193,21 +193,21 @@ def stage_anything(path: Path, runs: Sequence[LedgerRun]) -> Staged:
 
 
 class TrustingWriter(Writer):
-    """Commits what 0.1.0 committed: runs that the ledger holds already, too."""
+    """Commits what 0.1.0 committed, including runs that the ledger already holds."""
 
     def _new_runs(self, staged: Staged, held: HeldRuns) -> list[str] | None:
         return None
 
 
 def append_again(path: Path, runs: Sequence[LedgerRun]) -> None:
-    """The ledger has one commit more, of these runs, which it may hold already."""
+    """Append one more commit, of these runs, which the ledger may already hold."""
     with TrustingWriter(path, ORIGIN) as writer:
         writer.append(stage(path, runs))
 
 
 def relabelled(run: LedgerRun, name: Callable[[str], str]) -> LedgerRun:
-    """The same run with another text in every field that takes any but `parameters` and `observes`; what was the same
-    text is the same text again."""
+    """Return the same run with another text in every field that takes any text, except `parameters` and `observes`.
+    Equal texts stay equal."""
     events = []
     for event in run.events:
         free = [

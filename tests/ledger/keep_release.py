@@ -1,8 +1,8 @@
-"""Keeps a ledger of a release for ever: `python -m tests.ledger.keep_release 0.1.0`, once, when the release is made.
+"""Keep a ledger of a release for ever: `python -m tests.ledger.keep_release 0.1.0`, once, when the release is made.
 
-It adds `tests/ledgers/VERSION/`: `ledger/`, which later versions must open; `events.jsonl`, the event types as they
-are; `kept.json`, what the ledger is known to hold. Where event types changed since the release before, it also adds the
-columns to the package. It never writes over anything.
+This adds `tests/ledgers/VERSION/`: `ledger/`, which later versions must open; `events.jsonl`, the event types as they
+are; `kept.json`, what the ledger is known to hold. If event types changed since the release before, it also adds the
+columns to the package. It never overwrites anything.
 """
 
 import sys
@@ -27,9 +27,7 @@ LEDGERS = ROOT / "tests" / "ledgers"
 COLUMNS = ROOT / "fsar_ledger" / "ledger" / "rows" / "columns"
 
 ORIGIN = "example.org/kept"
-SECRET = bytes(
-    range(32)
-)  # known to everyone: these signatures show that old ones are still understood, and protect nothing
+SECRET = bytes(range(32))  # public: these signatures only show that old ones still verify
 
 
 class Kept(msgspec.Struct, frozen=True):
@@ -43,8 +41,8 @@ class Kept(msgspec.Struct, frozen=True):
 
 
 def stored_types(layouts: Iterable[StoredType]) -> dict[str, dict[str, str]]:
-    """How these event types are stored: by tag and field the kind, the allowed values and whether NULL is allowed, as
-    text."""
+    """Describe how these event types are stored: by tag and field, the kind, the allowed values and whether NULL is
+    allowed, as text."""
     return {
         layout.tag: {field.name: _stored(field) for field in sorted(layout.fields, key=lambda field: field.name)}
         for layout in layouts
@@ -57,8 +55,7 @@ def _stored(field: Field) -> str:
 
 
 def write_ledger(path: Path) -> Kept:
-    """A small ledger is at the path: made-up events of every type, then runs as they are simulated; its notes are
-    signed."""
+    """Write a small signed ledger: made-up events of every type, then simulated runs."""
     signer = Signer(ORIGIN, SECRET)
     specs = (RunSpec(7, "fsar", "full", "failure-recovery-chain", 4, 0), RunSpec(7, "cfc", "full", "door-relay", 4, 0))
     runs = [run_of_every_type("made-up", seed=1), *(simulate_run(spec, Constants()) for spec in specs)]
@@ -71,9 +68,9 @@ def write_ledger(path: Path) -> Kept:
 
 
 def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None:
-    """The ledger, the event types and, where they are new, the columns of this release are kept.
+    """Keep the ledger, the event types and, if they are new, the columns of this release.
 
-    Raises: SystemExit where one would be written over.
+    Raises: SystemExit if one would be overwritten.
     """
     folder = ledgers / version
     if version != fsar_ledger.__version__:

@@ -1,8 +1,8 @@
-"""A made-up later release: a copy of the package in which event types were changed the way docs/contributing.md
-says, run in a process of its own.
+"""A made-up later release: a copy of the package whose event types were changed as docs/contributing.md says, run in a
+process of its own.
 
-`StepBegan` went through two versions: v2 said `is_own`, v3 says `is_delegated` instead; `RobotJoined` has a new
-optional field `depot`.
+`StepBegan` went through two versions: v2 has `is_own`, v3 has `is_delegated` instead. `RobotJoined` has a new optional
+field `depot`.
 """
 
 import json
@@ -118,9 +118,9 @@ for line in sys.stdin:
             traceback.print_exc()
     print(json.dumps([status, out.getvalue(), err.getvalue()]), flush=True)
 """
-"""Answers each line, some code or None and its arguments, with one.
+"""Answers each line (some code or None, and its arguments) with one line.
 
-To start a process for each would take most of the time.
+Starting a process for each would take most of the time.
 """
 
 
@@ -133,7 +133,7 @@ class Said(NamedTuple):
 
 
 class LaterRelease:
-    """The later release in a folder of its own, and at work there. Use as a context manager."""
+    """The later release, running in a folder of its own. Use as a context manager."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -159,17 +159,17 @@ class LaterRelease:
         self._process.communicate()
 
     def call(self, *arguments: object) -> Said:
-        """The command of this release, with these arguments."""
+        """Run a command of this release with these arguments."""
         return self._ask(None, *arguments)
 
     def answer(self, *arguments: object) -> Any:
-        """What the command says as JSON."""
+        """Return the JSON answer of a command."""
         done = self.call(*arguments, "--json")
         assert done.code == 0, done.err
         return json.loads(done.out)
 
     def run(self, code: str, *arguments: object) -> Any:
-        """What this code, which prints JSON, prints."""
+        """Return what this code prints as JSON."""
         done = self._ask(code, *arguments)
         assert done.code == 0, done.err
         return json.loads(done.out)

@@ -1,4 +1,4 @@
-"""Changes to the layout of a segment, each of which a reader must refuse, and the words that name it."""
+"""Changes to the layout of a segment, each of which a reader must refuse, and the words of the refusal."""
 
 from collections.abc import Callable
 from typing import cast

@@ -1,4 +1,4 @@
-"""The checks of the verifier, each taken out once: source code in which one check is never made."""
+"""Mutants of the verifier, each without one of its checks."""
 
 import ast
 import copy
@@ -29,7 +29,7 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     "store/proof.py": ("parse_proof", "check_proof", "_event"),
     "store/read.py": ("open_ledger", "_count", "segment"),
 }
-"""The files that make checks, and in them the functions; None: all."""
+"""The files that make checks, and the functions in them; None: all."""
 
 _NO_CHECKS = frozenset({"_examine_all", "__str__"})
 
@@ -39,7 +39,7 @@ _COLLECTORS = ("problems", "_problems", "suspects", "doubts")
 class Mutant(NamedTuple):
     """A module without one check.
 
-    `name` is stable while the check's own line stays: file, function, what was taken out.
+    `name` (file, function, what was removed) is stable while the line of the check stays the same.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Mutant(NamedTuple):
 
 
 def mutants() -> Iterator[Mutant]:
-    """Every check of `CHECKED`, taken out of its module."""
+    """Yield a mutant for every check of `CHECKED`."""
     for file, functions in CHECKED.items():
         path = PACKAGE / "ledger" / file
         tree = ast.parse(path.read_text("utf-8"))
@@ -59,7 +59,7 @@ def mutants() -> Iterator[Mutant]:
 
 
 def _functions(tree: ast.Module) -> Iterator[ast.FunctionDef]:
-    """The functions and methods, without those inside functions, which belong to them."""
+    """Yield the functions and methods, except those inside functions, which belong to them."""
     bodies: list[ast.Module | ast.ClassDef] = [tree, *(node for node in tree.body if isinstance(node, ast.ClassDef))]
     for body in bodies:
         yield from (node for node in body.body if isinstance(node, ast.FunctionDef))
@@ -81,7 +81,7 @@ def _mutants_of(path: Path, tree: ast.Module, function: ast.FunctionDef) -> Iter
 
 
 def _conditions(function: ast.FunctionDef) -> Iterator[ast.AST]:
-    """Every part of an expression that decides something: `a or b` elsewhere gives a default."""
+    """Yield every part of an expression that decides something; elsewhere, `a or b` gives a default."""
     for node in ast.walk(function):
         match node:
             case ast.If(test=test) | ast.IfExp(test=test):
@@ -99,7 +99,7 @@ _Change = Callable[[ast.AST], None]
 
 
 def _changes(node: ast.AST) -> Iterator[tuple[str, _Change]]:
-    """Each way in which this node makes a check, with what takes it out."""
+    """Yield each way in which this node makes a check, with a function that removes it."""
     if isinstance(node, ast.If) and any(map(_is_finding, ast.walk(ast.Module(node.body, [])))):
         yield f"if {ast.unparse(node.test)}", _never
     for name in ("body", "orelse", "finalbody"):
@@ -127,7 +127,7 @@ def _statements(node: ast.AST, name: str) -> list[ast.AST]:
 
 
 def _is_finding(node: ast.AST) -> bool:
-    """Whether this statement is where a check says what it found."""
+    """Return whether this is a statement in which a check reports what it found."""
     match node:
         case ast.Raise():
             return True
@@ -162,7 +162,7 @@ def _makes_problem(node: ast.AST) -> bool:
 
 
 def _never(node: ast.AST) -> None:
-    """The condition never leads to a problem."""
+    """Make the condition never lead to a problem."""
     is_other_way = isinstance(node, ast.IfExp) and _makes_problem(node.orelse)
     node.test = ast.Constant(is_other_way)  # type: ignore[attr-defined]
 

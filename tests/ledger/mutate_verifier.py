@@ -1,9 +1,9 @@
-"""Takes each check out of the verifier, once, and demands that a test fails: `python -m tests.ledger.mutate_verifier
+"""Remove each check from the verifier in turn, and demand that a test fails: `python -m tests.ledger.mutate_verifier
 [PART OF A NAME ...]`.
 
-Every mutant is tried in a process of its own, forked after the libraries were imported and before the package is:
-first with the quick tests, then, if it survives those, with the slow ones. Exit code 1 if one survives that is not
-listed in `EQUIVALENT`, or if an entry there no longer stands for a mutant that survives.
+Every mutant is tried in a process of its own, forked after the libraries were imported and before the package is: first
+with the quick tests, then, if it survives those, with the slow ones. Exits with 1 if a survivor is not listed in
+`EQUIVALENT`, or if an entry there no longer stands for a survivor.
 """
 
 import ast
@@ -65,7 +65,7 @@ EQUIVALENT: dict[str, str] = {
 
 
 def main(parts: list[str]) -> int:
-    """Every mutant whose name holds one of these parts (all: none) was tried; 0 if each that should die did."""
+    """Try every mutant whose name contains one of these parts (no parts: all); return 0 if each that should die did."""
     import hypothesis  # noqa: F401
     import numpy  # noqa: F401
     import pyarrow.parquet  # noqa: F401
@@ -100,7 +100,7 @@ def main(parts: list[str]) -> int:
 
 
 def _sources() -> dict[str, tuple[Path, ast.Module]]:
-    """Every mutant by its name. Made in a process of its own, so that nothing of the package is imported here."""
+    """Return every mutant by name. A process of its own makes them, so that nothing of the package is imported here."""
     reading, writing = os.pipe()
     if not os.fork():
         from tests.ledger.mutants import mutants
@@ -122,7 +122,7 @@ def _sources() -> dict[str, tuple[Path, ast.Module]]:
 
 
 def _survives(mutant: tuple[Path, ast.Module] | None) -> bool:
-    """Whether no test fails with this module in place of the package's own; None: with the package as it is."""
+    """Return whether no test fails with this module in place of the package's own; None: with the package as it is."""
     return _passes(mutant, f"not ({SLOW})") and _passes(mutant, SLOW)
 
 
@@ -154,7 +154,7 @@ def _pass_in(folder: str, mutant: tuple[Path, ast.Module] | None, which: str) ->
 
 
 def _run_tests(folder: str, mutant: tuple[Path, ast.Module] | None, which: str) -> None:
-    """Never returns: the process ends with the exit code of pytest."""
+    """Run the tests and end the process with the exit code of pytest. Never returns."""
     import pyarrow
     import pytest
 

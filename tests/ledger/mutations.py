@@ -1,5 +1,4 @@
-"""Structural mutations of a segment: what a forger may write into a footer and the headers of pages who knows Parquet
-well."""
+"""Structural mutations of a segment: what a forger who knows Parquet well may write into a footer and page headers."""
 
 import random
 from collections.abc import Callable
@@ -39,7 +38,7 @@ NUMBERS = (0, 1, 2, 3, 4, 5, 8, -1, 127, 128, 1 << 20, (1 << 31) - 1, 1 << 31, 1
 
 
 class Template:
-    """A segment whose structs are parsed only where a mutation touches them: that is what makes many of them quick."""
+    """A segment whose structs are parsed only where a mutation touches them, so that many mutations are quick."""
 
     def __init__(self, data: bytes):
         self.data = data
@@ -67,7 +66,7 @@ class Template:
 
 
 class Draft:
-    """One segment to be: the parts of a template, to be changed, and what is to become of them."""
+    """One mutated segment in the making: the parts of a template, to be changed."""
 
     def __init__(self, template: Template, draw: random.Random):
         self.template, self.draw = template, draw
@@ -76,7 +75,7 @@ class Draft:
         self.chunks: list[Value] = [Raw(data) for data in template.chunks]
 
     def chunk(self, at: int | None = None) -> Struct:
-        """A column chunk, parsed."""
+        """Parse and return a column chunk."""
         at = self.draw.randrange(len(self.chunks)) if at is None else at
         raw = self.chunks[at]
         if isinstance(raw, Raw):
@@ -84,13 +83,13 @@ class Draft:
         return cast(Struct, self.chunks[at])
 
     def element(self) -> Struct:
-        """An element of the schema, parsed."""
+        """Parse and return an element of the schema."""
         at = self.draw.randrange(len(self.schema))
         self.schema[at] = found = read(self.template.schema[at])[0]
         return found
 
     def any_struct(self) -> Struct:
-        """Some struct of the footer."""
+        """Return some struct of the footer."""
         which = self.draw.randrange(9)
         if which == 0:
             return self.root
@@ -110,7 +109,7 @@ class Draft:
         return cast(Struct, self.draw.choice(cast(Listed, field(about, 13)).values)) if which == 7 else about
 
     def number(self) -> int:
-        """Some number, often one that stands in the footer already."""
+        """Return some number, often one that is in the footer already."""
         return self.draw.choice(self.template.numbers) if self.draw.random() < 0.5 else self.draw.choice(NUMBERS)
 
     def __bytes__(self) -> bytes:
@@ -123,7 +122,7 @@ class Draft:
 
 
 def ended(data: bytes, footer_at: int) -> bytes:
-    """The bytes as a file whose footer begins there."""
+    """Return the bytes as a file whose footer begins there."""
     return data + (len(data) - footer_at).to_bytes(4, "little") + MAGIC
 
 
@@ -300,7 +299,7 @@ def the_length_of_the_footer(draft: Draft) -> bytes:
 
 
 def the_header_of_a_page(draft: Draft) -> bytes:
-    """In as many bytes, so that no other place changes."""
+    """Change a page header without changing its length, so that nothing else moves."""
     data, draw = draft.template.data, draft.draw
     begin, end = draw.choice(draft.template.headers)
     header = read(data, begin)[0]
@@ -317,7 +316,7 @@ def the_header_of_a_page(draft: Draft) -> bytes:
 
 
 def moved_pages(draft: Draft) -> bytes:
-    """Pages moved, repeated, taken away, hidden, with sizes that fit or not, and with a second beginning or not."""
+    """Move, repeat, remove or hide pages, with or without matching sizes and a second beginning."""
     parts, draw = Parts(draft.template.data), draft.draw
     one, other = (draw.randrange(len(parts.pages)) for _ in range(2))
     way = draw.randrange(7)
@@ -379,6 +378,6 @@ KINDS: dict[str, Callable[[Draft], bytes | None]] = {
 
 
 def mutated(template: Template, kind: str, draw: random.Random) -> bytes:
-    """The segment with one mutation of this kind."""
+    """Return the segment with one mutation of this kind."""
     draft = Draft(template, draw)
     return KINDS[kind](draft) or bytes(draft)

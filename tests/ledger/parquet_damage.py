@@ -1,4 +1,4 @@
-"""Ways to say a thing twice in a Parquet file, or to say what nobody reads: each makes one segment into another that a
+"""Ways to say something twice in a Parquet file, or to say what nobody reads. Each turns a segment into one that a
 verifier must refuse."""
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ Alter = Callable[[Struct], None]
 
 
 def forged(alter: Callable[[Parts], None]) -> Damage:
-    """The file with altered parts."""
+    """Alter the parts of the file."""
 
     def damage(data: bytes) -> bytes:
         parts = Parts(data)
@@ -41,27 +41,27 @@ def forged(alter: Callable[[Parts], None]) -> Damage:
 
 
 def in_footer(alter: Alter) -> Damage:
-    """The file with another footer."""
+    """Alter the footer."""
     return forged(lambda parts: alter(parts.footer))
 
 
 def in_group(alter: Alter) -> Damage:
-    """The file with another row group."""
+    """Alter the row group."""
     return forged(lambda parts: alter(parts.group()))
 
 
 def in_chunk(alter: Alter) -> Damage:
-    """The file with another column chunk."""
+    """Alter a column chunk."""
     return forged(lambda parts: alter(parts.chunks()[TYPE]))
 
 
 def in_column(alter: Alter, column: int = TYPE) -> Damage:
-    """The file with other metadata of a column chunk."""
+    """Alter the metadata of a column chunk."""
     return forged(lambda parts: alter(parts.about(column)))
 
 
 def in_page(alter: Alter, column: int = SEQ) -> Damage:
-    """The file with another header of the first page of a column; offsets and sizes are made to fit."""
+    """Alter the header of the first page of a column, and make offsets and sizes fit."""
 
     def change(parts: Parts) -> None:
         alter(parts.pages[column][0].header)
@@ -71,17 +71,17 @@ def in_page(alter: Alter, column: int = SEQ) -> Damage:
 
 
 def to(number: int, value: Value, kind: int | None = None) -> Alter:
-    """The field says this; a new one is of this kind."""
+    """Set the field to this value; a new field is of this kind."""
     return lambda struct: put(struct, number, value, kind)
 
 
 def plus(by: int, number: int) -> Alter:
-    """The field says so much more."""
+    """Increase the field by so much."""
     return lambda struct: put(struct, number, cast(int, field(struct, number)) + by)
 
 
 def within(number: int, alter: Alter) -> Alter:
-    """The struct in this field, or the first of the list in it, is altered."""
+    """Alter the struct in this field, or the first one of the list in it."""
 
     def change(struct: Struct) -> None:
         inner = field(struct, number)
@@ -106,7 +106,7 @@ def again(number: int, *, at_once: bool) -> Alter:
 
 
 def gap(before: int | None) -> Damage:
-    """Bytes that nobody reads lie before a column, or behind the last."""
+    """Put bytes that nobody reads before a column, or after the last."""
 
     def change(parts: Parts) -> None:
         parts.gaps[len(parts.pages) if before is None else before] = b"aside"
@@ -125,13 +125,13 @@ def one_less(number: int) -> Alter:
 
 
 def lying(said: Struct) -> None:
-    """Statistics say that the greatest integer is 0, both times."""
+    """Make both statistics say that the greatest integer is 0."""
     for number in (1, 5):
         put(said, number, ZERO)
 
 
 def swapped(parts: Parts) -> None:
-    """Two columns lie in the file in the other order; each is where the footer says."""
+    """Swap two columns in the file, each where the footer says it is."""
     first, second = (cast(int, field(parts.about(column), 7)) for column in (SEQ, TIME))
     parts.pages[SEQ], parts.pages[TIME] = parts.pages[TIME], parts.pages[SEQ]
     plus(second, 9)(parts.about(SEQ))
@@ -139,7 +139,7 @@ def swapped(parts: Parts) -> None:
 
 
 def longer_footer(data: bytes) -> bytes:
-    """A byte behind the fields of the footer is said to be of it."""
+    """Count a byte after the fields of the footer as a part of it."""
     return data[:-8] + b"\0" + (int.from_bytes(data[-8:-4], "little") + 1).to_bytes(4, "little") + MAGIC
 
 

@@ -1,4 +1,4 @@
-"""A segment taken to pieces, to be put together otherwise: what a forger does who knows Parquet."""
+"""A segment taken apart, to be put together differently, as a forger who knows Parquet would."""
 
 from typing import cast
 
@@ -8,7 +8,7 @@ MAGIC = b"PAR1"
 
 
 class Page:
-    """A page: its header and its body."""
+    """One page: its header and its body."""
 
     def __init__(self, header: Struct, body: bytes):
         self.header, self.body = header, body
@@ -20,7 +20,7 @@ class Page:
 class Parts:
     """A segment: the pages of each column, and the footer.
 
-    Put together by `bytes`, which fits nothing; `fit` makes the footer fit the pages.
+    `bytes` puts it together and makes nothing fit; `fit` makes the footer fit the pages.
     """
 
     def __init__(self, data: bytes):
@@ -32,19 +32,19 @@ class Parts:
         self.pages = [self._pages(data, number) for number in range(len(self.chunks()))]
 
     def group(self) -> Struct:
-        """The row group."""
+        """Return the row group."""
         return cast(Struct, cast(Listed, field(self.footer, 4)).values[0])
 
     def chunks(self) -> list[Struct]:
-        """The column chunks."""
+        """Return the column chunks."""
         return cast(list[Struct], cast(Listed, field(self.group(), 1)).values)
 
     def about(self, number: int) -> Struct:
-        """What the footer says of this column."""
+        """Return the metadata of this column in the footer."""
         return cast(Struct, field(self.chunks()[number], 3))
 
     def number_of(self, name: str) -> int:
-        """Which column has this name."""
+        """Return the number of the column with this name."""
         paths = [cast(Listed, field(self.about(number), 3)).values[0] for number in range(len(self.chunks()))]
         return paths.index(name.encode())
 
@@ -60,7 +60,7 @@ class Parts:
         return pages
 
     def fit(self) -> "Parts":
-        """Sizes and places in the footer are those of the pages."""
+        """Set the sizes and offsets in the footer to those of the pages."""
         at, all_unpacked, begin = len(MAGIC), 0, len(MAGIC)
         for number, pages in enumerate(self.pages):
             at += len(self.gaps.get(number, b""))
@@ -89,8 +89,8 @@ class Parts:
 
 
 def two_faced(honest: bytes, other: bytes, name: str) -> bytes:
-    """A segment with the honest rows to who reads a column from its first data page, and the other rows to who reads it
-    from its dictionary."""
+    """Return a segment with the honest rows for readers that begin at the first data page of a column, and the other
+    rows for readers that begin at its dictionary."""
     parts, others = Parts(honest), Parts(other)
     number = parts.number_of(name)
     parts.gaps[number + 1] = b"".join(map(bytes, others.pages[number]))

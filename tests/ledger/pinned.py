@@ -1,7 +1,7 @@
-"""What is pinned of the event types: `python -m tests.ledger.pinned` writes it again after a change of them.
+"""What is pinned of the event types: `python -m tests.ledger.pinned` writes it again after they change.
 
-It writes the canonical bytes of one row of each type, and `RELEASE`, the release that a ledger names as the one whose
-events it holds. The first change after a release moves it to the release to come.
+It writes the canonical bytes of one row of each type, and `RELEASE`, the release that a ledger names as that of its
+events. The first change after a release makes it the next release.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ ROWS = Path(__file__).with_name("canonical_rows.jsonl")
 
 
 def pinned_row(layout: StoredType) -> bytes:
-    """The canonical bytes of a row of this type in which every field has a value."""
+    """Return the canonical bytes of a row of this type in which every field has a value."""
     samples: dict[str, object] = {"integer": 1_234_567, "boolean": True, "strings": ("robot/A1", 'a "quoted" é\n')}
     values = {
         field.name: sorted(field.values)[0]
@@ -35,7 +35,7 @@ def pinned_row(layout: StoredType) -> bytes:
 
 
 def release_to_name() -> str:
-    """Return the release that ledgers with the event types of today name."""
+    """Return the release that ledgers with the current event types name."""
     kept, version = LEDGERS / releases.RELEASE / "events.jsonl", fsar_ledger.__version__
     then = [msgspec.json.decode(line) for line in kept.read_bytes().splitlines()] if kept.exists() else None
     if then is None or then == [{tag: fields} for tag, fields in stored_types(LAYOUTS.values()).items()]:

@@ -1,9 +1,9 @@
-"""What a disk holds after the power failed: a model that is told every change and how far each was synced.
+"""What a disk holds after a power failure: a model that is told every change and every sync.
 
-Of a file, what was synced is there; what was written since may be there, in part, as rubbish or not at all.
-Of a folder, the names as of its last sync are there; each change since is there or not, whatever the others do.
+Of a file, what was synced remains; what was written since may remain in full, in part, as rubbish or not at all.
+Of a folder, the names as of its last sync remain; each change since then may remain or not, independently.
 A change of two folders (a rename) is one change, as on every file system that keeps a journal.
-What was written before a failed `fsync` of a file is never sure to be there, whatever is synced later.
+What was written before a failed `fsync` of a file is never sure to remain, whatever is synced later.
 """
 
 import random
@@ -15,7 +15,7 @@ GARBAGE = b"\xa5rubbish\x00"
 
 @dataclass(eq=False)
 class File:
-    """`cached` is what a process reads, `durable` what was synced."""
+    """A file. `cached` is what a process reads, `durable` what was synced."""
 
     cached: bytes = b""
     durable: bytes = b""
@@ -43,7 +43,7 @@ class Change:
 
 
 class Disk:
-    """The folder at `root` and all below it; what is there at first is durable."""
+    """The folder `root` and everything below it; what is there at first is durable."""
 
     def __init__(self, root: Path):
         self.root = root
@@ -61,7 +61,7 @@ class Disk:
         return folder
 
     def find(self, path: Path) -> Node | None:
-        """What this path names now; None outside the root or where nothing is."""
+        """Return what this path names now; None if it is outside the root or names nothing."""
         if not path.is_relative_to(self.root):
             return None
         node: Node | None = self._top
@@ -126,11 +126,11 @@ class Disk:
 
     @property
     def unsure(self) -> int:
-        """How many changes of names a power failure could undo."""
+        """Return how many changes of names a power failure could undo."""
         return sum(not change.is_durable for change in self._changes)
 
     def after_power_failure(self, choice: "Choice", path: Path) -> None:
-        """The new folder `path` holds what the root would hold after a power failure now, with this choice of what
+        """Write to the new folder `path` what the root would hold after a power failure now, with this choice of what
         survives."""
         names = {id(folder): dict(first) for folder, first in self._first}
         for change in self._changes:
@@ -179,7 +179,8 @@ class Choice:
 
 
 def choices(seed: int, random_count: int) -> list[Choice]:
-    """All lost, all names kept but contents lost, all names kept with rubbish, all kept, and so many random ones."""
+    """Return choices: all lost; all names kept, contents lost; all names kept, contents rubbish; all kept; and so many
+    random ones."""
     draw = random.Random(seed)
     plain = [("lost", "lost"), ("kept", "lost"), ("kept", "rubbish"), ("kept", "kept")]
     return [Choice(names, contents, draw) for names, contents in [*plain, *[("some", "some")] * random_count]]

@@ -1,10 +1,10 @@
-"""Mutates the structure of segments, and demands that each is refused or read alike: `python -m
-tests.ledger.readers_soak [N] [--loose]` (100,000).
+"""Mutate the structure of segments, and demand that each is refused or read alike: `python -m tests.ledger.readers_soak
+[N] [--loose]` (100,000).
 
-What `check_layout` lets pass is read by pyarrow, DuckDB and Polars in a process of its own, which a reader may end.
-Exit code 1 where two of them read
-other values, or one cannot read what another reads; where none can read it (`unread`) nobody is misled. With `--loose`
-nothing is checked: then there must be such files, or this soak is worth nothing.
+What `check_layout` accepts is read by pyarrow, DuckDB and Polars in a process of its own, which a reader may crash.
+Exits with 1 if two of them read different values, or one cannot read what another reads; a file that none can read
+(`unread`) misleads nobody. With `--loose` nothing is checked: then there must be such files, or this soak is worth
+nothing.
 """
 
 import os
@@ -36,7 +36,7 @@ BATCH = 500
 
 
 def segments() -> list[bytes]:
-    """Small segments of several shapes."""
+    """Return small segments of several shapes."""
     tables = [
         encode([run_of_every_type("every", seed=5)]),
         encode([made_up_run("one", 3, 1)]),
@@ -46,7 +46,7 @@ def segments() -> list[bytes]:
 
 
 def is_accepted(data: bytes) -> bool:
-    """Whether the package would read this segment at all."""
+    """Return whether the package would read this segment at all."""
     try:
         layout.read_layout(data)
     except ValueError:
@@ -55,7 +55,7 @@ def is_accepted(data: bytes) -> bool:
 
 
 def read_by_all(data: bytes, place: Path) -> dict[str, Any]:
-    """What each reader finds: a table, or the name of what it raises."""
+    """Return what each reader finds: a table, or the name of the exception."""
     import duckdb
     import polars as pl
 
@@ -71,13 +71,13 @@ def read_by_all(data: bytes, place: Path) -> dict[str, Any]:
     for name, read in readers.items():
         try:
             found[name] = read()
-        except BaseException as error:  # Polars panics with one that is no Exception
+        except BaseException as error:  # Polars panics with one that is not an Exception
             found[name] = f"{type(error).__name__}: {error}"[:200]
     return found
 
 
 def difference(data: bytes, place: Path) -> str | None:
-    """In what the readers differ; None if they read alike, `UNREAD` if none of them reads anything."""
+    """Return how the readers differ; None if they read alike, `UNREAD` if none of them reads anything."""
     found = read_by_all(data, place)
     tables = {name: table for name, table in found.items() if isinstance(table, pa.Table)}
     if len(tables) < len(found):
@@ -97,7 +97,7 @@ def difference(data: bytes, place: Path) -> str | None:
 
 
 def _serve(pipe: Connection) -> None:
-    """Compares what is sent until nothing more is, in silence: Polars prints where it panics."""
+    """Compare what is sent until nothing more comes. Silent, because Polars prints when it panics."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     with tempfile.TemporaryDirectory() as folder, suppress(EOFError):
         while True:
@@ -105,7 +105,7 @@ def _serve(pipe: Connection) -> None:
 
 
 class Readers:
-    """The three readers in a process of their own, which is started again when they end it."""
+    """The three readers in a process of their own, which is started again when one of them ends it."""
 
     def __init__(self) -> None:
         self._start()
@@ -117,7 +117,7 @@ class Readers:
         theirs.close()
 
     def differ(self, data: bytes) -> str | None:
-        """As `difference`; also where the process ends."""
+        """Return the `difference`; also when the process ends."""
         try:
             self._pipe.send_bytes(data)
             if not self._pipe.poll(60):
@@ -139,7 +139,7 @@ class Readers:
 def soak(
     first: int, count: int, *, is_loose: bool = False, kinds: tuple[str, ...] = tuple(KINDS)
 ) -> tuple[Counter[tuple[str, str]], list[str]]:
-    """How often each kind of mutation, from this number on, ended how; and the first few differences."""
+    """Count how mutations of each kind, from this number on, ended; return the counts and the first few differences."""
     templates, counts, differences = [Template(data) for data in segments()], Counter[tuple[str, str]](), list[str]()
     for name in ("explain_footer", "explain_page"):  # the reason takes longer than the refusal
         setattr(layout, name, lambda *_: "")
@@ -165,7 +165,7 @@ def soak(
 
 
 def main(arguments: list[str]) -> int:
-    """Prints the counts of every kind of mutation; 1 where readers differ (with --loose: where they do not)."""
+    """Print the counts for every kind of mutation. Return 1 if readers differ (with --loose: if they do not)."""
     is_loose, began = "--loose" in arguments, time.monotonic()
     numbers = [int(argument) for argument in arguments if argument != "--loose"]
     wanted, firsts = numbers[0] if numbers else 100_000, iter(range(0, 1 << 40, BATCH))

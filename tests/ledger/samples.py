@@ -1,4 +1,4 @@
-"""Made-up runs, for tests that need rows but no robots."""
+"""Made-up runs for tests that need rows but no robots."""
 
 import random
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from fsar_ledger.ledger.store.read import Head
 
 ORIGIN = "example.org/fsar-test"
 IN_RUNS = {tag: layout for tag, layout in LAYOUTS.items() if tag not in STANDS_ALONE}
-"""How the events are stored that a run may have beside others."""
+"""How events are stored that may be in a run with others."""
 
 
 def _value(field: Field, draw: random.Random) -> object:
@@ -39,7 +39,7 @@ def _value(field: Field, draw: random.Random) -> object:
 
 
 def made_up_run(run_id: str, size: int, seed: int) -> LedgerRun:
-    """A run of this many events of all types, each caused by an earlier one."""
+    """Return a run of this many events of all types, each caused by an earlier one."""
     draw = random.Random(seed)
     layouts = list(IN_RUNS.values())
     chosen = [layouts[0], *(draw.choice(layouts[1:]) for _ in range(size - 1))]
@@ -49,7 +49,7 @@ def made_up_run(run_id: str, size: int, seed: int) -> LedgerRun:
 
 
 def run_of_every_type(run_id: str, seed: int) -> LedgerRun:
-    """A run with one start and two events of every other type."""
+    """Return a run with one start and two events of every other type."""
     draw = random.Random(seed)
     first, *others = IN_RUNS.values()
     layouts = [first, *(layout for layout in others for _ in range(2))]
@@ -58,7 +58,7 @@ def run_of_every_type(run_id: str, seed: int) -> LedgerRun:
 
 
 def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[LedgerRun]]:
-    """So many batches of runs; the same call gives the same batches."""
+    """Return so many batches of runs; the same call gives the same batches."""
     numbers = [range(commit * runs, (commit + 1) * runs) for commit in range(commits)]
     return [[made_up_run(f"run-{number:04d}", size, seed=number) for number in batch] for batch in numbers]
 
@@ -66,8 +66,8 @@ def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[Le
 def append_all(
     path: Path, batches: Sequence[Sequence[LedgerRun]], origin: str = ORIGIN, signer: Signer | None = None
 ) -> Head:
-    """The ledger at the path holds these batches, one a commit, after what it held; new commits are signed if there is
-    a signer, whoever signed the others."""
+    """Append these batches to the ledger at the path, one per commit. New commits are signed if there is a signer,
+    whoever signed the others."""
     with Writer(path, origin, signer, adopts=True) as writer:
         for batch in batches:
             writer.append(stage(path, batch))
@@ -75,7 +75,7 @@ def append_all(
 
 
 def contents(path: Path) -> dict[str, bytes]:
-    """Every file under the path, by its name within it."""
+    """Return every file under the path by its name within it."""
     return {str(file.relative_to(path)): file.read_bytes() for file in sorted(path.rglob("*")) if file.is_file()}
 
 
@@ -98,7 +98,7 @@ def _any_value(field: Field) -> st.SearchStrategy[object]:
 
 
 def any_event_of(layout: StoredType) -> st.SearchStrategy[Event]:
-    """Any event of this type."""
+    """Draw any event of this type."""
     return st.tuples(*map(_any_value, layout.fields)).map(layout.event)
 
 
@@ -108,7 +108,7 @@ any_plan = st.one_of([any_event_of(LAYOUTS[tag]) for tag in sorted(STANDS_ALONE)
 
 @st.composite
 def any_runs(draw: st.DrawFn) -> list[LedgerRun]:
-    """Up to three runs of any events."""
+    """Draw up to three runs of any events."""
     ids = draw(st.lists(_TEXT, min_size=1, max_size=3, unique=True))
     runs = []
     for run_id in ids:

@@ -1,4 +1,4 @@
-"""What a segment says twice, and only its rows show as false: both verifiers find it, also where they cannot write the
+"""Both verifiers find what a segment says twice when only its rows show it to be false, even if they cannot write the
 same bytes again."""
 
 import random
@@ -39,8 +39,7 @@ def test_both_verifiers_find_two_faces(path: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("page", range(3))
 def test_statistics_of_each_page_are_those_of_its_rows(path: Path, page: int) -> None:
-    """Pages of ten rows, by another version of the library; those of integers say which are their least and
-    greatest."""
+    """Pages of ten rows, by another version of the library; those of integers state their least and greatest value."""
     data = packed(tables_of(path)[1], data_page_size=1, write_batch_size=10).replace(VERSION, OTHER_VERSION)
     parts = Parts(data)
     assert len(parts.pages[TIME]) == 3

@@ -170,7 +170,7 @@ def test_a_committed_segment_still_in_staging_is_read_there_and_moved_by_the_nex
 
 
 def _one_commit_behind(path: Path) -> None:
-    """What a crash leaves between the third commit and what is derived from it."""
+    """Leave what a crash leaves between the third commit and its derived files."""
     append_all(path, BATCHES[:2])
     derived = {name: data for name, data in contents(path).items() if name == "checkpoint" or name.startswith("tile/")}
     append_all(path, BATCHES[2:3])

@@ -1,4 +1,4 @@
-"""What a writer refuses to append to, and what is named when a ledger lacks something."""
+"""What a writer refuses to append to, and what it names as missing."""
 
 import os
 from collections.abc import Callable

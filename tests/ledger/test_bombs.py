@@ -1,8 +1,8 @@
-"""Each of thirty bombs, and each command that touches it: a clear error or a right answer, within ten seconds of
-processor and a gibibyte.
+"""Each of thirty bombs against each command that touches it: a clear error or a right answer, within ten CPU seconds
+and a gibibyte.
 
-Seconds of processor, for those of the wall depend on what else runs. The small ones are tried with every run of the
-tests, the rest with the long ones.
+CPU seconds, because wall time depends on what else runs. A few small bombs are tried with every run of the tests, the
+rest with the long ones.
 """
 
 import shutil
@@ -16,7 +16,7 @@ from tests.ledger.bombs import BOMBS, LEDGER, base_ledger, committed, rows
 PROCESSOR_S = 10
 MEMORY_MIB = 1024
 ENOUGH = ("numbers as large as there are", "a parameter of 100 kB")
-"""Bombs that are tried each time: with two calls each."""
+"""Bombs that are tried each time, with two calls each."""
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def explode(name: str, intact: Path, place: Path, most: int | None = None) -> None:
-    """Lay the bomb and make its first calls (None: all)."""
+    """Put the bomb in place and make its first calls (None: all)."""
     shutil.copytree(intact, place / "ledger")
     bomb = BOMBS[name]
     bomb.lay(place / "ledger")

@@ -52,7 +52,7 @@ def test_runs_survive_arrow_and_parquet(runs: list[LedgerRun], tmp_path: Path) -
 
 
 def rows_as_json(runs: list[LedgerRun]) -> list[bytes]:
-    """The canonical bytes by a third, slow producer: the standard library."""
+    """Return the canonical bytes by a third, slow producer: the standard library."""
     found = []
     for run in runs:
         for seq, event in enumerate(run.events):
@@ -188,7 +188,7 @@ def test_encode_refuses_none_in_a_field_that_must_have_a_value() -> None:
 
 
 def run_with(kind: str, value: object) -> LedgerRun:
-    """A run of one event that is as it should be but for its fields of this kind."""
+    """Return a run of one event that is valid except for its fields of this kind."""
     layout = next(
         layout for layout in LAYOUT_LIST if any(field.kind == kind and field.values is None for field in layout.fields)
     )
@@ -220,7 +220,7 @@ def test_encode_refuses_text_that_is_not_unicode() -> None:
 
 
 def table_with(name: str, row: int, value: object, kind: pa.DataType | None = None) -> pa.Table:
-    """A valid table but for one value."""
+    """Return a table that is valid except for one value."""
     table = encode(made_up_batches(1, runs=2, size=400)[0])
     values = table.column(name).to_pylist()
     values[row] = value
@@ -234,7 +234,7 @@ def table_with(name: str, row: int, value: object, kind: pa.DataType | None = No
 
 
 def row_of(condition: Any) -> int:
-    """The first row of that table whose layout fits."""
+    """Return the first row of that table whose layout fits."""
     events = [event for run in made_up_batches(1, runs=2, size=400)[0] for event in run.events]
     return next(
         row

@@ -1,5 +1,5 @@
-"""An append that is interrupted at any call, in any way, and the recovery from it; `python -m tests.ledger.crash_soak`
-tries all."""
+"""Appends interrupted at any call, in any way, and the recovery from them; `python -m tests.ledger.crash_soak` tries
+all."""
 
 import errno
 import os
@@ -31,21 +31,21 @@ def laboratory(tmp_path: Path) -> Laboratory:
 
 @pytest.fixture
 def calls(tmp_path: Path) -> list[str]:
-    """The calls of two appends to a new ledger."""
+    """Return the calls of two appends to a new ledger."""
     root = tmp_path / "calls"
     root.mkdir()
     return calls_of(root, lambda: append_with(FaultyOs(root), root / "out" / "ledger"))
 
 
 def one_fault_a_call(calls: list[str]) -> Iterator[Fault]:
-    """At each call a kill or another kind of fault, taken in turn."""
+    """Yield, for each call, a kill or another kind of fault in turn."""
     for at, name in enumerate(calls):
         kinds = [kind for kind in KINDS if name == "write" or kind not in OF_WRITES]
         yield Fault(at, kinds[at // 2 % len(kinds)] if at % 2 else "killed")
 
 
 def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:
-    """Whether the message names a path, the reason that the disk gave, and a way out."""
+    """Return whether the message names a path, the disk's reason, and what to do."""
     code = REFUSED.get(fault.kind) or (
         errno.ENOSPC if fault.kind in ("disk-full", "short-write-no-space") else errno.EIO
     )
@@ -167,7 +167,7 @@ def test_processes_killed_at_random_moments_lose_nothing(tmp_path: Path) -> None
 
 @contextmanager
 def files_of_at_most(size_bytes: int) -> Iterator[None]:
-    """The kernel refuses to write a file beyond this size (EFBIG)."""
+    """Make the kernel refuse to write a file beyond this size (EFBIG)."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
     try:

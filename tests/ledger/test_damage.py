@@ -18,7 +18,7 @@ FLIPS = 2000
 
 
 def restored(path: Path, snapshots: Path, number: int) -> Path:
-    """Roll the whole ledger, with all its files, back to what it was after so many commits."""
+    """Return the whole ledger, with all its files, as it was after so many commits."""
     shutil.rmtree(path)
     return Path(shutil.copytree(snapshots / str(number), path))
 
@@ -120,7 +120,7 @@ def test_flips_in_a_segment_are_found_even_where_a_forger_made_the_file_hash_fit
         at = draw.randrange(len(data))
         forge_segment(path, 0, data[:at] + bytes([data[at] ^ 1 << draw.randrange(8)]) + data[at + 1 :])
         report = verify(path)
-        if report.ok:  # the one thing a forger may claim: that another version of pyarrow wrote the same rows
+        if report.ok:  # a forger may only claim that another version of pyarrow wrote the same rows
             assert pq.read_metadata(segment_path(path, 0)).created_by != writer
         else:
             assert report.problems[0].commit == 0

@@ -54,7 +54,7 @@ def later(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LaterRelease]:
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory: pytest.TempPathFactory, later: LaterRelease) -> Path:
-    """A ledger that the later release has continued."""
+    """Return a ledger that the later release has continued."""
     path = shutil.copytree(OLD, tmp_path_factory.mktemp("mixed") / "ledger")
     later.run(APPEND, path, ORIGIN)
     return path
@@ -62,7 +62,7 @@ def mixed(tmp_path_factory: pytest.TempPathFactory, later: LaterRelease) -> Path
 
 @cache
 def stored(tag: str) -> int:
-    """How many events of this type the ledger of this release holds."""
+    """Return how many events of this type the ledger of this release holds."""
     return sum(table.column("type").to_pylist().count(tag) for table in open_ledger(OLD).tables(["type"]))
 
 

@@ -35,7 +35,7 @@ _changes: list[str] = []
 
 
 def _note(event: str, arguments: tuple[object, ...]) -> None:
-    """Python tells of every change that any of its modules makes below the watched folder."""
+    """Record every change that Python reports below the watched folder, by any module."""
     if not _watched or not arguments or not str(arguments[0]).startswith(str(_watched[0])):
         return
     assert event not in NEVER, f"{event} changes the disk unseen by the harness"
@@ -58,7 +58,7 @@ def test_the_harness_sees_every_change_of_the_disk(tmp_path: Path) -> None:
             opened_to_write += name == "open" and bool(arguments[1] & os.O_WRONLY)
             return super()._do(name, arguments, options)
 
-    sys.addaudithook(_note)  # cannot be taken away again; it is deaf while nothing is watched
+    sys.addaudithook(_note)  # cannot be removed; it ignores everything while nothing is watched
     faulty = Counting(tmp_path)
     _watched.append(tmp_path)
     try:
@@ -147,7 +147,7 @@ def test_a_writer_that_the_disk_refuses_leaves_nothing_open(tmp_path: Path) -> N
 
 
 def is_free(path: Path) -> bool:
-    """Whether nobody holds a lock on this ledger."""
+    """Return whether nobody holds a lock on this ledger."""
     handle = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

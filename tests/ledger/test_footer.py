@@ -1,4 +1,4 @@
-"""What a message says of a footer or a page that was refused: the first thing in it that a person can act upon."""
+"""Messages about a refused footer or page name the first fault that a person can act upon."""
 
 from collections.abc import Callable
 from typing import cast
@@ -22,14 +22,14 @@ DATA = bytes(segment.to_parquet(TABLE))
 
 
 def explained(change: Callable[[Parts], object]) -> str:
-    """What is said of the footer of a segment that was changed so."""
+    """Return what is said of the footer of a segment with this change."""
     parts = Parts(DATA)
     change(parts)
     return explain_footer(thrift.write(parts.footer), SCHEMA)
 
 
 def of(table: pa.Table, **options: object) -> str:
-    """What is said of the footer of this table as some Parquet file."""
+    """Return what is said of the footer of this table as some Parquet file."""
     data = written(table, **options)
     return explain_footer(data[len(data) - 8 - int.from_bytes(data[-8:-4], "little") : -8], SCHEMA)
 

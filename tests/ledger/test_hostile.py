@@ -50,7 +50,7 @@ def arguments_of(command: tuple[str, ...], path: Path) -> list[str]:
 
 
 def refused(capsys: pytest.CaptureFixture[str], command: tuple[str, ...], path: Path) -> str:
-    """The command, in this process, ended with exit code 2 or 3 and a message, and showed nothing else."""
+    """Run the command here, and return its message; it must exit with 2 or 3 and show nothing else."""
     capsys.readouterr()
     code = app.run(arguments_of(command, path))
     captured = capsys.readouterr()
@@ -63,7 +63,7 @@ def refused(capsys: pytest.CaptureFixture[str], command: tuple[str, ...], path: 
 
 
 def within_limits(command: tuple[str, ...], path: Path) -> tuple[int, str]:
-    """The exit code and the message of a command in a process with little memory and time."""
+    """Return the exit code and the message of a command in a process with little memory and time."""
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
@@ -108,7 +108,7 @@ def test_a_record_of_what_cannot_be_is_refused_by_every_command(path: Path, caps
         assert not report.ok, what
         assert any(problem.commit == 1 for problem in report.problems), (what, report.problems)
         refused(capsys, ("verify", "--workers", "1", "--json"), path)
-        if not what.startswith(("first_run", "last_run", "segment_sha256")):  # these only the rows contradict
+        if not what.startswith(("first_run", "last_run", "segment_sha256")):  # only the rows contradict these
             refused(capsys, ("info",), path)
 
 
@@ -189,11 +189,11 @@ def test_a_bomb_is_refused_in_little_memory_and_time(path: Path, what: str) -> N
         assert code in (0, 2, 3), (command, message)
 
 
-# --- tiles, and things that are no files ---
+# --- tiles, and things that are not files ---
 
 
 def in_place_of(file: Path) -> dict[str, Callable[[], object]]:
-    """What may stand where a file should."""
+    """Return what may be where a file should be."""
     data = file.read_bytes() if file.is_file() else b""
     aside = next(parent for parent in file.parents if parent.name == "ledger").parent / "aside"
 
@@ -251,7 +251,7 @@ def test_what_is_no_file_is_refused_by_every_command(
         assert not report.ok, what
         is_gone = what == "nothing" and name.startswith(
             "commits"
-        )  # nobody knows of a newest record that is gone, but for its segment
+        )  # only its segment shows that the newest record is gone
         place = "segments/000000000001.parquet" if is_gone else name
         assert any(place in problem.where for problem in report.problems), (what, report.problems)
         refused(capsys, ("verify", "--workers", "1"), path)

@@ -1,4 +1,4 @@
-"""The Parquet reader of the second verifier reads what the library reads, and nothing that says a thing in two ways."""
+"""The Parquet reader of the second verifier reads what the library reads, and refuses what says a thing in two ways."""
 
 import random
 from pathlib import Path
@@ -35,7 +35,7 @@ def rows_of(table: pa.Table) -> dict[str, list[Any]]:
 
 
 def packed(table: pa.Table, **settings: Any) -> bytes:
-    """As `segment.to_parquet`, but for these settings."""
+    """Write a segment as `segment.to_parquet` does, except for these settings."""
     strings = [name for name in table.column_names if COLUMNS[name] == "string"]
     own = {
         "compression": "zstd",
@@ -134,7 +134,7 @@ def test_the_layout_of_the_package_refuses_the_same(name: str) -> None:
 
 
 def test_the_file_with_two_faces_is_refused_and_has_them(tmp_path: Path) -> None:
-    """Readers that begin at the data and readers that begin at the dictionary see other rows in it, and neither
+    """Readers that begin at the data and readers that begin at the dictionary see different rows, and neither
     complains."""
     file = tmp_path / "faces.parquet"
     file.write_bytes(FACES)
@@ -166,7 +166,7 @@ def test_no_number_of_a_footer_can_be_another() -> None:
 
 
 def numbers_in(struct: Struct) -> list[tuple[Struct, int]]:
-    """Every field that is a number, at any depth: its struct, and its place there."""
+    """Return every field that is a number, at any depth: its struct, and its place there."""
     found = []
     for at, one in enumerate(struct):
         found += [(struct, at)] if one.kind in (I32, I64) else []

@@ -1,4 +1,4 @@
-"""Two verifiers that share nothing agree, and the document from which the second was written says what is so."""
+"""Two verifiers that share no code agree, and the document from which the second was written is right."""
 
 import ast
 import hashlib

@@ -1,4 +1,4 @@
-"""Each way in which a file could say two things to two readers is refused, and what is refused is named."""
+"""Each way in which a file could say two things to two readers is refused and named."""
 
 import random
 import re
@@ -39,14 +39,14 @@ LIST_COLUMN = "achieved.list.element"
 
 
 def changed(change: Change) -> bytes:
-    """The segment with one change made to its parts and nothing made to fit."""
+    """Return the segment with one change made to its parts and nothing made to fit."""
     parts = Parts(DATA)
     change(parts)
     return bytes(parts)
 
 
 def fitted(change: Change) -> bytes:
-    """The segment with one change, and sizes and places in its footer made to fit."""
+    """Return the segment with one change, and the sizes and offsets in its footer made to fit."""
     parts = Parts(DATA)
     change(parts)
     return bytes(parts.fit())
@@ -176,14 +176,14 @@ def test_what_is_said_otherwise_than_it_is_is_refused(what: str) -> None:
     ],
 )
 def test_sizes_that_fit_excuse_nothing(what: str) -> None:
-    if what == "a page that says to unpack to more":  # then it is for who unpacks it
+    if what == "a page that says to unpack to more":  # then only unpacking it shows that
         assert read_layout(fitted(CHANGES[what][0])).rows == 120
     else:
         refusal(fitted(CHANGES[what][0]))
 
 
 def test_data_pages_before_the_dictionary_of_the_next_column_are_no_hiding_place() -> None:
-    """The second face: a page more than the values need, which only a reader from another place would meet."""
+    """The second face: one page more than the values need, which only a reader that begins elsewhere would meet."""
 
     def twice(parts: Parts) -> None:
         parts.pages[4].append(Page(list(parts.pages[4][1].header), parts.pages[4][1].body))
@@ -195,7 +195,7 @@ def test_data_pages_before_the_dictionary_of_the_next_column_are_no_hiding_place
 
 
 def structs(parts: Parts) -> list[Struct]:
-    """Every struct in the footer and the headers of the first two columns."""
+    """Return every struct in the footer and the headers of the first two columns."""
     found: list[Struct] = [page.header for pages in parts.pages[:2] for page in pages]
     found += [cast(Struct, one.value) for header in found[:] for one in header if one.kind == STRUCT]
     queue: list[Struct] = [parts.footer]
@@ -211,7 +211,7 @@ def structs(parts: Parts) -> list[Struct]:
 
 
 def longer(struct: Struct, at: int) -> None:
-    """A number in a byte more than it needs."""
+    """Write a number in one byte more than it needs."""
     value = cast(int, struct[at].value)
     data = varint(value << 1 if value >= 0 else ~(value << 1))
     struct[at] = struct[at]._replace(value=Raw(data[:-1] + bytes([data[-1] | 0x80]) + b"\0"))

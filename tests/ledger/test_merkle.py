@@ -22,7 +22,7 @@ from fsar_ledger.ledger.log.merkle import (
 
 
 def defined_root(leaves: list[bytes]) -> bytes:
-    """MTH of RFC 6962, section 2.1, over leaf hashes, as it is written there."""
+    """Return MTH of RFC 6962, section 2.1, over leaf hashes, as it is written there."""
     if not leaves:
         return hashlib.sha256(b"").digest()
     if len(leaves) == 1:
@@ -90,7 +90,7 @@ def test_any_other_leaf_gives_another_root(size: int, data: st.DataObject) -> No
 
 @cache
 def range_of(start: int, end: int) -> bytes:
-    """MTH(D[start:end])."""
+    """Return MTH(D[start:end])."""
     if end - start == 1:
         return LEAVES[start]
     k = start + largest_power_below(end - start)
@@ -105,7 +105,7 @@ def largest_power_below(size: int) -> int:
 
 
 def defined_path(m: int, start: int, end: int) -> list[bytes]:
-    """PATH(m, D[start:end])."""
+    """Return PATH(m, D[start:end])."""
     if end - start == 1:
         return []
     k = largest_power_below(end - start)
@@ -115,7 +115,7 @@ def defined_path(m: int, start: int, end: int) -> list[bytes]:
 
 
 def defined_subproof(m: int, start: int, end: int, *, is_known: bool) -> list[bytes]:
-    """SUBPROOF(m, D[start:end], is_known)."""
+    """Return SUBPROOF(m, D[start:end], is_known)."""
     if m == end - start:
         return [] if is_known else [range_of(start, end)]
     k = largest_power_below(end - start)
@@ -125,7 +125,7 @@ def defined_subproof(m: int, start: int, end: int, *, is_known: bool) -> list[by
 
 
 def sides(index: int, size: int) -> list[bool]:
-    """From the leaf to the root, whether it comes from the right."""
+    """Return, from the leaf to the root, whether each node is a right child."""
     if size == 1:
         return []
     k = largest_power_below(size)
@@ -137,7 +137,7 @@ def node(height: int, number: int) -> bytes:
 
 
 def damaged(proof: Sequence[bytes], draw: random.Random) -> Iterator[tuple[bytes, ...]]:
-    """The proof with each hash altered, left out, doubled, replaced, and changed with the next; and with one hash
+    """Yield the proof with each hash altered, left out, doubled, replaced, or swapped with the next; and with one hash
     more."""
     for at, one in enumerate(proof):
         flipped = (int.from_bytes(one) ^ 1 << draw.randrange(256)).to_bytes(32)
@@ -193,7 +193,7 @@ def test_a_proof_fits_another_size_only_where_the_way_up_is_the_same() -> None:
 
 
 def pairs() -> list[tuple[int, int]]:
-    """Every pair of sizes to 64, and of the larger ones each with a few older sizes."""
+    """Return every pair of sizes up to 64, and larger sizes with a few older ones each."""
     draw = random.Random(8)
     small = [(old, new) for new in range(1, 65) for old in range(1, new + 1)]
     return small + [

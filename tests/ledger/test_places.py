@@ -202,7 +202,7 @@ def test_a_note_of_a_record_is_signed_by_the_ledgers_own_key_or_by_nobody(path: 
     assert report.ok or (report.problems[0].where, report.problems[0].field) == (f"commits/{LAST}.json", "note")
 
 
-# --- a check that fails in a way nobody thought of ---
+# --- a check that fails unexpectedly ---
 
 
 def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place(
@@ -227,7 +227,7 @@ def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place
 
 
 def other_version(path: Path) -> bytes:
-    """The segment as another version of pyarrow may have written it."""
+    """Return the segment as another version of pyarrow may have written it."""
     version = pa.__version__.encode()
     return segment_path(path, 2).read_bytes().replace(version, b"9" * len(version))
 

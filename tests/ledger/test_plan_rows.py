@@ -1,5 +1,4 @@
-"""A plan is the only event of its run: both verifiers name the row of one that has company, and neither counts it as a
-run."""
+"""A plan is the only event of its run: both verifiers report a plan with company, and neither counts one as a run."""
 
 from pathlib import Path
 

@@ -54,7 +54,7 @@ def signed(size: int, root: bytes) -> Note:
 
 
 def alone(event: bytes) -> Proof:
-    """The proof of the only event of a tree."""
+    """Return the proof of the only event of a tree."""
     return Proof(event, 0, (), signed(1, leaf_hash(event)))
 
 
@@ -127,7 +127,7 @@ def test_a_proof_of_an_older_checkpoint_still_holds(path: Path, tmp_path: Path) 
     assert prove_inclusion(path, tree, 200)[1] == older.hashes  # the grown ledger still gives it
 
 
-# --- what is no proof ---
+# --- what is not a proof ---
 
 
 def test_a_proof_with_any_character_changed_left_out_or_added_is_refused(proof: Proof) -> None:

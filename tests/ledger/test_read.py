@@ -17,7 +17,7 @@ from tests.ledger.samples import ORIGIN, made_up_run
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """A ledger of three commits."""
+    """Write a ledger of three commits."""
     ledger = tmp_path / "ledger"
     for number in range(3):
         with Writer(ledger, ORIGIN) as writer:
@@ -26,7 +26,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def flip(file: Path) -> None:
-    """A bit in the middle is another one; nothing else about the file, nor its time, tells."""
+    """Flip a bit in the middle; nothing else about the file, not even its time, shows it."""
     status, data = file.stat(), bytearray(file.read_bytes())
     data[len(data) // 2] ^= 1
     file.write_bytes(data)

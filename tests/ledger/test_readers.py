@@ -1,4 +1,4 @@
-"""A small part of `make soak-readers`, and that it would find a reader who reads otherwise."""
+"""A small part of `make soak-readers`, and that it would notice a reader who reads differently."""
 
 import random
 from pathlib import Path

@@ -22,7 +22,7 @@ Files = dict[str, bytes]
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory: pytest.TempPathFactory) -> Files:
-    """The files of a ledger with two commits."""
+    """Return the files of a ledger with two commits."""
     path = tmp_path_factory.mktemp("two") / "ledger"
     append_all(path, BATCHES[:2])
     return contents(path)
@@ -30,7 +30,7 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Files:
 
 @pytest.fixture(scope="module")
 def three(tmp_path_factory: pytest.TempPathFactory) -> Files:
-    """The files of the same ledger with a third commit."""
+    """Return the files of the same ledger with a third commit."""
     path = tmp_path_factory.mktemp("three") / "ledger"
     append_all(path, BATCHES[:3])
     return contents(path)
@@ -45,7 +45,7 @@ def decoded_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 def write(path: Path, files: Files) -> Path:
-    """A ledger of these files and no others."""
+    """Write a ledger of these files and no others."""
     shutil.rmtree(path, ignore_errors=True)
     for folder in ("commits", "segments", "staging"):
         (path / folder).mkdir(parents=True)
@@ -56,7 +56,7 @@ def write(path: Path, files: Files) -> Path:
 
 
 def aside(path: Path) -> Files:
-    """What was set aside, by its name within `NNN/`, all recoveries together."""
+    """Return what was set aside, by its name within `NNN/`, from all recoveries together."""
     folder = path.with_name(f"{path.name}.set-aside")
     return {
         f"{number.name}/{name}": data for number in sorted(folder.glob("*")) for name, data in contents(number).items()
@@ -71,7 +71,7 @@ def assert_nothing_lost(before: Files, path: Path) -> None:
 
 
 def assert_like_new(path: Path, expected: Files) -> None:
-    """The ledger verifies without a remark, is that of a writer whom nothing interrupted, and goes on."""
+    """Check that the ledger verifies without a remark, equals that of an uninterrupted writer, and can be continued."""
     report = verify(path)
     assert (report.ok, report.problems, report.remarks) == (True, (), ())
     assert contents(path) == expected

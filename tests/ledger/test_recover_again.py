@@ -17,7 +17,7 @@ from tests.ledger.power import Disk, choices
 from tests.ledger.samples import append_all, contents, made_up_batches
 from tests.ledger.test_recover import Files, assert_nothing_lost, write
 
-# --- interrupted itself, refused by the disk, not alone ---
+# --- an interrupted recovery, a disk that refuses, another process ---
 
 
 class Stop(BaseException):
@@ -29,7 +29,7 @@ CALLS = ("rename", "replace", "fsync", "mkdir", "rmdir")
 
 @contextmanager
 def stopping_at(count: int, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> Iterator[list[int]]:
-    """The call on the disk with this number does not happen, nor any after it; how many there were."""
+    """Stop before the disk call with this number; yield how many calls there were."""
     done = [0]
 
     def stops(call: Callable[..., object]) -> Callable[..., object]:
@@ -49,14 +49,14 @@ def stopping_at(count: int, monkeypatch: pytest.MonkeyPatch, error: BaseExceptio
 
 @pytest.fixture(scope="module")
 def one(tmp_path_factory: pytest.TempPathFactory) -> Files:
-    """The files of a ledger with one commit that fills a tile."""
+    """Return the files of a ledger with one commit that fills a tile."""
     path = tmp_path_factory.mktemp("one") / "ledger"
     append_all(path, made_up_batches(1, runs=1, size=300))
     return contents(path)
 
 
 def much_to_do(one: Files) -> Files:
-    """What a crash leaves, and damage of all kinds that can be mended."""
+    """Return what a crash leaves, with damage of all kinds that can be mended."""
     files = one | {
         "tile/0/000": b"?" * 32,
         "stray": b"?",

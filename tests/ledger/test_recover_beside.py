@@ -1,5 +1,4 @@
-"""A recovery beside a writer where ledger.json is lost: the lock is on the ledger's folder, which stays the same
-one."""
+"""Recovery beside a writer when ledger.json is lost: both lock the ledger's folder, which stays the same."""
 
 import shutil
 from pathlib import Path

@@ -55,7 +55,7 @@ def flip(file: Path, at: int) -> None:
 
 
 def forge(path: Path, number: int, **changes: object) -> None:
-    """The record says something else, and all after it are chained to it again."""
+    """Change the record and chain all later records to it again."""
     for at in range(number, len(open_ledger(path).records)):
         record = msgspec.json.decode(commit_path(path, at).read_bytes(), type=CommitRecord)
         previous = sha256_hex((commit_path(path, at - 1) if at else path / "ledger.json").read_bytes())
@@ -165,7 +165,7 @@ def asked(anchor: Path | None = None, *, is_signed: bool = False) -> Asked:
 
 
 def checkpoint_of(batches: int, folder: Path) -> Path:
-    """The checkpoint of a ledger of so many commits, kept elsewhere."""
+    """Return the checkpoint of a ledger of so many commits, kept elsewhere."""
     append_all(folder / "then", BATCHES[:batches])
     return folder / "then" / "checkpoint"
 
@@ -244,7 +244,7 @@ def test_a_checkpoint_that_the_key_signed_tells_of_a_rewritten_history(tmp_path:
 
 
 def damage_at_random(path: Path, draw: random.Random) -> None:
-    """One file is altered, cut, lost, doubled or replaced by another."""
+    """Alter, cut, remove or double one file, or replace it by another."""
     files = sorted(file for file in path.rglob("*") if file.is_file())
     file, other = draw.choice(files), draw.choice(files)
     data = file.read_bytes()
@@ -264,8 +264,8 @@ def damage_at_random(path: Path, draw: random.Random) -> None:
 
 
 def assert_honest(found: Recovery, path: Path, before: dict[str, bytes]) -> None:
-    """A ledger that verifies afterwards holds every file that was there, or has it beside it; a damaged one is as it
-    was."""
+    """Check that a ledger that verifies afterwards kept every file, in it or beside it, and that a damaged one is
+    unchanged."""
     if found.outcome in ("damaged", "continued"):
         assert contents(path) == before
         return

@@ -1,5 +1,5 @@
 """A recovery that the disk refuses, or that is killed, leaves the ledger as good as it was: the next writer goes on
-from there by itself."""
+from there."""
 
 import shutil
 from contextlib import suppress
@@ -19,8 +19,8 @@ KINDS = ("disk-full", "no-space", "io-error-after", "killed")
 
 @pytest.fixture
 def crashed(tmp_path: Path) -> Path:
-    """A folder with a ledger whose second commit, which filled a tile, was made, but nothing derived from it before the
-    power failed."""
+    """Return a folder with a ledger whose second commit filled a tile; the power failed before anything was derived
+    from it."""
     first, place = tmp_path / "first", tmp_path / "crashed"
     append_all(first, BATCHES[:1])
     append_all(place / "ledger", BATCHES[:2])
@@ -32,7 +32,7 @@ def crashed(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def whole(tmp_path: Path) -> dict[str, bytes]:
-    """The files of the ledger that nothing interrupted."""
+    """Return the files of the ledger that nothing interrupted."""
     append_all(tmp_path / "whole", BATCHES)
     return contents(tmp_path / "whole")
 

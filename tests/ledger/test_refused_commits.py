@@ -1,4 +1,4 @@
-"""Runs that a writer refuses for what the ledger holds already, or for what they say they observe."""
+"""Runs that a writer refuses for what the ledger already holds, or for what they claim to observe."""
 
 import pickle
 import shutil
@@ -66,7 +66,7 @@ def test_a_run_of_an_earlier_commit_is_refused_and_the_writer_goes_on(path: Path
         with pytest.raises(InvalidRun, match=f"run {BATCHES[2][1].run_id}, .* commit 2 holds"):
             writer.append(stage(path, [RUN, BATCHES[2][1]]))
         with pytest.raises(InvalidRun, match=f"run {BATCHES[0][0].run_id}, .* commit 0 holds"):
-            writer.append(stage(path, BATCHES[0]))  # an older batch whole; only the newest changes nothing
+            writer.append(stage(path, BATCHES[0]))  # a whole older batch; only the newest may come again
     assert verify(path).ok
     assert verify(path).runs == 6
 
@@ -88,7 +88,7 @@ def test_of_two_writers_with_the_same_run_in_other_batches_one_commits_it(path: 
 def test_a_commit_that_another_writer_made_alike_is_known_to_hold_its_runs(path: Path) -> None:
     with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
         staged = stage(path, BATCHES[2])
-        assert one.append(staged) == two.append(staged)  # which finds it committed, and staged no more
+        assert one.append(staged) == two.append(staged)  # the second finds it committed and no longer staged
         with pytest.raises(InvalidRun, match="commit 2 holds"):
             two.append(stage(path, [RUN, BATCHES[2][0]]))
         with pytest.raises(InvalidRun, match="commit 2 holds"):
@@ -153,7 +153,7 @@ def test_a_segment_whose_runs_cannot_be_read_is_named(path: Path) -> None:
     assert {name: data for name, data in contents(path).items() if not name.startswith("staging")} == before
 
 
-# --- what lies between staging and the commit ---
+# --- between staging and the commit ---
 
 
 def test_a_staged_file_of_the_same_size_but_other_bytes_is_not_committed(path: Path) -> None:
@@ -188,11 +188,11 @@ def test_a_ledger_takes_no_more_commits_than_a_folder_holds_names(path: Path, mo
     assert {name: data for name, data in contents(path).items() if not name.startswith("staging")} == before
 
 
-# --- what a run says that it observes ---
+# --- what a run claims to observe ---
 
 
 def observing(*concerns: str) -> LedgerRun:
-    """A start that says so, two robots that join, and a task that is done."""
+    """Return a run whose start says so, with two robots that join and a task that is done."""
     events = [
         RunStarted(kind="foreign", observes=concerns),
         RobotJoined(robot=Robot("robot/A1"), role="carrier", team=1, supervisor=None),

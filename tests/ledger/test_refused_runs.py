@@ -1,6 +1,6 @@
-"""What a writer refuses, before anything is in the ledger: what `verify` would condemn, and what breaks a run.
+"""What a writer refuses before anything is in the ledger: what `verify` would reject, and what breaks a run.
 
-Each is named with run, seq and field.
+Each is reported with run, seq and field.
 """
 
 import re
@@ -41,7 +41,7 @@ def path(intact: Path, tmp_path: Path) -> Path:
 
 
 def seq_with(condition: Callable[[str, StoredType], bool]) -> tuple[int, str]:
-    """The first event of RUN that has such a field, and the field's name."""
+    """Return the first event of RUN that has such a field, and the field's name."""
     layouts = [(seq, LAYOUTS[str(event.__struct_config__.tag)]) for seq, event in enumerate(RUN.events)]
     return next(
         (seq, name)
@@ -61,7 +61,7 @@ def of_kind(kind: str, *, closed: bool = False, is_nullable: bool = False) -> tu
 
 
 def refused(path: Path, runs: list[LedgerRun], said: str) -> None:
-    """Staging them is refused with these words, and nothing is left of it."""
+    """Check that staging them is refused with these words and leaves nothing behind."""
     before = contents(path)
     with pytest.raises(InvalidRun, match=said):
         stage(path, runs)

@@ -210,7 +210,7 @@ def test_a_kept_release_is_never_written_again(tmp_path: Path) -> None:
 
 
 def broken_rules(then: Types, now: Types, retired: Types) -> list[str]:
-    """Each change since a release that stored events do not allow, with what to do instead."""
+    """Return each change since a release that stored events do not allow, with what to do instead."""
     found = []
     for tag, fields in then.items():
         name, _, version = tag.rpartition(".v")

@@ -21,14 +21,14 @@ LEAVES = b"".join(leaf_hash(b"%d" % number) for number in range(1000))
 
 
 def hashes(leaves: bytes, height: int) -> bytes:
-    """The roots of the complete subtrees of this height, packed."""
+    """Return the roots of the complete subtrees of this height, packed."""
     for _ in range(height):
         leaves = parents(leaves[: len(leaves) // (2 * HASH_BYTES) * 2 * HASH_BYTES])
     return leaves
 
 
 def tiles_of(leaves: bytes) -> dict[str, bytes]:
-    """Every tile of the tree by its name, as the specification defines them."""
+    """Return every tile of the tree by its name, as the specification defines them."""
     found = {}
     level, width = 0, WIDTH * HASH_BYTES
     while row := hashes(leaves, HEIGHT * level):

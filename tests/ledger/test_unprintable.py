@@ -1,4 +1,4 @@
-"""No writer stores text that is not printed; what an earlier release stored is read."""
+"""Writers refuse unprintable text; what an earlier release stored is read."""
 
 from pathlib import Path
 

@@ -1,5 +1,4 @@
-"""What others publish to be tried: vectors of transparency-dev/merkle, of wycheproof, and the examples that C2SP
-prints."""
+"""Published test vectors: those of transparency-dev/merkle and wycheproof, and the examples that C2SP prints."""
 
 import base64
 import json
@@ -39,8 +38,8 @@ def is_grown(vector: Vector) -> bool:
 
 
 NO_HASHES = "additional/sizes-are-equal-one-and-proof-is-empty.json"
-"""The one vector judged otherwise here: its two equal roots are the twelve bytes "don't care 2", which are no hash, so
-there is no such tree."""
+"""The one vector judged differently here: its two equal roots are the twelve bytes "don't care 2". They are not hashes,
+so there is no such tree."""
 
 
 def folders(kind: str) -> set[str]:
@@ -82,7 +81,7 @@ def test_all_196_vectors_are_there_and_some_are_good() -> None:
 
 
 def test_what_is_no_hash_of_32_bytes_is_in_no_tree() -> None:
-    """0.1.0 took an empty leaf for the root of a tree of one."""
+    """0.1.0 accepted an empty leaf as the root of a tree of one."""
     vector = vectors("merkle/inclusion.json")["single-entry/empty-root-and-leaf.json"]
     assert (vector["root"], vector["leafHash"], vector["treeSize"]) == ("", "", 1)
     assert root_of_inclusion(b"", 0, 1, ()) is None
@@ -93,7 +92,7 @@ def test_what_is_no_hash_of_32_bytes_is_in_no_tree() -> None:
 
 
 def test_from_the_empty_tree_an_empty_proof_will_do_and_its_root_is_that_of_no_leaves() -> None:
-    """0.1.0 took any bytes for the root of the newer tree.
+    """0.1.0 accepted any bytes as the root of the newer tree.
 
     The library of these vectors has no proof from size 0 at all; C2SP tlog-witness begins there.
     """

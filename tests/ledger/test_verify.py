@@ -257,7 +257,7 @@ def test_another_format_is_found(path: Path, manifest: Manifest) -> None:
     assert first_problem(path).where == "ledger.json"
 
 
-# --- segments whose file hash a forger has made fit ---
+# --- segments that a forger changed together with the file hash ---
 
 
 def test_an_altered_row_is_found_by_the_tree(path: Path) -> None:

@@ -1,5 +1,5 @@
-"""Checks of the verifier that others would stand in for, each on its own: the place, the words and the number of
-problems are right."""
+"""Checks of the verifier that other checks could mask, each on its own: the place, the words and the number of problems
+are right."""
 
 import os
 import shutil
@@ -200,7 +200,7 @@ def test_columns_of_another_release_than_the_records_are_found(path: Path, monke
 
 
 def with_dictionary(table: pa.Table, change: Callable[[pa.DictionaryArray], pa.DictionaryArray]) -> bytes:
-    """The segment of these rows, written by ourselves but for the dictionary of their types."""
+    """Return the segment of these rows, written by us except for the dictionary of their types."""
     table = segment.coded(table)
     column = change(table["type"].combine_chunks())
     at = table.schema.get_field_index("type")

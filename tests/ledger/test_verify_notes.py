@@ -27,7 +27,7 @@ KEY = SIGNER.verifier
 
 @pytest.fixture(scope="module", autouse=True)
 def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A signed ledger, whose segments are decoded once."""
+    """Write a signed ledger, whose segments are decoded once."""
     path = tmp_path_factory.mktemp("signed") / "ledger"
     append_all(path, BATCHES, signer=SIGNER)
     with examined_once(path):
@@ -248,7 +248,7 @@ def test_an_anchor_that_is_not_there_is_the_callers_mistake(tmp_path: Path) -> N
 def test_old_tiles_left_in_a_rewritten_ledger_do_not_deceive_a_quick_look(tmp_path: Path) -> None:
     """The anchor ends within a tile.
 
-    Its root comes out of the old leaves there, the new root out of the level above them.
+    Its root comes from the old leaves there, the new root from the level above them.
     """
 
     def batches(seed: int) -> list[list[LedgerRun]]:
@@ -276,7 +276,7 @@ def test_a_quick_look_with_an_anchor_needs_its_tiles(path: Path) -> None:
 
 @pytest.fixture
 def behind(path: Path, tmp_path: Path) -> Path:
-    """The ledger as a crash leaves it after its third commit, with the tiles and the checkpoint of the second."""
+    """Return the ledger as a crash leaves it after its third commit, with the tiles and checkpoint of the second."""
     append_all(tmp_path / "two", BATCHES[:2], signer=SIGNER)
     shutil.rmtree(path / "tile")
     shutil.copytree(tmp_path / "two" / "tile", path / "tile")
@@ -331,7 +331,7 @@ def test_a_quick_look_at_an_intact_ledger_gives_the_recorded_head(path: Path) ->
 
 
 def test_a_quick_look_reads_no_rows(path: Path) -> None:
-    """What a forger made fit the file's hash is left to the whole look."""
+    """A forgery that fits the file's hash is left to the whole look."""
     forge_segment(path, 1, changed(table_of(path, 1), "time_us", 3, 1))
     assert verify(path, asked=Asked(is_quick=True)).ok
     assert not verify(path).ok
@@ -348,8 +348,7 @@ def test_verify_changes_nothing(path: Path) -> None:
 
 
 def test_a_ledger_begins_with_each_checkpoint_that_witnesses_show(path: Path, tmp_path: Path, is_quick: bool) -> None:
-    """Beside an anchor or without one; each that does not fit is a problem of its own, and none counts as the
-    anchor."""
+    """With or without an anchor; each that does not fit is a problem of its own, and none counts as the anchor."""
     kept = [Anchor(f"witness w{number}", note_of(path, number)) for number in range(3)]
     false = Anchor("witness liar", Note(Checkpoint(ORIGIN, 30, bytes(32))))
     larger = Anchor("witness ahead", Note(Checkpoint(ORIGIN, 99, bytes(32))))

@@ -1,4 +1,4 @@
-"""Keys under which a signature proves nothing are no keys, and a signature has one form."""
+"""Keys under which a signature proves nothing are refused, and a signature has only one form."""
 
 import hashlib
 from pathlib import Path
@@ -21,7 +21,7 @@ TEXT = checkpoint_of(ORIGIN, Frontier()).text().encode()
 
 
 def mixed(public: bytes, weak: bytes) -> bytes:
-    """The key that is the sum of an honest one and of a point of small order."""
+    """Return the sum of an honest key and a point of small order."""
     x, y = independent_ed25519.plus(independent_ed25519.point_of(public), independent_ed25519.point_of(weak))
     return bytes((y | (x & 1) << 255).to_bytes(32, "little"))
 
@@ -31,7 +31,7 @@ def test_a_key_of_small_order_under_which_anybody_signs_is_refused_wherever_it_i
     name: str, tmp_path: Path
 ) -> None:
     forger = Forger(ORIGIN, WEAK[name])
-    assert len(forged(forger.public, TEXT)) == 64  # what the library takes for a signature is made without a secret
+    assert len(forged(forger.public, TEXT)) == 64  # the library accepts a signature made without a secret
     (tmp_path / "weak.pub").write_text(f"{forger}\n")
     expected = "a point of small order" if name in SMALL_ORDER else "not written in its one way"
     for key in (str(forger), str(tmp_path / "weak.pub")):
@@ -44,7 +44,7 @@ def test_a_key_of_small_order_under_which_anybody_signs_is_refused_wherever_it_i
 
 
 def test_the_list_of_small_order_is_the_whole_list() -> None:
-    """Eight points, and the other ways to write them."""
+    """Eight points, and their other encodings."""
     plus, point_of = independent_ed25519.plus, independent_ed25519.point_of
     points = {point_of(bytes.fromhex(text)) for text in SMALL_ORDER.values()}
     assert len(points) == 8
@@ -87,7 +87,7 @@ def test_no_honest_key_is_refused() -> None:
 
 
 def test_a_secret_key_that_names_a_weak_public_half_is_refused(tmp_path: Path) -> None:
-    """The public half of a secret key is worked out, never read; its id must be that of the one in the file."""
+    """The public half of a secret key is computed, never read; its id must match the one in the file."""
     path = tmp_path / "key"
     path.write_text(f"PRIVATE+KEY+{Forger(ORIGIN, WEAK['order 1'])}\n")
     path.chmod(0o600)
@@ -110,8 +110,8 @@ def test_a_signature_has_no_second_form() -> None:
 
 
 def test_a_point_of_small_order_in_a_signature_helps_nobody_without_the_secret() -> None:
-    """R may be the identity, in its one way of writing, but then S is the secret times the hash: only its holder makes
-    it."""
+    """R may be the identity in canonical form, but then S is the secret times the hash, which only the holder can
+    compute."""
     key = SIGNER.verifier
     secret = int.from_bytes(hashlib.sha512(b"s" * 32).digest()[:32], "little") & ~7 & 2**254 - 1 | 2**254
     for name, point in WEAK.items():

@@ -1,5 +1,5 @@
-"""Whatever a writer accepts, `verify` accepts and readers read back; whatever it refuses leaves the ledger's bytes as
-they were.
+"""Whatever a writer accepts, `verify` accepts and readers read back; whatever it refuses leaves the bytes of the ledger
+unchanged.
 
 Batches are mostly good; a few values of any field, cause, time, name or order in them are not.
 """
@@ -37,7 +37,7 @@ class Number(enum.IntEnum):
 
 
 class Posing(str):
-    """Is every string, as far as it says."""
+    """A string that claims to equal every string."""
 
     def __eq__(self, other: object) -> bool:
         return True
@@ -158,7 +158,7 @@ def another_length(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
 
 
 def cut(run: LedgerRun, draw: st.DrawFn) -> LedgerRun:
-    """Its end, as if a run went on in another commit."""
+    """Return the end of the run, as if it went on in another commit."""
     at = draw(st.integers(0, len(run.events) - 1))
     return LedgerRun(run.run_id, run.times_us[at:], [None, *range(len(run.events) - at - 1)], run.events[at:])
 
@@ -183,7 +183,7 @@ CHANGES: tuple[Change, ...] = (
 
 @st.composite
 def batches(draw: st.DrawFn) -> list[LedgerRun]:
-    """Up to three runs, each good or with one thing changed; names are few, so that they come again."""
+    """Draw up to three runs, each good or with one thing changed. There are few names, so that they repeat."""
     runs = [
         made_up_run(f"run-{draw(st.integers(0, 9))}", draw(st.integers(1, 7)), draw(st.integers(0, 99)))
         for _ in range(draw(st.integers(0, 3)))
@@ -192,7 +192,7 @@ def batches(draw: st.DrawFn) -> list[LedgerRun]:
 
 
 def check(path: Path, offered: list[list[LedgerRun]], fates: Counter[str]) -> None:
-    """Append each batch, with a new writer or the one before; then look at all that is there."""
+    """Append each batch, with a new writer or the one before; then check everything that is there."""
     kept: list[LedgerRun] = []
     writer = Writer(path, ORIGIN)
     newest: list[LedgerRun] = []
@@ -229,7 +229,7 @@ def look(offered: list[list[LedgerRun]]) -> None:
 
 
 def at_all(examples: int, *, is_the_same: bool) -> None:
-    """So many ledgers, the same each time or others."""
+    """Try so many ledgers, the same each time or others."""
     FATES.clear()
     limits = settings(
         max_examples=examples,

@@ -1,5 +1,4 @@
-"""Thrift's compact protocol, written as well as read: whatever a forger may say, in whatever order, as often as he
-likes."""
+"""Thrift's compact protocol, read and written: a forger can say anything, in any order, as often as wanted."""
 
 from typing import NamedTuple, TypeAlias
 
@@ -15,14 +14,14 @@ class Field(NamedTuple):
 
 
 class Listed(NamedTuple):
-    """A list, of values of one kind."""
+    """A list of values of one kind."""
 
     kind: int
     values: "list[Value]"
 
 
 class Raw(NamedTuple):
-    """A value as these very bytes, right or wrong."""
+    """A value given as its bytes, right or wrong."""
 
     data: bytes
 
@@ -32,7 +31,7 @@ Value: TypeAlias = "int | bytes | Struct | Listed | Raw"
 
 
 def read(data: bytes, at: int = 0) -> tuple[Struct, int]:
-    """The struct that begins here and where it ends."""
+    """Read the struct that begins here; return it and where it ends."""
     found: Struct = []
     number = 0
     while head := data[at]:
@@ -84,7 +83,7 @@ def _zigzag(data: bytes, at: int) -> tuple[int, int]:
 
 
 def write(struct: Struct) -> bytes:
-    """The struct as bytes, its fields in this order, as often as they are in it."""
+    """Write the struct as bytes, its fields in this order, repeated as they are in it."""
     found, last = b"", 0
     for number, kind, value in struct:
         if kind in (TRUE, FALSE):
@@ -114,7 +113,7 @@ def _bytes(kind: int, value: Value) -> bytes:
 
 
 def varint(value: int) -> bytes:
-    """A number that is not negative."""
+    """Encode a number that is not negative."""
     found = bytearray()
     while value > 0x7F:
         found.append(value & 0x7F | 0x80)
@@ -123,22 +122,22 @@ def varint(value: int) -> bytes:
 
 
 def number_bytes(value: int) -> bytes:
-    """Any number, zigzag."""
+    """Encode any number, zigzag."""
     return varint(value << 1 if value >= 0 else ~(value << 1))
 
 
 def field(struct: Struct, number: int) -> "Value":
-    """The value of the first field of this number."""
+    """Return the value of the first field with this number."""
     return next(one.value for one in struct if one.number == number)
 
 
 def has(struct: Struct, number: int) -> bool:
-    """Whether there is such a field."""
+    """Return whether there is such a field."""
     return any(one.number == number for one in struct)
 
 
 def put(struct: Struct, number: int, value: Value, kind: int | None = None) -> None:
-    """The field has this value; it is added in its place if there is none, of the kind that is named then."""
+    """Set the field to this value. A missing one is added in its place, with the given kind."""
     for at, one in enumerate(struct):
         if one.number == number:
             struct[at] = Field(number, one.kind if kind is None else kind, value)

@@ -11,7 +11,7 @@ from fsar_ledger.ledger.log.note import Checkpoint, Signature, Signer
 
 L = 2**252 + 27742317777372353535851937790883648493
 
-# Chalkias, Garillot, Nikolaenko, "Taming the many EdDSAs" (2020), table 6: each point, in the one way to write it
+# Chalkias, Garillot, Nikolaenko, "Taming the many EdDSAs" (2020), table 6: each point in its canonical encoding
 SMALL_ORDER = {
     "order 1": "0100000000000000000000000000000000000000000000000000000000000000",
     "order 2": "ecffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff7f",
@@ -22,7 +22,7 @@ SMALL_ORDER = {
     "order 8, second, even": "c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac037a",
     "order 8, second, odd": "c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac03fa",
 }
-SECOND_WAY = {  # and table 5: the same points in another way
+SECOND_WAY = {  # table 5: the same points in other encodings
     "order 1, sign of zero": "0100000000000000000000000000000000000000000000000000000000000080",
     "order 2, sign of zero": "ecffffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff",
     "order 1, y = p + 1": "eeffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff7f",
@@ -34,7 +34,7 @@ WEAK = {name: bytes.fromhex(text) for name, text in (SMALL_ORDER | SECOND_WAY).i
 
 
 def tries() -> Iterator[tuple[bytes, bytes]]:
-    """S B, as a point, and S, for one known S after the other."""
+    """Yield S B, as a point, and S, for one known S after the other."""
     for number in range(1_000):
         seed = number.to_bytes(32)
         scalar = (
@@ -47,8 +47,8 @@ def tries() -> Iterator[tuple[bytes, bytes]]:
 
 
 def forged(public: bytes, text: bytes) -> bytes:
-    """A signature that the library takes for one of this key under this text: with R = S B it is right wherever the
-    order of the key divides the hash."""
+    """Return a signature that the library accepts under this key for this text: R = S B is right whenever the order of
+    the key divides the hash."""
     verifier = Ed25519PublicKey.from_public_bytes(public)
     for point, scalar in tries():
         try:

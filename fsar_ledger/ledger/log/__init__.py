@@ -1,9 +1,9 @@
-"""The transparency log as arithmetic, without a disk.
+"""The transparency log as pure functions, without disk access.
 
 ```
 merkle    RFC 6962 hashes and proofs
-tiles     which hashes are in which tile, and what a commit adds
+tiles     which hashes are in which tile, and which tiles a commit adds
 note      signed notes and checkpoints
-ed25519   which public keys are worth anything
+ed25519   which public keys can be trusted
 ```
 """

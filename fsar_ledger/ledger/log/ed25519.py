@@ -1,10 +1,10 @@
-"""Which public keys of Ed25519 are worth trusting (RFC 8032, section 5.1).
+"""Which Ed25519 public keys can be trusted (RFC 8032, section 5.1).
 
-A key is a point of a curve with 8 L points, L a prime. Honest keys are multiples of the base point, which are the L
-points of the prime-order subgroup. Under a point of small order (1, 2, 4 or 8) anybody can sign anything without a
-secret; with a part of small order a key lets verifiers disagree; and a point written in a second way is a second key
-for the same secret. Chalkias, Garillot, Nikolaenko, "Taming the many EdDSAs" (2020), lists the encodings; common
-libraries accept most of them. Python's integers are enough here: nothing is secret, and a key is read once.
+A key is a point on a curve with 8 L points, where L is prime. Honest keys are multiples of the base point: the L points
+of the prime-order subgroup. Under a point of small order (1, 2, 4 or 8), anybody can sign anything without a secret. A
+key with a small-order component lets verifiers disagree. A point in a second encoding is a second key for the same
+secret. Chalkias, Garillot, Nikolaenko, "Taming the many EdDSAs" (2020), lists these encodings; common libraries accept
+most of them. Python integers are good enough here: nothing is secret, and each key is read once.
 """
 
 from functools import lru_cache
@@ -23,9 +23,9 @@ _IDENTITY: Point = (0, 1, 1, 0)
 
 @lru_cache(maxsize=64)
 def flaw_of(public: bytes) -> str | None:
-    """Say why these bytes are no public key to trust, in words that follow "found"; None if they are one.
+    """Return why this public key cannot be trusted, in words that follow "found"; None if it can.
 
-    Takes about 1.5 ms, once a key.
+    Takes about 1.5 ms, once per key.
     """
     if len(public) != KEY_BYTES:
         return f"{len(public)} bytes"
@@ -47,7 +47,7 @@ def flaw_of(public: bytes) -> str | None:
 
 
 def _x_of(y: int) -> int | None:
-    """Return one of the two x of the points with this y; None if there is none."""
+    """Return one of the two x coordinates for this y; None if no point has it."""
     above, below = (y * y - 1) % _P, (_D * y * y + 1) % _P
     square = above * pow(below, -1, _P) % _P
     root = pow(square, (_P + 3) // 8, _P)
@@ -58,7 +58,7 @@ def _x_of(y: int) -> int | None:
 
 
 def _plus(a: Point, b: Point) -> Point:
-    """Add two points; the formula holds for every pair of them."""
+    """Add two points, by a formula that holds for every pair."""
     low, high = (a[1] - a[0]) * (b[1] - b[0]) % _P, (a[1] + a[0]) * (b[1] + b[0]) % _P
     product, doubled = 2 * a[3] * b[3] * _D % _P, 2 * a[2] * b[2] % _P
     e, f, g, h = high - low, doubled - product, doubled + product, high + low
@@ -66,7 +66,7 @@ def _plus(a: Point, b: Point) -> Point:
 
 
 def _times(count: int, point: Point) -> Point:
-    """Add the point to itself so many times."""
+    """Return `count` times the point."""
     found = _IDENTITY
     while count:
         if count & 1:

@@ -1,7 +1,7 @@
 """The Merkle tree of RFC 6962 (section 2.1) as pure functions over packed hashes, 32 bytes each.
 
-Proofs are made from any source of complete subtrees (`Node`) and checked as RFC 9162, sections 2.1.3.2 and 2.1.4.2,
-says.
+Proofs are built from any source of complete subtrees (`Node`), and checked as in RFC 9162, sections 2.1.3.2 and
+2.1.4.2.
 """
 
 import hashlib
@@ -13,11 +13,13 @@ import numpy as np
 
 HASH_BYTES = 32
 _HASHED = np.dtype((np.void, 1 + 2 * HASH_BYTES))
-_PAIRS_AT_ONCE = 512  # so that they stay in the processor's caches
+_PAIRS_AT_ONCE = 512  # few enough to stay in the CPU caches
 EMPTY_ROOT = hashlib.sha256(b"").digest()
 
 Node: TypeAlias = Callable[[int, int], bytes]
-"""The root of the complete subtree of 2**height leaves, by height and by its place among those of its height."""
+"""Returns the root of a complete subtree of 2**height leaves, given its height and its index among those of that
+height.
+"""
 
 
 def leaf_hash(data: bytes) -> bytes:
@@ -31,7 +33,7 @@ def node_hash(left: bytes, right: bytes) -> bytes:
 
 
 def parents(nodes: bytes) -> bytes:
-    """Hash each pair of packed hashes. The input is cut out of one buffer: joining each pair costs a fifth more."""
+    """Hash each pair of packed hashes. Inputs are cut from one buffer, because joining each pair costs a fifth more."""
     sha256 = hashlib.sha256
     pairs = np.frombuffer(nodes, np.uint8).reshape(-1, 2 * HASH_BYTES)
     found = []
@@ -45,16 +47,16 @@ def parents(nodes: bytes) -> bytes:
 
 
 class Frontier(msgspec.Struct, frozen=True):
-    """What must be kept of a tree in order to append to it: the roots of its complete subtrees, largest first.
+    """The state needed to append to a tree: the roots of its complete subtrees, largest first.
 
-    There is one for each bit that is set in `size`; together they determine the root.
+    There is one for each bit set in `size`; together they determine the root of the tree.
     """
 
     size: int = 0
     subtrees: tuple[bytes, ...] = ()
 
     def extend(self, leaves: bytes) -> "Frontier":
-        """Return the frontier after these packed leaf hashes. Costs one hash a leaf."""
+        """Return the frontier after appending these packed leaf hashes. Costs one hash per leaf."""
         kept = list(self.subtrees)  # smallest last
         found: list[bytes] = []  # smallest first
         size, nodes = self.size, leaves
@@ -87,14 +89,14 @@ def root(leaves: Sequence[bytes]) -> bytes:
 
 
 def _split(size: int) -> int:
-    """Return the largest power of two below the size, where RFC 6962 divides a tree."""
+    """Return the largest power of two below the size, where RFC 6962 splits a tree."""
     return 1 << (size - 1).bit_length() - 1
 
 
 def range_root(node: Node, start: int, end: int) -> bytes:
-    """Return the root over leaves `start` to `end`, a subtree that RFC 6962 knows.
+    """Return the root over leaves `start` to `end`, which must be a subtree of RFC 6962.
 
-    `start` is a multiple of a power of two not below the subtree's size.
+    `start` is a multiple of a power of two that is at least the size of the subtree.
     """
     size = end - start
     if size & (size - 1) == 0:
@@ -130,10 +132,10 @@ def inclusion_proof(node: Node, index: int, size: int) -> tuple[bytes, ...]:
 
 
 def consistency_proof(node: Node, old: int, new: int) -> tuple[bytes, ...]:
-    """Return PROOF(old, D[new]), RFC 6962 section 2.1.2; empty where one tree is empty or both are the same.
+    """Return PROOF(old, D[new]), RFC 6962 section 2.1.2; empty if the old tree is empty or the sizes are equal.
 
     Raises:
-        ValueError: The old tree is the larger one.
+        ValueError: The old tree is larger than the new one.
     """
     if not 0 <= old <= new:
         raise ValueError(f"found sizes {old} and {new}, expected an older tree that is not larger")
@@ -149,7 +151,7 @@ def consistency_proof(node: Node, old: int, new: int) -> tuple[bytes, ...]:
         else:
             path.append(range_root(node, start, middle))
             start = middle
-    if start:  # else the verifier knows this root, for it is the old one
+    if start:  # otherwise this is the old root, which the verifier knows
         path.append(range_root(node, start, end))
     return tuple(reversed(path))
 
@@ -159,9 +161,9 @@ def _are_hashes(*found: bytes) -> bool:
 
 
 def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]) -> bytes | None:
-    """Return the root that this proof leads to from the leaf hash. RFC 9162 section 2.1.3.2.
+    """Return the root that this proof gives for the leaf hash (RFC 9162 section 2.1.3.2).
 
-    None if it has another length than such a proof has, or something in it is no hash of 32 bytes.
+    None if the tree has no such leaf, the proof has the wrong length, or a hash is not 32 bytes long.
     """
     if not 0 <= index < size or not _are_hashes(leaf, *proof):
         return None
@@ -180,10 +182,10 @@ def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]
 
 
 def is_consistent(old: int, old_root: bytes, new: int, new_root: bytes, proof: Sequence[bytes]) -> bool:
-    """Return whether the proof shows that the new tree begins with the old one. RFC 9162 section 2.1.4.2.
+    """Return whether the proof shows that the new tree begins with the old one (RFC 9162 section 2.1.4.2).
 
-    False where something is no hash of 32 bytes. Every tree begins with the empty one: from it, an empty proof will do,
-    and its root is that of no leaves (C2SP tlog-witness asks for this; RFC 9162 leaves it open).
+    False if a hash is not 32 bytes long. Every tree begins with the empty one: then the proof must be empty, and the
+    old root must be that of no leaves (C2SP tlog-witness requires this; RFC 9162 leaves it open).
     """
     if not 0 <= old <= new or not _are_hashes(old_root, new_root, *proof):
         return False

@@ -1,11 +1,11 @@
-"""Signed notes and the keys that sign them, as C2SP signed-note says; the text of ours is a C2SP tlog-checkpoint.
+"""Signed notes (C2SP signed-note) and their keys. The text of our notes is a C2SP tlog-checkpoint.
 
 ```
 fsar-ledger/simulated                              the origin
-167003                                             events
+167003                                             number of events
 GOniXQYJeSjvAPLjEaJ...UJtQ=                        their Merkle root
 
-— fsar-ledger/simulated GQu2...                    one line a signature, none if the note is unsigned
+— fsar-ledger/simulated GQu2...                    one line per signature, none if the note is unsigned
 ```
 """
 
@@ -27,28 +27,28 @@ _DASH = "\N{EM DASH} "
 Signed = Literal["unsigned", "signer not checked", "signed"]
 
 MAX_SIGNATURES = 16
-"""So many a note may carry: the log's own, and witnesses'."""
+"""The most signatures that a note may carry: the log's own, and those of witnesses."""
 
 
 def is_name(name: str) -> bool:
-    """Return whether a key or an origin can have this name: printable, not empty, without spaces and plus signs."""
+    """Return whether this can name a key or an origin: printable, not empty, no spaces, no plus signs."""
     return name.isprintable() and name != "" and not set(name) & {" ", "+"}
 
 
 class Checkpoint(msgspec.Struct, frozen=True):
-    """A published tree head: whose log, how many events, and their Merkle root."""
+    """A published tree head: the origin of the log, the number of its events, and their Merkle root."""
 
     origin: str
     size: int
     root: bytes
 
     def text(self) -> str:
-        """Return the text that is signed: origin, size and base64 root, one a line."""
+        """Return the text that is signed: origin, size and base64 root, one per line."""
         return f"{self.origin}\n{self.size}\n{base64.b64encode(self.root).decode()}\n"
 
 
 class Signature(msgspec.Struct, frozen=True):
-    """One signature of a note: by which key (name and id), and its bytes."""
+    """One signature on a note: the name and id of its key, and the bytes."""
 
     name: str
     key_id: bytes
@@ -56,11 +56,11 @@ class Signature(msgspec.Struct, frozen=True):
 
     @property
     def key(self) -> str:
-        """Return the key that it names: `name+id`."""
+        """Return the key that the signature names: `name+id`."""
         return f"{self.name}+{self.key_id.hex()}"
 
     def line(self) -> str:
-        """Return its line in the note."""
+        """Return the line of the signature in the note."""
         return f"{_DASH}{self.name} {base64.b64encode(self.key_id + self.data).decode()}\n"
 
 
@@ -75,10 +75,10 @@ class Note(msgspec.Struct, frozen=True):
 
 
 class VerifierKey(msgspec.Struct, frozen=True):
-    """The public half of a key, which tells whether the other half signed a note.
+    """The public half of a key, which checks what the secret half signed.
 
-    There is none of a point that is written in a second way, is not on the curve, or is outside the prime-order
-    subgroup: `ValueError` says which.
+    Raises: ValueError, with the reason, if the point is in a second encoding, off the curve, or outside the prime-order
+    subgroup.
     """
 
     name: str
@@ -102,12 +102,11 @@ class VerifierKey(msgspec.Struct, frozen=True):
         return f"{self.key}+{base64.b64encode(ED25519 + self.public).decode()}"
 
     def made(self, signature: bytes, text: bytes) -> bool:
-        """Return whether this is the signature of this key under the text.
+        """Return whether this key made the signature of this text.
 
-        Checked by RFC 8032, section 5.1.7, in its strict form.
-
-        64 bytes; S below L, so that a signature has no second form; R in its one way of writing, for it is compared as
-        bytes; no cofactor, which makes no difference for a key of the prime-order subgroup.
+        Checked strictly by RFC 8032, section 5.1.7. The signature has 64 bytes. S is below L, so that there is no
+        second form. R is in canonical form, because it is compared as bytes. There is no cofactor, which makes no
+        difference for a key in the prime-order subgroup.
         """
         from cryptography.exceptions import InvalidSignature
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -121,7 +120,7 @@ class VerifierKey(msgspec.Struct, frozen=True):
     def has_signed(self, note: Note) -> bool:
         """Return whether this key signed the note.
 
-        The note must be of the log with this key's name, and every signature of this key on it must be right.
+        The note's origin must be the name of this key, and every signature of this key on it must be valid.
         """
         found = [signature.data for signature in note.signatures if signature.key == self.key]
         text = note.checkpoint.text().encode()
@@ -129,7 +128,7 @@ class VerifierKey(msgspec.Struct, frozen=True):
 
 
 class Signer:
-    """The secret half of a key, which signs the notes of the ledger whose origin is its name."""
+    """The secret half of a key, which signs the notes of the ledger whose origin is the key's name."""
 
     def __init__(self, name: str, secret: bytes):
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -138,7 +137,7 @@ class Signer:
         self.verifier = VerifierKey(name, self._key.public_key().public_bytes_raw())
 
     def sign(self, checkpoint: Checkpoint) -> Signature:
-        """Sign the checkpoint; the signature is the same each time (RFC 8032)."""
+        """Sign the checkpoint. The signature is deterministic (RFC 8032)."""
         return Signature(self.verifier.name, self.verifier.key_id, self.signature_of(checkpoint.text().encode()))
 
     def under(self, name: str) -> "Signer":
@@ -146,7 +145,7 @@ class Signer:
         return Signer(name, self._key.private_bytes_raw())
 
     def signature_of(self, text: bytes) -> bytes:
-        """Return the 64 bytes of the signature under this text."""
+        """Return the 64-byte signature of this text."""
         return self._key.sign(text)
 
 
@@ -156,11 +155,10 @@ def checkpoint_of(origin: str, tree: Frontier) -> Checkpoint:
 
 
 def parse_note(where: str, text: str) -> Note:
-    """Parse the note in this text. `str` gives the text back to the byte; errors call it `where`.
+    """Parse this text as a note, whose `str` is the same text to the byte. Errors name it `where`.
 
     Raises:
-        LedgerCorrupted: It is not a checkpoint, is not written as C2SP says, or has signatures that no Ed25519 key
-            makes.
+        LedgerCorrupted: It is not a checkpoint, not in the form of C2SP, or has signatures that no Ed25519 key makes.
     """
     body, _, lines = text.rpartition("\n\n")
     origin, size, root, *_ = [*body.split("\n"), "", ""]
@@ -184,7 +182,7 @@ def parse_note(where: str, text: str) -> Note:
 
 
 def _parse_signature(line: str) -> Signature:
-    """Parse the signature on this line. Raises: ValueError if there is none."""
+    """Parse the signature on this line. Raises: ValueError if it is not one."""
     name, _, data = line.removeprefix(_DASH).partition(" ")
     signed = base64.b64decode(data, validate=True)
     if not is_name(name) or len(signed) <= _ID_BYTES:
@@ -193,17 +191,17 @@ def _parse_signature(line: str) -> Signature:
 
 
 def names(note: Note, key: VerifierKey) -> bool:
-    """Return whether the note has a signature that claims to be of this key."""
+    """Return whether a signature on the note claims to be of this key."""
     return any(signature.key == key.key for signature in note.signatures)
 
 
 def signers_of(note: Note) -> str | None:
-    """Return the keys that the note names, unchecked; None if it is unsigned."""
+    """Return the keys that the signatures name, unchecked; None if the note is unsigned."""
     return ", ".join(signature.key for signature in note.signatures) or None
 
 
 def doubt(note: Note, trusted: VerifierKey) -> str | None:
-    """Say why this note is not one that the trusted key signed; None if it is."""
+    """Return why this note does not count as signed by the trusted key; None if it does."""
     if trusted.has_signed(note):
         return None
     if names(note, trusted):

@@ -1,7 +1,7 @@
 """The hashes of the Merkle tree as files, in the layout of C2SP tlog-tiles: `tile/<level>/<number>[.p/<width>]`.
 
-A tile holds up to 256 hashes: leaves at level 0, above it the roots of the full tiles one level below. Tiles are
-derived from the events and can be made again; with them one event is proven without reading all others.
+A tile holds up to 256 hashes: leaves at level 0, and above it the roots of the full tiles one level below. Tiles are
+derived from the events and can be rebuilt. With them, one event is proven without reading all others.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ _TILE_BYTES = WIDTH * HASH_BYTES
 
 
 class Tile(msgspec.Struct, frozen=True, order=True):
-    """One tile of a tree: its level, its number within it, and how many hashes it holds, 256 if it is full."""
+    """One tile of a tree: its level, its number within the level, and how many hashes it holds (256 if full)."""
 
     level: int
     number: int
@@ -25,9 +25,9 @@ class Tile(msgspec.Struct, frozen=True, order=True):
 
     @property
     def name(self) -> str:
-        """Return its file within the ledger, by C2SP tlog-tiles.
+        """Return the file of the tile within the ledger, as in C2SP tlog-tiles.
 
-        The number stands in groups of three digits, all but the last after an x.
+        The number is split into groups of three digits; all but the last begin with an x.
         """
         digits = f"{self.number:03d}"
         digits = digits.zfill(-len(digits) // 3 * -3)
@@ -37,7 +37,7 @@ class Tile(msgspec.Struct, frozen=True, order=True):
 
 
 def tile_named(name: str) -> Tile | None:
-    """Return the tile whose file has this name within the ledger; None if no tile has."""
+    """Return the tile with this file name within the ledger; None if this is not the name of a tile."""
     _, level, *groups = name.split("/")
     width = str(WIDTH)
     if len(groups) > 1 and groups[-2].endswith(".p"):
@@ -51,24 +51,24 @@ def tile_named(name: str) -> Tile | None:
 
 
 def partial_tiles(size: int) -> tuple[Tile, ...]:
-    """Return the partial tiles of a tree of this size, at most one a level."""
+    """Return the partial tiles of a tree of this size, at most one per level."""
     widths = ((level, size >> HEIGHT * level) for level in range((size.bit_length() + HEIGHT - 1) // HEIGHT))
     return tuple(Tile(level, count // WIDTH, count % WIDTH) for level, count in widths if count % WIDTH)
 
 
 class Edge(msgspec.Struct, frozen=True):
-    """What must be kept of a tree in order to go on writing its tiles: the hashes in the partial tile of each level.
+    """The state needed to append to the tiles of a tree: the hashes in the partial tile of each level.
 
-    `partial` holds them packed, leaves first; empty where the level has no partial tile.
+    `partial` holds them packed, leaves first; empty for a level without a partial tile.
     """
 
     size: int = 0
     partial: tuple[bytes, ...] = ()
 
     def extend(self, leaves: bytes) -> tuple["Edge", dict[Tile, bytes]]:
-        """Return the edge after these packed leaf hashes, and every tile that is new, full or partial.
+        """Return the edge after appending these packed leaf hashes, and every new tile, full or partial.
 
-        Costs one hash a leaf.
+        Costs one hash per leaf.
         """
         made: dict[Tile, bytes] = {}
         partial: list[bytes] = []
@@ -120,7 +120,7 @@ def _subtree_root(hashes: bytes) -> bytes:
 
 
 def node_of(read: Callable[[Tile], bytes], size: int) -> Node:
-    """Return a reader of the complete subtrees (see `merkle.Node`) of a tree of this size, from its tiles."""
+    """Return a function that reads complete subtrees (see `merkle.Node`) of a tree of this size from its tiles."""
 
     def node(height: int, number: int) -> bytes:
         level, above = divmod(height, HEIGHT)

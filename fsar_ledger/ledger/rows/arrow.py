@@ -1,4 +1,4 @@
-"""Helpers for readers of columns: a column in one piece, its strings as codes, its buffers as arrays."""
+"""Helpers for reading columns: as one array, strings as codes, buffers as numpy arrays."""
 
 from typing import Any, TypeAlias
 
@@ -9,20 +9,20 @@ Mask: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.bool_]]"
 
 
 def whole(column: pa.ChunkedArray) -> pa.Array:
-    """Return the column in one piece, copied only if it has several."""
+    """Return the column as one array, copied only if it has several chunks."""
     return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
 def coded(strings: pa.Array) -> pa.DictionaryArray:
     """Return the strings as codes into a dictionary, which they may be already.
 
-    A dictionary may hold a string twice, or one that no row has.
+    The dictionary may hold a string twice, or one that no row uses.
     """
     return strings if isinstance(strings, pa.DictionaryArray) else strings.dictionary_encode()
 
 
 def validity(array: pa.Array) -> Mask:
-    """Return which values are not NULL. Reading the buffer takes a tenth of `is_valid` for a few thousand rows."""
+    """Return which values are not NULL. Takes a tenth of the time of `is_valid` for a few thousand rows."""
     bits = array.buffers()[0]
     if bits is None or not array.null_count:
         return np.ones(len(array), bool)
@@ -33,12 +33,12 @@ def validity(array: pa.Array) -> Mask:
 
 
 def numbers(array: pa.Array) -> "np.ndarray[tuple[int], np.dtype[np.signedinteger[Any]]]":
-    """Return the values of an array of integers; a NULL gives any value."""
+    """Return the values of an integer array; for a NULL, any value."""
     kind = array.type.to_pandas_dtype()
     data = np.frombuffer(array.buffers()[1] or b"", kind)
     return data[array.offset : array.offset + len(array)]
 
 
 def places(strings: pa.DictionaryArray) -> "np.ndarray[tuple[int], np.dtype[np.signedinteger[Any]]]":
-    """Return the place of each string in the dictionary; for NULL, the place behind its end."""
+    """Return the index of each string in the dictionary; for a NULL, the index past its end."""
     return np.where(validity(strings.indices), numbers(strings.indices), len(strings.dictionary))

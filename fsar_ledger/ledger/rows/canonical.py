@@ -1,7 +1,7 @@
-"""The bytes of one stored row that are hashed: RFC 8785 JSON of the row, keys sorted, NULL columns left out.
+"""The bytes of a stored row that are hashed: its RFC 8785 JSON, with keys sorted and NULL columns left out.
 
-Two independent producers make them: `lines` from structs when events are appended, `from_table` from
-columns when a ledger is verified. Tests hold them equal.
+Two independent functions make them: `lines` from structs when events are appended, `from_table` from columns when a
+ledger is verified. Tests require them to agree.
 """
 
 import hashlib
@@ -19,12 +19,10 @@ from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, St
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
-_MOST_ROWS, _MOST_TEXT = (
-    1 << 16,
-    1 << 26,
-)  # of a segment, at once; a commit of 25 runs has some ten thousand rows and 10 MB of text
+# Of a segment, at once. A commit of 25 runs has some ten thousand rows and 10 MB of text.
+_MOST_ROWS, _MOST_TEXT = 1 << 16, 1 << 26
 _ROWS_AT_ONCE = 256
-_PIVOT = "run_id"  # a column that is never NULL, so the commas can lean on it
+_PIVOT = "run_id"  # never NULL, so the commas are placed around it
 
 
 Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
@@ -36,7 +34,7 @@ def document(value: object) -> bytes:
 
 
 def _row_type(layout: StoredType) -> tuple[type[msgspec.Struct], tuple[str, ...]]:
-    """Return a struct of all columns of this event type in sorted order; JSON leaves out those that are None."""
+    """Return a struct of all columns of this event type in sorted order; its JSON leaves out those that are None."""
     names = tuple(sorted([field.name for field in (*ENVELOPE, *layout.fields)]))
     row = msgspec.defstruct(
         layout.cls.__name__ + "Row", [(name, Any, None) for name in names], omit_defaults=True, gc=False
@@ -48,9 +46,9 @@ _ROW_TYPES = {tag: _row_type(layout) for tag, layout in STORED.items()}
 
 
 def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[list[bytes]]:
-    """Yield the canonical bytes of rows of one event type, each after the 0x00 that RFC 6962 puts before a leaf.
+    """Yield the canonical bytes of rows of one event type, each after the 0x00 of an RFC 6962 leaf.
 
-    They come in lists of a few hundred rows, which the processor's caches hold while they are hashed.
+    They come in lists of a few hundred rows, which stay in the CPU caches while they are hashed.
 
     Args:
         tag: The stored type of the events.
@@ -65,7 +63,7 @@ def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[list[by
 class _Members:
     """One column as members of JSON objects, `"name":value` with a comma; nothing where it is NULL.
 
-    A row leans on `run_id`, which is never NULL: members before it end with a comma, those behind it begin with one.
+    Members before `run_id`, which is never NULL, end with a comma; those after it begin with one.
     """
 
     def __init__(self, name: str, column: pa.Array) -> None:
@@ -83,13 +81,13 @@ class _Members:
         elif self._kind == "integer":
             self._numbers = np.where(self.is_valid, numbers(column), 0)
             least, most = int(self._numbers.min()), int(self._numbers.max())
-            if most - least < len(column):  # so do these
+            if most - least < len(column):  # integers in a small range repeat too
                 self._kind = "string"
                 self._texts = self._members([b"%d" % number for number in range(least, most + 1)])
                 self._places = np.where(self.is_valid, self._numbers - least, most - least + 1)
 
     def _members(self, values: Sequence[bytes]) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
-        """Return the member for each value, and behind them the empty one of NULL."""
+        """Return the member for each value, followed by the empty one for NULL."""
         texts = np.empty(len(values) + 1, object)
         texts[:] = [*(self._before + value + self._after for value in values), b""]
         return texts
@@ -115,18 +113,17 @@ class _Members:
 
 
 def from_table(table: pa.Table) -> list[bytes]:
-    """Return the canonical bytes of every row, each after the 0x00 that RFC 6962 puts before a leaf.
+    """Return the canonical bytes of every row, each after the 0x00 of an RFC 6962 leaf.
 
-    Rows are taken by type, for a type has a tenth of the columns. Columns of strings may be dictionaries.
+    Rows are taken by type, because a type has a tenth of the columns. String columns may be dictionaries.
     """
     columns = {name: whole(table.column(name)) for name in sorted(table.column_names)}
     members = [_Members(name, column) for name, column in columns.items() if column.null_count < len(column)]
     codes = places(coded(columns["type"]))
     order = np.argsort(codes, kind="stable")
     starts = np.flatnonzero(np.diff(codes[order], prepend=-1))
-    is_there = [
-        np.logical_or.reduceat(column.is_valid[order], starts).tolist() for column in members
-    ]  # by column, whether rows of each type have it
+    # By column, whether rows of each type have it.
+    is_there = [np.logical_or.reduceat(column.is_valid[order], starts).tolist() for column in members]
     found = np.empty(len(table), object)
     for type_, rows in enumerate(np.split(order, starts[1:])):
         pieces = [column.of(rows) for column, is_in in zip(members, is_there, strict=True) if is_in[type_]]
@@ -138,7 +135,7 @@ def from_table(table: pa.Table) -> list[bytes]:
 
 
 def hashes(rows: Sequence[bytes]) -> list[bytes]:
-    """Return the RFC 6962 leaf hash of each row, given after its 0x00."""
+    """Return the RFC 6962 leaf hash of each row, given with its 0x00."""
     sha256 = hashlib.sha256
     return [sha256(row).digest() for row in rows]
 
@@ -146,14 +143,13 @@ def hashes(rows: Sequence[bytes]) -> list[bytes]:
 def leaves(table: pa.Table) -> bytes:
     """Return the packed RFC 6962 leaf hashes of the rows.
 
-    At most as many rows are written out at once as a batch of runs has.
+    Rows are written out in parts, which saves memory.
     """
     if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
         return b"".join(hashes(from_table(table)))
     most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))
-    plain = pa.schema(
-        [SCHEMA.field(name) for name in table.column_names]
-    )  # a part of a dictionary would come with all of it
+    # A slice of a dictionary column would bring its whole dictionary.
+    plain = pa.schema([SCHEMA.field(name) for name in table.column_names])
     return b"".join(
         b"".join(hashes(from_table(table.slice(at, most).cast(plain)))) for at in range(0, len(table), most)
     )

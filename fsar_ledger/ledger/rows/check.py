@@ -1,4 +1,4 @@
-"""The checks of stored rows, by column; the first flaw is named with run, seq and field."""
+"""Checks of stored rows, by column. The first flaw is reported with run, seq and field."""
 
 from typing import TypeAlias
 
@@ -45,9 +45,9 @@ _LITERALS: dict[str, list[tuple[int, Field]]] = {
 
 
 def first_flaw(table: pa.Table) -> Flaw | None:
-    """Return the flaw in the earliest row; None if every row is as an event of its type, retired or not, is stored.
+    """Return the flaw in the earliest bad row; None if every row is a valid event of its type, retired or not.
 
-    Columns of strings may be dictionaries.
+    String columns may be dictionaries.
     """
     if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
         return Flaw(
@@ -85,14 +85,14 @@ def first_flaw(table: pa.Table) -> Flaw | None:
 def unprintable(table: pa.Table) -> Flaw | None:
     """Find a text that no writer stores, with a control or another unprintable character; None if there is none.
 
-    Readers accept it, because 0.1.0 stored it, and show it escaped. The table has the columns of `CODED_SCHEMA`; each
-    different text is looked at once.
+    Readers accept it, because 0.1.0 stored it, and escape it when they show it. The table has the columns of
+    `CODED_SCHEMA`; each distinct text is checked once.
     """
     for name, kind in COLUMNS.items():
         if kind not in ("string", "strings"):
             continue
         column = whole(table.column(name))
-        if column.null_count == len(column):  # most columns of a short run
+        if column.null_count == len(column):  # as most columns of a short run are
             continue
         texts = (column.dictionary if kind == "string" else column.flatten().unique()).to_pylist()
         if "".join(filter(None, texts)).isprintable():
@@ -114,10 +114,9 @@ def unprintable(table: pa.Table) -> Flaw | None:
 def disordered(table: pa.Table) -> Flaw | None:
     """Find an order of events that no writer stores: a wrong or second beginning of a run, or time running backwards.
 
-    None if there is none.
-
-    Readers accept both, because 0.1.0 stored them; what stands alone in company, or is unobserved, they do not. The
-    rows have the columns of `CODED_SCHEMA`, each run in one block.
+    None if there is none. Readers accept both, because 0.1.0 stored them. They do not accept an event that must stand
+    alone in a longer run, or one of a concern that its run does not observe. The rows have the columns of
+    `CODED_SCHEMA`, each run in one block.
     """
     columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes")}
     is_first = np.zeros(len(table), bool)
@@ -147,13 +146,13 @@ def disordered(table: pa.Table) -> Flaw | None:
 
 
 def run_starts(run_ids: pa.Array) -> Integers:
-    """Return the rows at which another run begins than in the row before."""
+    """Return the index of the first row of each run."""
     codes = places(coded(run_ids))
     return np.flatnonzero(np.concatenate([np.ones(min(1, len(codes)), bool), codes[1:] != codes[:-1]]))
 
 
 def standing_alone(types: pa.Array) -> Mask:
-    """Return which rows have a type that is the only event of its run."""
+    """Return which rows have a type that must be the only event of its run."""
     tags = coded(types)
     found: Mask = np.array([*(tag in STANDS_ALONE for tag in tags.dictionary.to_pylist()), False])[places(tags)]
     return found
@@ -204,7 +203,7 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tupl
 
 
 def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
-    """Find rows of types that stand alone in their run, where there is another row in it."""
+    """Find rows of types that must stand alone in their run, where it has other rows."""
     is_alone = standing_alone(columns["type"])
     if not is_alone.any():
         return []
@@ -231,8 +230,8 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
     said = is_first[rows]
     is_observed = np.zeros((len(starts), len(CONCERNS) + 1), bool)
     is_observed[run_of[rows[said]], names[said]] = True
-    is_observed[~validity(observes)[starts]] = True  # it says nothing about it
-    is_observed[:, -1] = True  # what has no concern
+    is_observed[~validity(observes)[starts]] = True  # the run does not say
+    is_observed[:, -1] = True  # types without a concern
     if is_observed.all():
         return suspects
     concerns = [CONCERNS.index(CONCERNED[tag]) if tag in CONCERNED else -1 for tag in types.dictionary.to_pylist()]

@@ -1,7 +1,7 @@
-"""Runs of events to one Arrow table and back: `encode`, and `decode`, its inverse.
+"""Encode runs of events as one Arrow table (`encode`), and decode them (`decode`).
 
-Only current types are encoded; decoded events of retired types are upcast, so nobody else meets them.
-Events are taken by type and by column, never row by row: that is what makes it fast.
+Only current types are encoded; decoded events of retired types are upcast, so no other code meets them. Events are
+processed by type and column, never row by row, which makes it fast.
 """
 
 from collections import defaultdict
@@ -52,20 +52,18 @@ Values: TypeAlias = "np.ndarray[tuple[int], np.dtype[Any]]"
 _LAYOUTS = tuple(LAYOUTS.values())
 _CODES = {cls: code for code, cls in enumerate(EVENT_TYPES)}
 _TAGS = tuple(LAYOUTS)
-_PLACE = frozenset(
-    field.name for field in ENVELOPE if field.name != "type"
-)  # where an event stands, whatever its version
+_PLACE = frozenset(field.name for field in ENVELOPE if field.name != "type")  # the same in every version of a type
 
 
 class _Part(NamedTuple):
-    """The values that the events of one type put in one column, and the rows that they belong to."""
+    """The values of one event type for one column, and the rows that they belong to."""
 
     at: Positions
     values: Sequence[object]
 
 
 class _Texts:
-    """The strings of all columns, each held once and coded by a number from 1; the code of None is 0."""
+    """The strings of all columns, each held once, with codes from 1. The code of None is 0."""
 
     def __init__(self) -> None:
         self._codes: defaultdict[object, int] = defaultdict(count(1).__next__, {None: 0})
@@ -75,7 +73,7 @@ class _Texts:
         return np.fromiter(map(self._codes.__getitem__, texts), np.int32, size)
 
     def sorted(self) -> tuple[Values, Codes]:
-        """Return all strings in order, behind a None, and for each code the place of its string there; 0 for None."""
+        """Return None and then all strings in order, and for each code the index of its string there."""
         _, *texts = self._codes
         order = sorted(range(len(texts)), key=texts.__getitem__)  # type: ignore[arg-type]
         places = np.zeros(len(texts) + 1, np.int32)
@@ -84,9 +82,9 @@ class _Texts:
 
 
 class _Rows:
-    """The rows of several runs, envelope in order and events sorted by type.
+    """The rows of several runs: the envelope in row order, events sorted by type.
 
-    Raises: InvalidRun, or another error for a value that `first_unfit` names.
+    Raises: InvalidRun, or another error for a value that `first_unfit` identifies.
     """
 
     def __init__(self, runs: Sequence[LedgerRun]):
@@ -144,7 +142,7 @@ class _Rows:
         return {"seq": pa.array(self.seqs), "time_us": times_us, "caused_by": causes}
 
     def _strings(self, columns: dict[str, list[_Part]]) -> dict[str, pa.DictionaryArray]:
-        """Return the columns of strings, the envelope's included, each with a sorted dictionary of what is in it."""
+        """Return the string columns, the envelope's included, each with a sorted dictionary of its own values."""
         texts = _Texts()
         everywhere: Positions = np.arange(self.size)
         found = {"run_id": (everywhere, np.repeat(texts.codes(self.runs, len(self.runs)), self.sizes))}
@@ -156,17 +154,16 @@ class _Rows:
         return {name: self._coded(at, places[codes], dictionary) for name, (at, codes) in found.items()}
 
     def _coded(self, at: Positions, places: Codes, dictionary: Values) -> pa.DictionaryArray:
-        """Return a column of strings, given by their places in the dictionary of all columns; place 0 is NULL."""
+        """Return a string column, given as indexes into the dictionary of all columns; index 0 is NULL."""
         is_used = np.zeros(len(dictionary), bool)
         is_used[places] = True
         is_used[0] = False
-        codes = np.cumsum(is_used, dtype=np.int32) - 1  # -1 at place 0, as nothing used lies before it
+        codes = np.cumsum(is_used, dtype=np.int32) - 1  # -1 at index 0, because no used one is before it
         indices = np.full(self.size, -1, np.int32)
         indices[at] = codes[places]
         used = pa.array(dictionary[is_used], pa.string())
-        return pa.DictionaryArray.from_arrays(
-            _array(indices, indices >= 0), used, safe=False
-        )  # each code is less than the number of used places
+        # Unchecked: each code is less than the number of used strings.
+        return pa.DictionaryArray.from_arrays(_array(indices, indices >= 0), used, safe=False)
 
     def _numbers(self, name: str, parts: list[_Part]) -> pa.Array:
         """Return a column of integers or booleans, NULL where the event type has no such field."""
@@ -228,7 +225,7 @@ def _joined(parts: list[_Part], kind: pa.DataType) -> tuple[Positions, pa.Array]
 
 
 def _bits(is_set: Values) -> pa.Buffer:
-    """Return booleans as Arrow holds them, without its slower conversion of a mask of bytes."""
+    """Return booleans as an Arrow bitmap; Arrow's own conversion from a mask of bytes is slower."""
     return pa.py_buffer(np.packbits(is_set, bitorder="little"))
 
 
@@ -247,7 +244,7 @@ def _require_exact(name: str, numbers: Values) -> None:
 
 @contextmanager
 def _refusals(runs: Sequence[LedgerRun]) -> Iterator[None]:
-    """Turn an error inside into InvalidRun for the first value at fault; leave it as it is if there is none."""
+    """Turn an error inside into InvalidRun for the first bad value; let it pass if there is none."""
     try:
         yield
     except InvalidRun:
@@ -263,17 +260,17 @@ def encode(runs: Sequence[LedgerRun]) -> pa.Table:
     """Encode these runs as rows in order (run, seq), with the columns of `SCHEMA`.
 
     Raises:
-        InvalidRun: A run has no events, or not as many times and causes as events, or is there twice; an event other
-            than the first is not caused by an earlier one; an event is of no type of today; a value is not exactly of
-            the class of its field (msgspec constructors do not check), not in its closed list, an integer beyond 2^53 -
-            1, or text with surrogates.
+        InvalidRun: A run has no events, a number of times or causes other than that of its events, or the name of
+            another; an event after the first is not caused by an earlier one; the type of an event is not current; a
+            value is not exactly of the class of its field (msgspec constructors do not check), not in its closed list,
+            an integer beyond 2^53 - 1, or text with surrogates.
     """
     with _refusals(runs):
         return _Rows(runs).table().cast(SCHEMA)
 
 
 def encode_hashed(runs: Sequence[LedgerRun]) -> tuple[pa.Table, bytes]:
-    """Encode these runs with the columns of `CODED_SCHEMA`, and return the packed leaf hash of each row too.
+    """Encode these runs with the columns of `CODED_SCHEMA`; return the packed leaf hashes of the rows too.
 
     Otherwise as `encode`.
     """
@@ -287,8 +284,8 @@ def decode(table: pa.Table) -> Iterator[LedgerRun]:
 
     Raises:
         UnknownEventTag: A row has a type that this version does not know.
-        LedgerCorrupted: The columns are not those of `SCHEMA`; a row lacks a value that its type must have, has one
-            that it cannot have, or a seq that does not follow the one before it.
+        LedgerCorrupted: The columns are not those of `SCHEMA`; a row lacks a value that its type requires, has one that
+            it does not allow, or has a seq that does not follow the one before.
     """
     _require_valid(table)
     events = _events(table)
@@ -300,7 +297,7 @@ def decode(table: pa.Table) -> Iterator[LedgerRun]:
 
 
 def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Table | None:
-    """Return only the rows of these retired types, as their newest version would be stored; None if there are none.
+    """Return the rows of these retired types as their newest version would be stored; None if there are none.
 
     Raises: as `decode`.
     """
@@ -308,10 +305,7 @@ def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Tab
     if not stored.num_rows:
         return None
     _require_valid(table)
-    times_us, causes = (
-        range(stored.num_rows),
-        [None, *range(stored.num_rows - 1)],
-    )  # a place for each row, until it has its own again
+    times_us, causes = range(stored.num_rows), [None, *range(stored.num_rows - 1)]  # replaced by the row's own below
     rows = encode([LedgerRun("", times_us, causes, _events(stored).tolist())])
     return pa.Table.from_arrays(
         [(stored if name in _PLACE else rows).column(name) for name in SCHEMA.names], schema=SCHEMA
@@ -328,7 +322,7 @@ def _require_valid(table: pa.Table) -> None:
 
 
 def _events(table: pa.Table) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
-    """Return the events of all rows, which were checked, as their newest versions."""
+    """Return the events of all rows, already checked, as their newest versions."""
     events = np.empty(table.num_rows, object)
     tags = table.column("type").combine_chunks().dictionary_encode()
     codes = tags.indices.to_numpy()

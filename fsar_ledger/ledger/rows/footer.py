@@ -1,8 +1,7 @@
-"""Explanations for messages: why a footer or a page header is not one of ours.
+"""Explanations, for messages, of why a footer or a page header is not one of ours.
 
-What `grammar` did not match is read once more, field by field (Thrift compact protocol).
-
-Nothing is decided here: a file that gets this far is refused, whatever is found.
+What `grammar` did not match is read again, field by field (Thrift compact protocol). Nothing is decided here: a file
+that gets this far is refused in any case.
 """
 
 from collections.abc import Iterator
@@ -33,7 +32,7 @@ _ENCODINGS: dict[Kind, list[Value]] = {"string": [0, 3, 8], "strings": [0, 3, 8]
 
 
 def explain_footer(data: bytes, schema: pa.Schema) -> str:
-    """Say why these bytes are not the footer of a segment with these columns."""
+    """Return why these bytes are not the footer of a segment with these columns."""
     try:
         footer, end = read_struct(data, 0)
         found = next(_faults(footer, schema), None)
@@ -51,7 +50,7 @@ def explain_footer(data: bytes, schema: pa.Schema) -> str:
 
 
 def explain_page(data: bytes, at: int) -> str:
-    """Say why no page of ours begins here."""
+    """Return why no page of ours begins here."""
     try:
         header, _ = read_struct(data[at : at + _MAX_HEADER_BYTES], 0)
         for field in (2, 3):
@@ -74,7 +73,7 @@ def explain_page(data: bytes, at: int) -> str:
 
 
 def _faults(footer: Struct, schema: pa.Schema) -> Iterator[str]:
-    """Yield what is wrong with a footer; nothing if it cannot be told here."""
+    """Yield what is wrong with a footer; nothing if that is not found here."""
     yield from _extra(footer, {1, 2, 3, 4, 6, 7}, _FOOTER)
     groups = _list(footer, 4)
     if len(groups) != 1:
@@ -133,7 +132,7 @@ def _extra(struct: Struct, known: set[int], names: dict[int, str], where: str = 
 
 
 def _count(struct: Struct, field: int) -> int:
-    """Return the field as a count. Raises: ValueError if it is none."""
+    """Return the field as a count. Raises: ValueError if it is not one."""
     value = struct.get(field)
     if not isinstance(value, int) or value < 0:
         raise ValueError(f"{value!r:.40} as field {field}, expected a count")
@@ -160,7 +159,7 @@ def _text(value: Value) -> str:
 
 
 def read_struct(data: bytes, at: int, depth: int = 0) -> tuple[Struct, int]:
-    """Read the struct that begins here: its fields by number, and where it ends.
+    """Read the struct that begins here; return its fields by number, and where it ends.
 
     Raises: ValueError or IndexError if there is none.
     """
@@ -208,7 +207,7 @@ def _values(data: bytes, at: int, depth: int) -> tuple[list[Value], int]:
     at += 1
     if size == 15:
         size, at = _varint(data, at)
-    if size > len(data) - at:  # each value takes a byte at least
+    if size > len(data) - at:  # each value takes at least a byte
         raise ValueError(f"a list of {size}, expected at most the {len(data) - at} bytes that are left")
     found: list[Value] = []
     for _ in range(size):

@@ -1,17 +1,16 @@
-"""The bytes of a segment's footer and page headers as regular expressions: what they do not match is no segment.
+"""Regular expressions for the bytes of a segment's footer and page headers. What they do not match is refused.
 
 A footer is Thrift (compact protocol), which can say one thing in many ways, and some things twice. Libraries choose
-differently among them, so that one file may have two contents. Here each struct is spelled out field by field, as the
-only writer that there is makes it (Apache Arrow's, called as `segment.to_parquet` calls it). Unknown, missing, repeated
-and reordered fields, negative counts, and numbers longer than they need be are then no matter of checks: they cannot be
-said. It takes microseconds besides.
+differently among them, so one file could have two contents. Here each struct is spelled out field by field, as the only
+writer (Apache Arrow, called as in `segment.to_parquet`) makes it. Unknown, missing, repeated and reordered fields,
+negative counts and overlong numbers then need no checks: they do not match. Matching takes microseconds.
 
-Fields stand in this order, with their numbers in Parquet's own definition; those in brackets may be left out:
+Fields come in this order, with their numbers in Parquet's own definition; those in brackets may be left out:
 
 ```
 FileMetaData       1 version = 2, 2 schema (exactly as `schema_bytes` has it), 3 num_rows, 4 one row group,
                    6 created_by, 7 column_orders, all TYPE_ORDER
-RowGroup           1 columns, one a column of the schema, 2 total_byte_size, 3 num_rows, 5 file_offset = 4,
+RowGroup           1 columns, one per column of the schema, 2 total_byte_size, 3 num_rows, 5 file_offset = 4,
                    6 total_compressed_size
 ColumnChunk        2 file_offset = 0, 3 meta_data
 ColumnMetaData     1 type, 2 encodings, 3 path_in_schema, 4 codec = ZSTD, 5 num_values, 6 total_uncompressed_size,
@@ -28,9 +27,9 @@ PageHeader, data   1 type = 0, 2 uncompressed_page_size, 3 compressed_page_size,
                    5: 1 num_values, 2 encoding, 3 and 4 levels in RLE, 5 statistics
 ```
 
-Statistics of a page stand there empty, or as those of the column chunk. Encodings: strings and lists of strings PLAIN
-(dictionary, and data once the dictionary is full) and RLE_DICTIONARY; integers DELTA_BINARY_PACKED; booleans PLAIN.
-`encodings` and `encoding_stats` say what the pages say.
+The statistics of a page are empty, or written as those of the column chunk. Encodings: strings and lists of strings
+PLAIN (dictionary, and data once the dictionary is full) and RLE_DICTIONARY; integers DELTA_BINARY_PACKED; booleans
+PLAIN. `encodings` and `encoding_stats` agree with the pages.
 """
 
 import re
@@ -43,7 +42,7 @@ from fsar_ledger.ledger.rows.schema import COLUMNS, Kind
 
 MAGIC = b"PAR1"
 HAS_STATISTICS = ("run_id", "seq", "time_us")
-"""The columns that may have statistics: those of other columns spare no reader any work."""
+"""The columns that may have statistics. Those of other columns would save readers no work."""
 _TYPES: dict[Kind, int] = {"boolean": 0, "integer": 2, "string": 6, "strings": 6}
 _ENCODINGS: dict[Kind, bytes] = {
     "boolean": b"\x25\x06\x00",
@@ -53,33 +52,32 @@ _ENCODINGS: dict[Kind, bytes] = {
 }
 _EVEN = b"".join(re.escape(bytes([byte])) for byte in range(0, 0x80, 2))
 _EVEN_ON = b"".join(re.escape(bytes([byte])) for byte in range(0x80, 0x100, 2))
-_N = (
-    rb"(?:[" + _EVEN_ON + rb"][\x80-\xff]{0,3}+[\x01-\x7f]|[" + _EVEN + rb"])"
-)  # a number from 0 to 2^34 - 1, zigzag, as short as it can be
+# A number from 0 to 2^34 - 1, zigzag, in its shortest form.
+_N = rb"(?:[" + _EVEN_ON + rb"][\x80-\xff]{0,3}+[\x01-\x7f]|[" + _EVEN + rb"])"
 _SUM = rb"(?:[\x80-\xff]{4}[\x01-\x0f]|[\x80-\xff]{0,3}+[\x01-\x7f]|\x00)"  # any 32 bits
 _IS_EXACT = rb"(?:\x11\x11)?"
 _INTEGER_BOUNDS = rb"\x18\x08(.{8})\x18\x08(.{8})\x16\x00\x28\x08(.{8})\x18\x08(.{8})" + _IS_EXACT + rb"\x00"
 _WITHOUT_GROUPS = _INTEGER_BOUNDS.replace(b"(.{8})", b".{8}")
 
 INTEGER_BOUNDS = re.compile(_INTEGER_BOUNDS, re.DOTALL)
-"""The statistics of integers: most, least, most, least."""
+"""The statistics of integers: most, least, and both again."""
 _LENGTH = rb"([\x80-\xff][\x01-\x7f]|[\x00-\x7f])"
 MOST = re.compile(rb"[\x1c]\x36\x00\x28" + _LENGTH, re.DOTALL)
 LEAST = re.compile(rb"\x18" + _LENGTH, re.DOTALL)
 BOUNDS_END = re.compile(_IS_EXACT + rb"\x00", re.DOTALL)
-"""The statistics of strings: each length is that of the bound which follows."""
+"""The end of the statistics of strings. `MOST` and `LEAST` each end with the length of the bound that follows."""
 UNBOUNDED = b"\x1c\x36\x00\x00"
-"""The statistics of strings that are too long for bounds: no NULL."""
+"""The statistics of strings that are too long to be bounds: only that there is no NULL."""
 
 _SIZES = rb"\x15(%b)\x15(%b)\x15(%b)" % (_N, _N, _SUM)  # unpacked, stored, checksum
 DICTIONARY_PAGE = re.compile(rb"\x15\x04" + _SIZES + rb"\x3c\x15(%b)\x15\x00\x12\x00\x00" % _N, re.DOTALL)
-"""The header of a dictionary: unpacked bytes, stored bytes, checksum, values."""
+"""The header of a dictionary page: unpacked bytes, stored bytes, checksum, number of values."""
 
 
 def _data_page(encodings: bytes, end: bytes) -> re.Pattern[bytes]:
-    """Match the header of a data page: unpacked bytes, stored bytes, checksum, values, encoding.
+    """Match the header of a data page: unpacked bytes, stored bytes, checksum, number of values, encoding.
 
-    It matches nothing where statistics of text follow.
+    Statistics of text that follow are not matched.
     """
     return re.compile(
         rb"\x15\x00" + _SIZES + rb"\x1c\x15(%b)\x15([%b])\x15\x06\x15\x06\x1c" % (_N, encodings) + end, re.DOTALL
@@ -97,12 +95,12 @@ _BOUNDED_PAGE = _data_page(rb"\x0a", rb"()(?:(%b)|\x00)\x00\x00" % _WITHOUT_GROU
 
 
 def number(value: int) -> bytes:
-    """Return a Thrift number that is not negative, zigzag."""
+    """Encode a Thrift number that is not negative (zigzag)."""
     return length(value << 1)
 
 
 class _Numbers(dict[bytes, int]):
-    """Thrift numbers, zigzag and not negative. Short ones, which most are, are kept."""
+    """Decodes Thrift numbers that are not negative (zigzag), and caches the short ones, which most are."""
 
     def __missing__(self, data: bytes) -> int:
         if len(data) < 3:
@@ -113,7 +111,7 @@ class _Numbers(dict[bytes, int]):
 
 
 def unsigned(data: bytes) -> int:
-    """Decode a Thrift number before its sign."""
+    """Decode a Thrift number without undoing zigzag."""
     value = 0
     for byte in reversed(data):
         value = value << 7 | byte & 0x7F
@@ -121,11 +119,11 @@ def unsigned(data: bytes) -> int:
 
 
 DECODED = _Numbers()
-"""The Thrift numbers that `number` makes, by their bytes."""
+"""Decodes what `number` encodes."""
 
 
 def length(value: int) -> bytes:
-    """Return a Thrift length."""
+    """Encode a Thrift length."""
     found = bytearray()
     while value > 0x7F:
         found.append(value & 0x7F | 0x80)
@@ -134,12 +132,12 @@ def length(value: int) -> bytes:
 
 
 def text(value: bytes) -> bytes:
-    """Return a Thrift string."""
+    """Encode a Thrift string."""
     return length(len(value)) + value
 
 
 def listed(count: int, kind: int) -> bytes:
-    """Return the beginning of a Thrift list of so many values of one kind."""
+    """Encode the beginning of a Thrift list of so many values of one kind."""
     return bytes([count << 4 | kind]) if count < 15 else bytes([0xF0 | kind]) + length(count)
 
 
@@ -166,16 +164,16 @@ def _leaf(name: bytes, kind: Kind, repetition: bytes) -> bytes:
 
 
 def path_of(name: str) -> str:
-    """Return the Parquet path of a column; of a list, that of its elements."""
+    """Return the Parquet path of a column; for a list, that of its elements."""
     return f"{name}.list.element" if COLUMNS[name] == "strings" else name
 
 
 class Column(NamedTuple):
-    """A column as it stands in a segment.
+    """The bytes of one column in a segment.
 
-    `about` is its chunk in the footer up to its numbers; `chunk` matches these (values, unpacked bytes, stored bytes,
-    place of the first data page, place of the dictionary or nothing) and, but for `run_id`, all else (statistics or
-    None, encoding and size statistics); `page` the header of a page.
+    `about` is its chunk in the footer, up to the numbers. `chunk` matches the numbers (values, unpacked bytes, stored
+    bytes, offset of the first data page, offset of the dictionary or nothing) and, except for `run_id`, the rest
+    (statistics or None, encoding and size statistics). `page` matches the header of a page.
     """
 
     name: str
@@ -188,7 +186,7 @@ class Column(NamedTuple):
 class Footer:
     """The footer of segments with these columns.
 
-    `begin` goes up to the number of rows, `groups` is that number, then come the columns, and `end` is all after them.
+    `begin` goes up to the number of rows. After that number come `group`, the columns, `GROUP_END` and `orders`.
     """
 
     def __init__(self, schema: pa.Schema) -> None:
@@ -228,7 +226,7 @@ def _numbers(kind: Kind, end: bytes) -> re.Pattern[bytes]:
 
 
 def _bounds(kind: Kind, *, is_bounded: bool) -> bytes:
-    """Match the statistics of a column chunk, with the beginning of the next field."""
+    """Match the statistics of a column chunk and the beginning of the next field."""
     if is_bounded:
         return rb"(?:\x3c(%b)\x19|\x49)" % _WITHOUT_GROUPS
     return rb"()\x29" if kind in ("string", "strings") else rb"()\x49"
@@ -254,7 +252,7 @@ RUN_ID_REST = re.compile(_rest("string", is_nullable=False), re.DOTALL)
 def encoding_statistics(kind: Kind, dictionary: int, plain: int) -> bytes:
     """Return the encoding statistics of a column with so many data pages of either kind.
 
-    The values of a page stand in a dictionary or not; those of integers all count as `dictionary`.
+    The values of a page are in a dictionary or plain; pages of integers all count as `dictionary`.
     """
     if kind in ("string", "strings"):
         counts = [(2, 0, 1), (0, 0, plain), (0, 8, dictionary)]

@@ -1,10 +1,8 @@
-"""The check that a segment lies on the disk in the one form that every reader reads alike.
+"""Check that a segment on disk has the one form that every reader reads alike.
 
-It takes the footer and the page headers, before anything is unpacked.
-
-The chunks of the columns fill the file from byte 4 to the footer, in the order of the schema, and pages fill their
-chunk: a dictionary first (strings only), then data. Every count and size that is said in two places is the same in
-both. How each struct is written, `grammar` says.
+This takes the footer and the page headers, before anything is unpacked. The column chunks fill the file from byte 4 to
+the footer, in the order of the schema, and pages fill their chunk: a dictionary first (strings only), then data. Every
+count and size that is stored twice is the same in both places. `grammar` defines how each struct is written.
 """
 
 import re
@@ -38,15 +36,15 @@ from fsar_ledger.ledger.rows.grammar import (
 from fsar_ledger.ledger.rows.releases import SCHEMAS
 
 MIN_ENTRY_BYTES = 4
-"""The length of a string, as a dictionary holds it."""
+"""Bytes of the length of a string in a dictionary."""
 _MAX_DICTIONARY_BYTES = 1 << 22
-"""pyarrow begins no new entry after 1 MiB."""
+"""pyarrow adds no entry to a dictionary after 1 MiB."""
 
 
 class Said(NamedTuple):
-    """The statistics of a column, as Parquet holds them.
+    """The statistics of a column or a page, as Parquet stores them.
 
-    `rows` are those of the page that they are about, None for those of the column.
+    `rows` are the rows of the page; None for a column.
     """
 
     name: str
@@ -56,9 +54,9 @@ class Said(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """The layout of a segment, as it says itself: rows, columns and writer, statistics and sizes.
+    """The layout of a segment, as it claims itself: rows, columns and writer, statistics and sizes.
 
-    Statistics are those of columns and of pages; sizes are of each column, as Parquet holds them.
+    Statistics are those of columns and of pages; sizes are those of each column, as Parquet stores them.
     """
 
     rows: int
@@ -70,7 +68,7 @@ class Layout(NamedTuple):
 
 
 class _Chunk(NamedTuple):
-    """The numbers of a column chunk. `place` is where it begins; the others count bytes or values."""
+    """The numbers of a column chunk: counts of bytes or values, offsets (`_at`), and statistics as stored."""
 
     column: Column
     values: int
@@ -84,7 +82,7 @@ class _Chunk(NamedTuple):
 
 @cache
 def _footers() -> tuple[Footer, ...]:
-    """Return the footers of all releases whose columns differ."""
+    """Return one footer for each set of columns that a release has."""
     found: list[Footer] = []
     for schema in SCHEMAS.values():
         found += [] if any(schema.equals(other.schema) for other in found) else [Footer(schema)]
@@ -92,10 +90,10 @@ def _footers() -> tuple[Footer, ...]:
 
 
 def read_file(path: Path) -> bytes:
-    """Read the bytes of a segment at once: what is hashed, checked and decoded should be the same.
+    """Read a segment into memory once, so that the same bytes are hashed, checked and decoded.
 
     Raises:
-        LedgerCorrupted: It is larger than any segment.
+        LedgerCorrupted: It is larger than a segment may be.
         OSError: It cannot be read.
     """
     with path.open("rb") as file:
@@ -108,11 +106,10 @@ def read_file(path: Path) -> bytes:
 
 
 def check_layout(path: Path, data: bytes) -> Layout:
-    """Check the segment with these bytes and return its layout; the path is for messages only.
+    """Check the segment with these bytes and return its layout. Messages name the path.
 
     Raises:
-        LedgerCorrupted: It lies otherwise than a segment does, contradicts itself, or asks for more than `bounds`
-            allow.
+        LedgerCorrupted: It does not have the form of a segment, contradicts itself, or exceeds the `bounds`.
     """
     try:
         return read_layout(data)
@@ -124,7 +121,7 @@ def read_layout(data: bytes) -> Layout:
     """Return the layout of the segment with these bytes.
 
     Raises:
-        ValueError: It lies otherwise than a segment does, contradicts itself, or asks for more than `bounds` allow.
+        ValueError: It does not have the form of a segment, contradicts itself, or exceeds the `bounds`.
     """
     size, footer_at = len(data), _footer_at(data)
     known = next((footer for footer in _footers() if data.startswith(footer.begin, footer_at)), None)
@@ -181,12 +178,10 @@ def read_layout(data: bytes) -> Layout:
 
 
 def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
-    """Return the strings in the dictionary of `run_id`: all runs of a segment of so many rows, perhaps more.
+    """Return the dictionary of `run_id`: every run of a segment of so many rows, and perhaps strings that no row uses.
 
-    A dictionary may hold more strings than are used.
-
-    `run_id` is the first column, so the beginning of a segment will do. None if it was cut off too early, lies
-    otherwise than a segment does, or has rows whose strings are in no dictionary.
+    `run_id` is the first column, so the beginning of a segment is enough. None if it is cut off too early, does not
+    have the form of a segment, or has rows whose strings are in no dictionary.
     """
     header = DICTIONARY_PAGE.match(data, len(MAGIC))
     if header is None or DECODED[header[1]] > _MAX_DICTIONARY_BYTES:
@@ -211,7 +206,7 @@ def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
 
 
 def _strings(data: bytes, count: int) -> list[str]:
-    """Split so many strings, each after its length. Raises: ValueError if there are others."""
+    """Split so many strings, each after its length. Raises: ValueError if they are not all of the data."""
     found, at = [], 0
     for _ in range(count):
         end = at + MIN_ENTRY_BYTES + int.from_bytes(data[at : at + MIN_ENTRY_BYTES], "little")
@@ -235,9 +230,9 @@ def _footer_at(data: bytes) -> int:
 
 
 def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, int] | None:
-    """Read a column's chunk in the footer, and where it goes on; None if it is not written as it must be.
+    """Read the chunk of a column in the footer; return it, its statistics and where it ends; None if it does not match.
 
-    Raises: ValueError for statistics that are none.
+    Raises: ValueError if the statistics are invalid.
     """
     found = column.chunk.match(data, at + len(column.about)) if data.startswith(column.about, at) else None
     said = None
@@ -268,9 +263,9 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
 
 
 def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
-    """Read the statistics of `run_id` that may begin here; return them, and where what comes `after` them ends.
+    """Read the statistics of `run_id`, if any, and what comes `after` them; return the statistics and where that ends.
 
-    Raises: ValueError if they are not as they may be.
+    Raises: ValueError if they are invalid.
     """
     if data[at : at + 1] == b"\x29":
         return None, at + 1
@@ -293,7 +288,7 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
 def _page_bounds(data: bytes, name: str, header: re.Match[bytes]) -> tuple[Said | None, int]:
     """Read the statistics of the page with this header; return them, and where its body begins.
 
-    Raises: ValueError if they are not as they may be.
+    Raises: ValueError if they are invalid.
     """
     if header[6] is None:
         return _text_bounds(data, header.end() - 1, b"\x00\x00")
@@ -306,7 +301,7 @@ def _length(data: bytes) -> int:
 
 
 def _integer_bounds(name: str, stated: bytes) -> Said:
-    """Read the statistics of a column of integers. Raises: ValueError if they say two things."""
+    """Read the statistics of an integer column. Raises: ValueError if they contradict themselves."""
     found = INTEGER_BOUNDS.fullmatch(stated)
     assert found is not None
     most, least, most_again, least_again = found.groups()
@@ -333,9 +328,9 @@ def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
 
 
 def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -> int:
-    """Check the pages of this chunk, collect what they say of their rows, and return where they end.
+    """Check the pages of this chunk, collect their statistics in `of_pages`, and return where they end.
 
-    Raises: ValueError if they are not what it says.
+    Raises: ValueError if they do not agree with the chunk.
     """
     name, has_dictionary = chunk.column.name, chunk.column.kind in ("string", "strings")
     at, end = place, place + chunk.stored
@@ -374,7 +369,7 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -
 
 
 def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
-    """Return where the dictionary that begins here ends, and the bytes that it unpacks to, header included.
+    """Return where the dictionary that begins here ends, and its unpacked bytes, header included.
 
     Raises: ValueError if there is none.
     """

@@ -1,10 +1,10 @@
 """The columns that each release wrote.
 
-A commit record names the release of its events, so a reader knows if it can read them.
+A commit record names the release of its events, so a reader knows whether it can read them.
 
 `columns/N.N.N.txt` holds the columns of one release as text; its SHA-256 is the `schema_sha256` of the records that
-name it. A release that changes no event type has no such file: its records name the release before. Columns are added
-and never changed or taken away, so rows of an earlier release are rows of today with NULL in what came later.
+name the release. A release that changes no event type has no such file: its records name the release before. Columns
+are added, and never changed or removed, so rows of an earlier release are rows of today with NULL in later columns.
 """
 
 from collections.abc import Sequence
@@ -15,14 +15,14 @@ import pyarrow as pa
 from fsar_ledger.ledger.rows.schema import SCHEMA, described, fingerprint
 
 RELEASE = "0.3.0"
-"""The first release with the event types of today. Any change to them makes it the number of the release to come."""
+"""The first release with the current event types. Any change to them makes this the next release."""
 
 
 def parse_columns(where: str, text: str) -> pa.Schema:
-    """Parse the columns in the text, which are some of today's.
+    """Parse the columns in this text, which must be among today's.
 
     Raises:
-        TypeError: Today's columns lack one of them or have it otherwise: ledgers of that release could not be read.
+        TypeError: Today's columns lack one of them or changed it, so that ledgers of that release could not be read.
     """
     names = [line.partition(" ")[0] for line in text.splitlines()]
     schema = pa.schema([SCHEMA.field(name) for name in SCHEMA.names if name in names])
@@ -46,7 +46,7 @@ def _released() -> dict[str, pa.Schema]:
 
 
 SCHEMAS: dict[str, pa.Schema] = _released() | {RELEASE: SCHEMA}
-"""The columns of every release that this version reads, its own too."""
+"""The columns of every release that this version reads, including its own."""
 
 FINGERPRINTS: dict[str, str] = {release: fingerprint(schema) for release, schema in SCHEMAS.items()}
 """The fingerprint of the columns of each release; several may have the same."""
@@ -70,7 +70,7 @@ def _number(release: str) -> tuple[int, ...] | None:
 
 
 def widened(table: pa.Table, names: Sequence[str], schema: pa.Schema) -> pa.Table:
-    """Return the rows with all columns of today's schema, in its order, NULL in those that came later."""
+    """Return the rows with all columns of today's schema, in its order, with NULL in those that are missing."""
     fields = [field for field in schema if field.name in names]
     present = set(table.column_names)
     if len(present) == len(fields):

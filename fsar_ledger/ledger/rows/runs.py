@@ -1,9 +1,7 @@
-"""Runs as they are handed to a writer, and what they may not hold.
+"""Runs as they are handed to a writer, and what they may hold.
 
-The first such value is named with run, seq and field.
-
-msgspec constructors do not check types, so an event may hold anything. The codec finds out by column that something is
-wrong with a batch; here it is looked for value by value, which nobody waits for twice.
+msgspec constructors do not check types, so an event may hold anything. The codec notices by column that a batch has a
+bad value; the functions here then search for it value by value, to report its run, seq and field.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,7 +19,7 @@ from fsar_ledger.parameters import BadParameters, read_parameters
 
 
 class LedgerRun(msgspec.Struct, frozen=True):
-    """One finished run in memory, columns beside structs. The seq of an event is its position."""
+    """One finished run in memory: its events, and one time and one cause for each. The seq of an event is its index."""
 
     run_id: str
     times_us: Sequence[int]
@@ -30,7 +28,7 @@ class LedgerRun(msgspec.Struct, frozen=True):
 
 
 class Flaw(msgspec.Struct, frozen=True):
-    """The first fault in some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
+    """The first flaw in some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
 
     row: int
     run: str | None
@@ -46,9 +44,9 @@ class Flaw(msgspec.Struct, frozen=True):
 
 
 class Allowed(NamedTuple):
-    """What a field of an event may hold: values of exactly this type, perhaps None.
+    """The values that a field of an event may hold: exactly of this type, or perhaps None.
 
-    In a tuple these are exactly strings; of a closed list only those in it are allowed.
+    Elements of a tuple are exactly strings. With a closed list, only its values are allowed.
     """
 
     type: type
@@ -70,18 +68,18 @@ def _allowed(field: Field) -> Allowed:
 ALLOWED: dict[str, tuple[Allowed, ...]] = {
     layout.tag: tuple(map(_allowed, layout.fields)) for layout in LAYOUTS.values()
 }
-"""For each event type what its fields may hold, in the order of its constructor: from the structs, as all that `check`
-expects of stored rows.
+"""What the fields of each event type may hold, in the order of its constructor. This comes from the structs, as does
+all that `check` expects of stored rows.
 """
 
 
 def are_allowed(values: Sequence[object], allowed: Allowed) -> bool:
     """Return whether a field may hold each of these values.
 
-    The size of integers and surrogates in strings are found out by column.
+    The size of integers and surrogates in strings are checked by column instead.
     """
     kind, is_nullable, closed = allowed
-    types = list(map(type, values))  # the quickest way to look at each
+    types = list(map(type, values))  # the quickest way to check each
     if (found := types.count(kind)) != len(types) and not (
         is_nullable and found + types.count(type(None)) == len(types)
     ):
@@ -96,7 +94,7 @@ def _are_strings(values: Iterable[object]) -> bool:
 
 
 def require_runs(runs: Sequence[LedgerRun]) -> None:
-    """Check that each run has events, as many times and causes, and a name of its own.
+    """Check that each run has events, as many times and causes, and a name that no other has.
 
     Raises: InvalidRun if not.
     """
@@ -155,7 +153,7 @@ def unreadable(runs: Sequence[LedgerRun]) -> Flaw | None:
 
 
 def _unfit(run: LedgerRun, seq: int) -> Iterator[tuple[str, str, str]]:
-    """Return what is wrong with this event: field, found, expected."""
+    """Yield what is wrong with this event: field, found, expected."""
     for name, value, allowed in (("time_us", run.times_us[seq], TIME), ("caused_by", run.caused_by[seq], CAUSE)):
         yield from _unfit_value(name, value, allowed)
     cause, event = run.caused_by[seq], run.events[seq]

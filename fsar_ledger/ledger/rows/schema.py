@@ -1,4 +1,4 @@
-"""The columns of the ledger, derived from the event types: one row an event, one column a field name.
+"""The columns of the ledger, derived from the event types: one row per event, one column per field name.
 
 | column | type | NULL |
 |---|---|---|
@@ -37,7 +37,7 @@ MAX_INTEGER = 2**53 - 1
 
 
 class Field(msgspec.Struct, frozen=True):
-    """One field of an event type as it is stored; `values` are the only ones allowed, None allows any."""
+    """One field of an event type as it is stored. Only `values` are allowed; None allows any."""
 
     name: str
     kind: Kind
@@ -46,7 +46,7 @@ class Field(msgspec.Struct, frozen=True):
 
 
 class Member(msgspec.Struct, frozen=True):
-    """One field of the struct of an event: a column of its own, or a `part` stored as the columns of its fields."""
+    """One field of the struct of an event: a column, or a `part` that is stored as the columns of its own fields."""
 
     name: str
     part: type[Part] | None
@@ -56,7 +56,7 @@ class Member(msgspec.Struct, frozen=True):
 class StoredType(msgspec.Struct, frozen=True):
     """The stored form of one event type.
 
-    `members` are in the order of its constructor; `fields` are the columns that they come to.
+    `members` are in the order of its constructor; `fields` are the columns that they are stored in.
     """
 
     tag: str
@@ -65,7 +65,7 @@ class StoredType(msgspec.Struct, frozen=True):
     fields: tuple[Field, ...]
 
     def columns(self, events: Sequence[Event]) -> tuple[Sequence[object], ...]:
-        """Return the values of events of this type, one sequence a column, in the order of `fields`.
+        """Return the values of events of this type, one sequence per column, in the order of `fields`.
 
         The inverse of `events`.
 
@@ -84,7 +84,7 @@ class StoredType(msgspec.Struct, frozen=True):
         return tuple(found)
 
     def events(self, columns: Iterable[Iterable[object]], count: int) -> list[Event]:
-        """Return so many events of this type with the values of these columns, which are in the order of `fields`."""
+        """Return so many events of this type from the values of these columns, given in the order of `fields`."""
         values = iter(columns)
         members = [_joined(member, [next(values) for _ in member.fields]) for member in self.members]
         if not members:
@@ -93,13 +93,13 @@ class StoredType(msgspec.Struct, frozen=True):
         return [self.cls(**dict(zip(names, row, strict=True))) for row in zip(*members, strict=True)]
 
     def event(self, values: Iterable[object]) -> Event:
-        """Return the event of this type with these values, which are in the order of `fields`."""
+        """Return the event of this type with these values, given in the order of `fields`."""
         (made,) = self.events([(value,) for value in values], 1)
         return made
 
 
 def _joined(member: Member, columns: list[Iterable[object]]) -> Iterable[object]:
-    """Return the values of a member, from the columns that it is stored as."""
+    """Return the values of a member from the columns that it is stored in."""
     if member.part is None:
         return columns[0]
     names = member.part.__struct_fields__
@@ -117,7 +117,7 @@ ENVELOPE: tuple[Field, ...] = (
 
 
 def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
-    """Return the types of a union, each once: a robot and a supervisor, types of their own, are both strings."""
+    """Return the types of a union, each once. Robots and supervisors have types of their own, but both are strings."""
     found: list[inspect.Type] = []
     for one in kind.types if isinstance(kind, inspect.UnionType) else (kind,):
         if one not in found:
@@ -199,16 +199,16 @@ STORED: dict[str, StoredType] = LAYOUTS | RETIRED
 """How each event type that a ledger may hold is stored, by its tag."""
 
 STANDS_ALONE: frozenset[str] = frozenset(tag for tag, one in STORED.items() if one.cls in ALONE)
-"""The tags of events that are the only one of their run."""
+"""The tags of events that must be the only one of their run."""
 
 OPENINGS: frozenset[str] = STANDS_ALONE.union(tag for tag in STORED if tag.partition(".v")[0] == "RunStarted")
-"""The tags, whatever their version, of which event 0 of a run has one, and no other event."""
+"""The tags, of any version, that event 0 of a run must have and no other event may have."""
 
 CONCERNED: dict[str, str] = {tag: CONCERN_OF[name] for tag in STORED if (name := tag.partition(".v")[0]) in CONCERN_OF}
-"""The concern of each event type by its tag; of those that have none, an event may be in every run."""
+"""The concern of each event type, by tag. Events of types without one may be in every run."""
 
 COLUMNS: dict[str, Kind] = columns(tuple(STORED.values()))
-"""The kind of every column, in stored order. One that only retired types have stays."""
+"""The kind of every column, in stored order. Columns that only retired types have remain."""
 
 PAYLOAD: tuple[str, ...] = tuple(COLUMNS)[len(ENVELOPE) :]
 """The columns that come from fields of event types."""
@@ -225,12 +225,11 @@ lack columns.
 CODED_SCHEMA: pa.Schema = pa.schema(
     [field.with_type(pa.dictionary(pa.int32(), field.type)) if field.type == pa.string() else field for field in SCHEMA]
 )
-"""`SCHEMA` in memory before it is written: each column of strings as codes into a sorted dictionary of what is in it.
-"""
+"""`SCHEMA` in memory before it is written: each string column as codes into a sorted dictionary of its values."""
 
 
 def described(schema: pa.Schema) -> str:
-    """Return the columns as text: `name type` or `name type not null` of each, one a line."""
+    """Return the columns as text, one per line: `name type` or `name type not null`."""
     return "".join(f"{field.name} {field.type}{'' if field.nullable else ' not null'}\n" for field in schema)
 
 
@@ -240,4 +239,4 @@ def fingerprint(schema: pa.Schema) -> str:
 
 
 FINGERPRINT: str = fingerprint(SCHEMA)
-"""The fingerprint of `SCHEMA`; it differs when events have other fields."""
+"""The fingerprint of `SCHEMA`, which changes when the fields of events change."""

@@ -18,11 +18,10 @@ _FEW_ROWS, _FEW_COLUMNS = 1 << 17, 8
 
 
 def to_parquet(table: pa.Table) -> pa.Buffer:
-    """Write a segment: one row group, zstd-3, a dictionary for each column of strings, a checksum on each page.
+    """Write a segment: one row group, zstd-3, a dictionary for each string column, a checksum on each page.
 
     Args:
-        table: Rows with the columns of one release, plain or, ready to be written, as `CODED_SCHEMA` has them. Both
-            give the same bytes.
+        table: Rows with the columns of one release, plain or coded as in `CODED_SCHEMA`. Both give the same bytes.
     """
     sink = pa.BufferOutputStream()
     pq.write_table(
@@ -45,7 +44,7 @@ def to_parquet(table: pa.Table) -> pa.Buffer:
 
 
 def coded(table: pa.Table) -> pa.Table:
-    """Return the table with its columns of strings as `CODED_SCHEMA` has them."""
+    """Return the table with its string columns coded as in `CODED_SCHEMA`."""
     schema = pa.schema([CODED_SCHEMA.field(name) for name in table.column_names])
     if table.schema.equals(schema):
         return table
@@ -63,13 +62,13 @@ def _coded(strings: pa.Array) -> pa.DictionaryArray:
 
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """Read the rows of a segment with these columns of `SCHEMA` (all: None), after checking its layout.
+    """Check the layout of a segment and read its rows with these columns of `SCHEMA` (None: all).
 
-    Columns that came later are NULL.
+    Columns that its release did not have are NULL.
 
     Raises:
-        LedgerCorrupted: The file cannot be read, asks for more memory than a batch of runs needs, or lies otherwise
-            than a segment does (see `layout`).
+        LedgerCorrupted: The file cannot be read, exceeds the `bounds`, or does not have the form of a segment (see
+            `layout`).
     """
     try:
         data = read_file(path)
@@ -81,9 +80,9 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
 
 
 def read_coded(path: Path, data: bytes, layout: Layout) -> pa.Table:
-    """Read the rows with the columns of `CODED_SCHEMA`, as the file holds them, which spares strings one by one.
+    """Read the rows with the columns of `CODED_SCHEMA`, as the file holds them, without decoding every string.
 
-    Takes the file's bytes and layout; otherwise as `read_table`.
+    Takes the bytes and the layout of the file; otherwise as `read_table`.
     """
     return _read(path, data, layout, None, CODED_SCHEMA)
 
@@ -101,7 +100,7 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
         found = found.cast(pa.schema([target.field(name) for name in found.column_names]))
         return widened(found, columns or SCHEMA.names, target)
     except pa.ArrowMemoryError:
-        raise  # the machine's fault
+        raise  # not the file's fault
     except (OSError, pa.ArrowException) as error:
         raise LedgerCorrupted(
             f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; "
@@ -110,9 +109,9 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
 
 
 def _columns(file: pq.ParquetFile, names: list[str], rows: int) -> pa.Table:
-    """Read these columns of the file, a few at a time where there are many rows.
+    """Read these columns of the file, a few at a time if there are many rows.
 
-    The memory to decode a column is then free for the next.
+    So the memory for decoding is free again for the next columns.
     """
     if rows <= _FEW_ROWS:
         return file.read(columns=names, use_threads=False)

@@ -1,14 +1,14 @@
-"""Append batches of runs: each is committed whole, and is on the disk when `append` returns, or not at all.
+"""Append batches of runs. Each is committed whole or not at all, and is on disk when `append` returns.
 
-The steps in their order, each durable before the next. A reader, or a crash between any two, sees a whole ledger:
-1. `stage` (any number of workers): the segment is in `staging/` under its SHA-256.
-2. `append` (one parent): the record is written in `staging/` and linked to its number in `commits/`: the commit.
-3. The segment moves to `segments/`. The next Writer mends a crash before this; until then readers look in staging.
-4. The tiles and the checkpoint follow (see `derived.py`); the next Writer mends these as well.
+The steps, each durable before the next. A reader, or a crash between any two, sees a whole ledger:
+1. `stage` (any number of workers) writes the segment to `staging/`, under its SHA-256.
+2. `append` (one parent) writes the record in `staging/` and links it to its number in `commits/`: the commit.
+3. The segment moves to `segments/`. After a crash, the next Writer moves it; until then readers look in `staging/`.
+4. The tiles and the checkpoint follow (see `derived.py`); after a crash, the next Writer writes them.
 
 Writers take turns: 2 to 4 happen under an exclusive lock on `commits/`. A Writer also holds a shared lock on the
-ledger's folder. Leftovers in `staging/` that no record names are harmless; a Writer that finds itself alone removes
-them when it opens.
+ledger's folder. Leftovers in `staging/` that no record names are harmless; a Writer that is alone when it opens removes
+them.
 """
 
 import fcntl
@@ -51,9 +51,9 @@ from fsar_ledger.ledger.store.walk import commit_names
 
 
 class Staged(msgspec.Struct, frozen=True):
-    """A segment that waits to be committed: what the parent must know of it.
+    """What the parent must know of a segment that waits to be committed.
 
-    Units: `segment_bytes` bytes, `rows` events. `leaves` are the packed RFC 6962 leaf hashes, 32 bytes a row.
+    Units: `segment_bytes` bytes, `rows` events. `leaves` are the packed RFC 6962 leaf hashes, 32 bytes per row.
     """
 
     segment_sha256: str
@@ -67,13 +67,13 @@ class Staged(msgspec.Struct, frozen=True):
 def stage(ledger: Path, runs: Sequence[LedgerRun]) -> Staged:
     """Encode these runs and write them to the staging folder, durably; they are not yet part of the ledger.
 
-    Needs no lock and no order: workers may stage at the same time, while a Writer is open; one that is alone when it
-    opens removes what is staged and not committed. The same runs give the same file.
+    Needs no lock and no order. Workers may stage at the same time, but while a Writer is open: one that is alone when
+    it opens removes what is staged and not committed. The same runs give the same file.
 
     Raises:
-        InvalidRun: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded
-            (see `codec.encode`), has a name that cannot be printed (see `check.unprintable`), events in another order
-            (see `check.disordered`) or parameters that nobody can read (see `runs.unreadable`). Nothing was written.
+        InvalidRun: There are no runs, or more than one commit may hold (see `bounds`); or one cannot be encoded (see
+            `codec.encode`), has unprintable text (see `check.unprintable`), events in a wrong order (see
+            `check.disordered`) or unreadable parameters (see `runs.unreadable`). Nothing was written.
         WriteFailed: The disk refused; nothing is left behind.
     """
     if not runs:
@@ -87,7 +87,7 @@ def stage(ledger: Path, runs: Sequence[LedgerRun]) -> Staged:
 
 
 def stage_rows(ledger: Path, runs: Sequence[LedgerRun], table: pa.Table, leaves: bytes) -> Staged:
-    """Stage runs that were encoded, without a look at their names and order, as 0.1.0 did. Raises: As `stage`."""
+    """Stage encoded runs without a check of their names and order, as 0.1.0 did. Raises: As `stage`."""
     data = segment.to_parquet(table)
     for found, most, what in (
         (table.num_rows, MAX_ROWS, "events"),
@@ -125,20 +125,20 @@ def stage_rows(ledger: Path, runs: Sequence[LedgerRun], table: pa.Table, leaves:
 
 
 class Writer:
-    """An appender to one ledger, which it creates if there is none. Use it as a context manager.
+    """Appends to one ledger, which it creates if there is none. Use it as a context manager.
 
     Args:
-        signer: The key that signs the notes of new commits, whose name must be the origin; without one they are
+        signer: The key that signs the notes of new commits, and whose name must be the origin. Without one they are
             unsigned.
-        adopts: The signer vouches for what it did not sign: the newest commit is unsigned, or signed by another key.
+        adopts: The signer vouches for a ledger whose newest commit is unsigned or signed by another key.
 
     Raises:
         NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as
             it was.
         FormatVersionMismatch: The ledger was written in another format.
         LedgerCorrupted: Its records contradict each other, or a segment is missing.
-        UsageError: The key is that of another origin; or it did not sign the newest commit and does not adopt it; or
-            the path lies in another ledger.
+        UsageError: The key has another origin, or did not sign the newest commit and does not adopt it; or the path is
+            in another ledger.
         WriteFailed: The disk refused.
     """
 
@@ -203,7 +203,7 @@ class Writer:
             self._lock = -1
 
     def held(self) -> Held:
-        """Read row by row which runs and plans the ledger holds; only before the first append.
+        """Read from the rows which runs and plans the ledger holds; only once, and before the first append.
 
         Raises: LedgerCorrupted if they cannot be read.
         """
@@ -212,14 +212,14 @@ class Writer:
         return self._held.told()
 
     def append(self, staged: Staged) -> Head:
-        """Commit the staged segment, durably. Appending the newest segment once more changes nothing.
+        """Commit the staged segment, durably. Appending the newest segment again changes nothing.
 
         Raises:
-            InvalidRun: The ledger holds one of the runs; what was staged is gone, and the ledger as it was.
-            SequenceConflict: Another writer took the number, or has gone on after the same commit; open the ledger
+            InvalidRun: The ledger already holds one of the runs. The staged file is removed; the ledger is unchanged.
+            SequenceConflict: Another writer took the number, or has continued from the same commit; open the ledger
                 again and append what it lacks.
             LedgerCorrupted: A folder of the tiles is a link.
-            WriteFailed: The disk refused. The ledger is as it was, unless the message says otherwise.
+            WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
         if self._is_broken or self._lock < 0:
             raise WriteFailed(
@@ -256,7 +256,7 @@ class Writer:
     def _new_runs(self, staged: Staged, held: HeldRuns) -> list[str] | None:
         """Return the runs of the staged segment, after checking that the ledger holds none of them.
 
-        None if the file is gone, as where another writer made this very commit.
+        None if the file is gone, as after another writer made this same commit.
 
         Raises:
             InvalidRun, LedgerCorrupted, WriteFailed: As `append`.
@@ -304,7 +304,7 @@ class Writer:
     def _publish(self, staged: Staged, number: int, data: bytes) -> None:
         """Give the record its number, which must be the newest.
 
-        Raises: SequenceConflict if another record has the number, or others have gone on from the same record.
+        Raises: SequenceConflict if another record has the number, or others continue from the same record.
         """
         path = commit_path(self._path, number)
         source = staged_path(self._path, staged.segment_sha256)
@@ -326,7 +326,7 @@ class Writer:
                     "again and append what it lacks"
                 )
             newest = len(commit_names(self._path)) - 1
-        if newest > number:  # what would be derived from this commit now is older than what is there
+        if newest > number:  # derived files of a later commit are there already
             raise SequenceConflict(
                 f"{self._path}: found commits up to {newest} of another writer, expected {number} to be the newest; "
                 "open the ledger again and append what it lacks, or run the same command again"
@@ -349,7 +349,7 @@ class Writer:
 
 @contextmanager
 def _unfinished(ledger: Path, number: int) -> Iterator[None]:
-    """Turn an OSError inside, after the record had its number, into WriteFailed."""
+    """Turn an OSError inside, which comes after the commit, into WriteFailed."""
     try:
         yield
     except OSError as error:

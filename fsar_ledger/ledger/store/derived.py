@@ -1,7 +1,8 @@
-"""The files derived from the commits, beside them: the tiles of the Merkle tree, and `checkpoint`, the newest note.
+"""The files derived from the commits: the tiles of the Merkle tree, and `checkpoint`, the newest note.
 
-They are written after the commit, tiles first, so a crash leaves them one commit behind at most; the next writer goes
-on. Partial tiles stay until the full tile is there, as C2SP tlog-tiles asks, so each published tree size keeps its own.
+They are written after the commit, tiles first, so a crash leaves them at most one commit behind; the next writer
+catches up. A partial tile stays until the full tile is there, as C2SP tlog-tiles requires, so that each published tree
+size has its own.
 """
 
 import os
@@ -60,7 +61,7 @@ def catch_up(view: LedgerView) -> Edge:
     The last writer may have stopped at any moment.
 
     Raises:
-        LedgerCorrupted: They are further behind than a crash leaves them, or were altered; or they are behind and the
+        LedgerCorrupted: They were altered, or are further behind than a crash leaves them; or they are behind and the
             newest segment is not as committed.
         WriteFailed: The disk refused.
     """
@@ -129,9 +130,9 @@ def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[lis
 
 
 def tile_reader(ledger: Path) -> Callable[[Tile], bytes]:
-    """Return a reader of the ledger's tiles, each read once; of a tile that has become full since, as much as it was.
+    """Return a reader of the ledger's tiles, each read once. For a partial tile that is gone it takes the full one.
 
-    The reader raises LedgerCorrupted where a tile is missing.
+    The reader raises LedgerCorrupted if a tile is missing.
     """
     found: dict[Tile, bytes] = {}
 
@@ -183,17 +184,17 @@ def edge_at(ledger: Path, frontier: Frontier) -> Edge:
 
 
 def tile_files(ledger: Path) -> Iterator[str]:
-    """Name every file under `tile/`, links and other things among them; none if that is a link.
+    """Name every file under `tile/`, including links and other things; none if `tile/` is a link.
 
     Raises:
-        OSError: A folder cannot be read, or they are too many.
+        OSError: A folder cannot be read, or there are too many names.
     """
     seen = 0
     folders = [TILE] if (ledger / TILE).is_dir() and not (ledger / TILE).is_symlink() else []
     while folders:
         found: list[os.DirEntry[str]] = []
         folder = folders.pop()
-        with suppress(FileNotFoundError):  # a writer has removed outgrown tiles in between
+        with suppress(FileNotFoundError):  # a writer has removed outgrown tiles meanwhile
             found = disk.entries(ledger / folder)
         seen += len(found)
         if seen > disk.MAX_NAMES:

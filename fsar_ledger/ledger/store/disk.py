@@ -1,8 +1,8 @@
-"""Files that are there whole or not at all, and stay there after a power failure.
+"""Files that are there whole or not at all, and survive a power failure.
 
-Every change goes through a plain call of `os`, so that tests can make each one fail, or stop the process there.
-A call that a signal interrupts is repeated by Python itself. A file whose `fsync` failed is given up, never synced
-again: the kernel may have dropped what it could not write, and would call the second attempt a success.
+Every change is a plain call of `os`, so that tests can make each one fail, or stop the process there. Python itself
+repeats a call that a signal interrupts. A file whose `fsync` failed is given up, never synced again: the kernel may
+have dropped what it could not write, and would report success the second time.
 
 Assumed of the file system: `link` and `rename` happen whole or not at all, also across two folders.
 """
@@ -27,10 +27,10 @@ _OPEN_AT_ONCE = 128
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 _T = TypeVar("_T")
 MAX_DOCUMENT_BYTES = 1 << 20
-"""No JSON file of a ledger comes near this size; what is larger is not one."""
+"""The most bytes that a JSON file is read with; none of a ledger comes near it."""
 
 MAX_NAMES = 1 << 20
-"""A folder of a ledger with more files than this is not one: nobody has made so many commits."""
+"""The most names that a folder is read with; nobody makes so many commits."""
 
 
 def read_document(path: Path | str) -> bytes:
@@ -53,7 +53,7 @@ def read_document(path: Path | str) -> bytes:
 
 
 def entries(folder: Path) -> list["os.DirEntry[str]"]:
-    """List the folder by name. Raises: OSError if it cannot be read or holds more than `MAX_NAMES`."""
+    """List the folder, sorted by name. Raises: OSError if it cannot be read or holds more than `MAX_NAMES`."""
     with os.scandir(folder) as found:
         names = list(islice(found, MAX_NAMES + 1))
     if len(names) > MAX_NAMES:
@@ -84,7 +84,7 @@ def sync_folder(folder: Path) -> None:
 
 
 def close(handle: int) -> None:
-    """Close a handle through which nothing was written, whatever the disk says to that."""
+    """Close a handle through which nothing was written, ignoring errors of the disk."""
     with suppress(OSError):
         os.close(handle)
 
@@ -113,7 +113,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write_durably(path: Path, data: bytes | memoryview) -> None:
-    """Write the file whole and to the disk, replacing what it held."""
+    """Write the file, whole and durably, replacing what it held."""
     temporary = temporary_name(path)
     try:
         write_temporary(temporary, data)
@@ -124,7 +124,7 @@ def write_durably(path: Path, data: bytes | memoryview) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return an unused name beside this one. Containers on one volume may share process numbers, so it has none."""
+    """Return an unused name beside this one. It has no process number: containers on one volume may share these."""
     return path.with_name(f"{path.name}.{secrets.token_hex(8)}{TEMPORARY}")
 
 
@@ -149,7 +149,7 @@ def _write_new(path: Path, data: bytes | memoryview, mode: int) -> None:
 def _write_all(handle: int, data: bytes | memoryview) -> None:
     rest = memoryview(data).cast("B")
     while rest:
-        written = os.write(handle, rest)  # the disk may take only a part
+        written = os.write(handle, rest)  # the disk may accept only a part
         if written == 0:
             raise OSError(errno.EIO, "the disk took no more bytes")
         rest = rest[written:]
@@ -165,7 +165,7 @@ def link_new(temporary: Path, path: Path) -> None:
     except OSError as error:
         if _is_same(temporary, path):  # a network file system may link and yet report a failure
             return
-        if isinstance(error, FileNotFoundError) and os.path.lexists(path):  # who was quicker has cleaned up already
+        if isinstance(error, FileNotFoundError) and os.path.lexists(path):  # a quicker process has cleaned up already
             raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from error
         raise
     finally:
@@ -173,7 +173,7 @@ def link_new(temporary: Path, path: Path) -> None:
 
 
 def _is_same(one: Path, other: Path) -> bool:
-    """Return whether both names exist and are of one file."""
+    """Return whether both names exist and are those of one file."""
     try:
         return os.path.samestat(one.lstat(), other.lstat())
     except OSError:
@@ -199,9 +199,9 @@ def remove(path: Path) -> None:
 
 
 def remove_folder(path: Path) -> None:
-    """Remove the folder and its files, durably, also where an earlier process was killed halfway.
+    """Remove the folder and its files, durably, even if an earlier process was killed halfway.
 
-    What a link leads to stays.
+    Targets of links stay.
 
     Raises: OSError.
     """
@@ -215,14 +215,13 @@ def remove_folder(path: Path) -> None:
 
 
 def write_files(files: Mapping[Path, bytes], staging: Path, make_way: Callable[[Path], None] | None = None) -> None:
-    """Write each file whole and to the disk, with the folders it needs. Each folder is synced once.
+    """Write each file, whole and durably, with the folders it needs. Each folder is synced once.
 
     Args:
         files: What each path shall hold.
-        staging: A folder on the same disk, for files on their way. The files' folders are made below the one that it is
-            in.
-        make_way: Told each path before it gets its file, when the bytes are on the disk already: where there is no room
-            for them, all stays.
+        staging: A folder on the same disk, for temporary files. Folders are made below the one that it is in.
+        make_way: Called with each path before its file gets there. The bytes are on disk by then, so a full disk has
+            changed nothing.
     """
     folders: set[Path] = set()
     for path in files:
@@ -237,7 +236,7 @@ def write_files(files: Mapping[Path, bytes], staging: Path, make_way: Callable[[
 
 
 def _write_some(files: list[tuple[Path, Path, bytes]], make_way: Callable[[Path], None] | None) -> None:
-    """Write files (temporary name, name, bytes) whose folders exist and are synced later, as `write_files`."""
+    """Write files (temporary name, name, bytes) to existing folders, which the caller syncs."""
     handles: list[int] = []
     try:
         try:
@@ -259,7 +258,7 @@ def _write_some(files: list[tuple[Path, Path, bytes]], make_way: Callable[[Path]
 
 
 def _at_once(sync: Callable[[_T], None], things: Sequence[_T]) -> None:
-    """Sync several things at once, which a disk does in the time of a few."""
+    """Sync several things in parallel, which a disk does in the time of a few."""
     if SYNCS_AT_ONCE == 1 or len(things) == 1:
         for thing in things:
             sync(thing)
@@ -272,7 +271,7 @@ def _at_once(sync: Callable[[_T], None], things: Sequence[_T]) -> None:
 def _make_folder(path: Path, top: Path) -> list[Path]:
     """Make the folder; return all folders from `top` down to it.
 
-    All need a sync: a process may have been killed before it synced those it made.
+    All need a sync: a process may have been killed before it synced those that it made.
     """
     chain = [path, *path.parents]
     chain = chain[: chain.index(top) + 1][::-1]
@@ -291,9 +290,9 @@ def write_secret(path: Path, data: bytes) -> None:
 
 @contextmanager
 def turn(folder: Path, is_shared: bool = False) -> Iterator[None]:
-    """Take a turn on this folder that excludes all others, or with `is_shared` all but shared ones.
+    """Hold a lock on this folder that excludes all others or, with `is_shared`, all but shared ones.
 
-    Without effect where the file system has no locks. A process that dies ends its turn.
+    Has no effect where the file system has no locks. It ends with its process.
 
     Raises: WriteFailed if the folder cannot be opened.
     """

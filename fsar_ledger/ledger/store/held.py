@@ -1,8 +1,8 @@
 """Which runs a ledger holds, for its writer: no run may be in two commits.
 
-The runs are read once, before the first batch is appended: of each segment the few hundred bytes at its beginning that
-hold the dictionary of `run_id`. Ten thousand commits take a second. To go on with an experiment the writer needs to
-know exactly which runs and plans are there; that takes the rows.
+The runs are read once, before the first append: of each segment only the few hundred bytes at its beginning that hold
+the dictionary of `run_id`. Ten thousand commits take a second. To continue an experiment, the writer needs to know
+exactly which runs and plans are there; that takes the rows.
 """
 
 from itertools import repeat
@@ -49,7 +49,7 @@ class HeldRuns:
             self._plans.update(runs.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
 
     def add(self, number: int, path: Path, rows: int, runs: list[str] | None = None) -> None:
-        """Add the runs of this commit; unless they are given, read them from its segment, of so many rows."""
+        """Add the runs of this commit. If they are not given, read them from its segment, which has so many rows."""
         for run in _read(path, rows) if runs is None else runs:
             self._commits.setdefault(run, (number, path))
 
@@ -69,7 +69,7 @@ class HeldRuns:
 def runs_of(path: Path, rows: int, data: bytes) -> list[str]:
     """Return the runs of a segment with these bytes and so many rows.
 
-    Of a segment that another library wrote, names that no row has may be among them.
+    If another library wrote the segment, names that no row has may be among them.
 
     Raises:
         LedgerCorrupted: They cannot be read.

@@ -1,4 +1,4 @@
-"""Keys as files: the secret half, which only its owner may read, and beside it the public half in `.pub`."""
+"""Key files: the secret half, which only its owner may read, and beside it the public half in `.pub`."""
 
 import base64
 import binascii
@@ -15,11 +15,11 @@ _SECRET = "PRIVATE+KEY"
 
 
 def new_key(path: Path, name: str) -> VerifierKey:
-    """Make a key: the secret half in this file, the public half in the same name with `.pub`; return the public half.
+    """Make a key: the secret half in this file, the public half in the same name with `.pub`. Return the public half.
 
     Raises:
         UsageError: The name cannot be that of a key, or one of the files exists; it is left as it is.
-        WriteFailed: The disk refused; there is no key.
+        WriteFailed: The disk refused; no key was made.
     """
     if not is_name(name):
         raise UsageError(f"{option('name', repr(name))}: expected a printable name without spaces and plus signs")
@@ -35,7 +35,7 @@ def new_key(path: Path, name: str) -> VerifierKey:
         try:
             disk.write_secret(path, text.encode())
             disk.write_durably(public, f"{verifier}\n".encode())
-        except FileExistsError:  # another was quicker; it is that one's
+        except FileExistsError:  # another process was quicker and owns the file
             raise
         except BaseException:
             disk.remove(path)
@@ -44,7 +44,7 @@ def new_key(path: Path, name: str) -> VerifierKey:
 
 
 def read_signer(path: Path) -> Signer:
-    """Read the secret key in this file. Raises: UsageError if it cannot be read, is none, or is open to others."""
+    """Read the secret key in this file. Raises: UsageError if it cannot be read, is not one, or is open to others."""
     text = _read_key(path)
     parts = text.removeprefix(_SECRET + "+").split("+", 2)
     expected = f"{path}: found no secret key, expected the file that `fsar-ledger key new` wrote"
@@ -70,7 +70,7 @@ def read_signer(path: Path) -> Signer:
 
 
 def read_verifier(key: str) -> VerifierKey:
-    """Read a public key, given as text or as the name of its file. Raises: UsageError if it is none."""
+    """Read a public key, given as text or as the name of its file. Raises: UsageError if it is not one."""
     is_text = key.count("+") >= 2 and not os.path.lexists(key)
     text = key if is_text else _read_key(Path(key))
     name, _, rest = text.partition("+")
@@ -106,7 +106,7 @@ def _read_key(path: Path) -> str:
 
 
 def _key_bytes(data: str) -> bytes | None:
-    """Decode the 32 bytes of an Ed25519 key; None if these are none."""
+    """Decode the 32 bytes of an Ed25519 key; None if this is not one."""
     try:
         key = base64.b64decode(data, validate=True)
     except (binascii.Error, ValueError):

@@ -1,8 +1,8 @@
-"""A ledger opened for an answer, after the checks of `verify --quick`.
+"""Open a ledger to answer from it, after the checks of `verify --quick`.
 
 The records, their chain and notes, and the file `checkpoint` are compared here; the bytes of a segment when it is
-handed out (`LedgerView.segment`). Stray files are left to `verify`: no answer reads a file that no record names. So are
-the tiles, but for those that a proof is made of, which lead to the root or to nothing.
+handed out (`LedgerView.segment`). Stray files are left to `verify`, because no answer reads a file that no record
+names. So are the tiles, except those of a proof, which is checked against the root.
 """
 
 from pathlib import Path
@@ -17,9 +17,8 @@ from fsar_ledger.ledger.store.read import LedgerView, open_ledger
 def open_for_answers(path: Path) -> LedgerView:
     """Open the ledger at this path, and compare its checkpoint with the note of its newest commit.
 
-    The note of the commit before it will do too: a crash may leave that one.
-
-    Where a writer is at work and the two do not fit together, it waits while both are read once more.
+    The note of the commit before is accepted too: a crash may leave that one. If the two do not fit, both are read once
+    more while any writer waits.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; LedgerCorrupted also for any other

@@ -1,4 +1,4 @@
-"""Where the files of a ledger are, how to tell a folder that holds one, and what others may not write there."""
+"""Where the files of a ledger are, how to tell its folder, and where other commands must not write."""
 
 import os
 from contextlib import suppress
@@ -13,22 +13,22 @@ COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
 
 
 def commit_name(number: int) -> str:
-    """Name the record of this commit within its folder."""
+    """Return the name of this commit's record within its folder."""
     return f"{number:012d}.json"
 
 
 def commit_file(number: int) -> str:
-    """Name the record of this commit within the ledger."""
+    """Return the name of this commit's record within the ledger."""
     return f"{COMMITS}/{commit_name(number)}"
 
 
 def segment_file(number: int) -> str:
-    """Name the segment of this commit within the ledger, once it is in place."""
+    """Return the name of this commit's segment within the ledger, once it is in place."""
     return f"{SEGMENTS}/{number:012d}.parquet"
 
 
 def staged_file(sha256: str) -> str:
-    """Name the segment with this SHA-256 within the ledger, while it waits to be committed and moved."""
+    """Return the name within the ledger of the segment with this SHA-256, until it is committed and moved."""
     return f"{STAGING}/{sha256}.parquet"
 
 
@@ -43,16 +43,15 @@ def segment_path(ledger: Path, number: int) -> Path:
 
 
 def staged_path(ledger: Path, sha256: str) -> Path:
-    """Return the path of the segment with this SHA-256, while it waits to be committed and moved."""
+    """Return the path of the segment with this SHA-256, until it is committed and moved."""
     return ledger / staged_file(sha256)
 
 
 def require_created(ledger: Path) -> None:
-    """Refuse a folder that an interrupted creation left: that is no damage, and creating the ledger again finishes it.
+    """Refuse a folder that an interrupted creation left. It is not damaged: creating the ledger again finishes it.
 
     Raises:
-        NotALedger: It is: it holds some of a ledger's folders, in them nothing but a ledger.json on its way, and
-            nothing else.
+        NotALedger: The folder holds only some of a ledger's folders, and in them at most an unfinished ledger.json.
     """
     with suppress(OSError):
         if os.listdir(ledger) and is_unfinished(ledger):
@@ -81,14 +80,13 @@ def is_unfinished(ledger: Path) -> bool:
 
 
 def require_outside(out: Path, what: str) -> None:
-    """Refuse a file `out` inside a ledger, also one that the command does not read.
+    """Refuse an output file inside any ledger, even one that the command does not read.
 
-    Messages call the file `what`, as the user did.
-
-    A folder counts as a ledger if two of its three parts are there: a damaged one is evidence, too.
+    Messages call it `what`, as the user did. A folder counts as a ledger if two of its three parts are there: a damaged
+    one is evidence, too.
 
     Raises:
-        UsageError: It would, or where it leads to if it is a link.
+        UsageError: The file, or what it links to, would be inside a ledger.
     """
     named, led_to = Path(os.path.realpath(out.parent)) / out.name, Path(os.path.realpath(out))
     for place in (named, led_to):

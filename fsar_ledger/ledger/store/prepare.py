@@ -1,4 +1,4 @@
-"""What a Writer does to a ledger before it appends: create it, lock it, and finish what an interrupted writer left."""
+"""What a Writer does before it appends: create the ledger, lock it, and finish what an interrupted writer left."""
 
 import fcntl
 import os
@@ -38,7 +38,7 @@ def lock(ledger: Path) -> tuple[int, bool]:
 
 
 def require_own(view: LedgerView, key: VerifierKey) -> None:
-    """Require that the key signed the newest commit, if there is one: its next signature covers all before.
+    """Require that the key signed the newest commit, if there is one, because its next signature covers all before.
 
     Raises: UsageError if it did not.
     """
@@ -53,14 +53,14 @@ def require_own(view: LedgerView, key: VerifierKey) -> None:
 
 
 def confirm(view: LedgerView) -> None:
-    """Sync every commit that the view shows: its writer may have been killed before it did."""
+    """Sync every commit that the view shows: its writer may have been killed before doing so."""
     for folder in (view.path, view.path / COMMITS):
         with disk.refusals(folder, "syncing a folder"):
             disk.sync_folder(folder)
 
 
 def clean(view: LedgerView) -> None:
-    """Remove all from staging but committed segments that are not yet in place.
+    """Remove everything from staging except committed segments that are not yet in place.
 
     Only for a writer that is alone: others may be staging.
     """
@@ -90,7 +90,7 @@ def roll_forward(view: LedgerView) -> None:
 
 
 def create(ledger: Path, origin: str) -> None:
-    """Create an empty ledger, or finish a creation that was interrupted; leave anything else there alone."""
+    """Create an empty ledger, or finish an interrupted creation; leave anything else there alone."""
     if os.path.lexists(ledger) and not os.path.isdir(ledger):
         raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
     require_outside(ledger.parent, str(ledger))

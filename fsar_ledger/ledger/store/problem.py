@@ -8,16 +8,14 @@ from fsar_ledger import printable
 from fsar_ledger.errors import FsarLedgerError
 
 MAX_TEXT = 600
-"""A note takes some 300 characters; nobody reads more of what a file should not hold."""
+"""The most characters of a file that a message shows. A note takes some 300."""
 
 
 class Problem(msgspec.Struct, frozen=True):
     """One problem: where it is, what was found and what was expected.
 
-    The place is a file within the ledger, and the commit, run, seq and field as far as they are known.
-
-    Whatever a file or its name holds, the texts (but for `run`, which is as stored) are one printable line each, of at
-    most `MAX_TEXT` characters of it.
+    The place is a file within the ledger, and the commit, run, seq and field if known. Whatever a file or its name
+    holds, each text is one printable line with at most `MAX_TEXT` characters of it, except `run`, which is as stored.
     """
 
     where: str
@@ -55,14 +53,14 @@ def _printable(text: str) -> str:
 
 
 def refusal(place: str | Path, error: FsarLedgerError) -> str:
-    """Return, in brackets, what a reader says of this place, without the place."""
+    """Return what a reader's error says, in brackets and without the place, which the caller names."""
     return f"({str(error).removeprefix(f'{place}: ')})"
 
 
 def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:
     """Turn an exception that stopped a check into a problem.
 
-    Raises: MemoryError as it is, for that is no fault of the ledger's.
+    Raises: MemoryError unchanged, because that is not the ledger's fault.
     """
     if isinstance(error, MemoryError):
         raise error

@@ -4,7 +4,7 @@
 c2sp.org/tlog-proof@v1
 extra eyJhY3Rpb25faWQiOiJBMS0xLzIuMSIs...    the canonical bytes of the event; leaf = SHA-256(0x00 || bytes)
 index 1234                                   its place in the ledger, from 0
-gSKyXoYZUgZ6jduWYrkDOARinOMGJveXjgMkBTcdPlQ=   the inclusion proof: the leaf's sibling first, a hash a line
+gSKyXoYZUgZ6jduWYrkDOARinOMGJveXjgMkBTcdPlQ=   the inclusion proof: the leaf's sibling first, one per line
 ...
 
 fsar-ledger/simulated                        the checkpoint, signed or not
@@ -55,7 +55,8 @@ class Proof(msgspec.Struct, frozen=True):
 class Proven(msgspec.Struct, frozen=True):
     """What a proof shows: the event as stored, and whose ledger it is in, as far as the signature says.
 
-    `index` and `size` count events, `root` is hex; `signer` is the trusted key (`name+id`), else whom the note names.
+    `index` and `size` count events, `root` is hex. `signer` is the trusted key (`name+id`), or else the one that the
+    note names.
     """
 
     event: dict[str, Value]
@@ -68,7 +69,7 @@ class Proven(msgspec.Struct, frozen=True):
 
 
 class Block(msgspec.Struct, frozen=True):
-    """The events of one run: the index of its first in the ledger, and how many."""
+    """The events of one run: the index of the first in the ledger, and how many."""
 
     run: str
     first: int
@@ -76,7 +77,7 @@ class Block(msgspec.Struct, frozen=True):
 
 
 def prove(view: LedgerView, index: int) -> Proof:
-    """Prove that the ledger holds the event of this index, from 0.
+    """Prove that the ledger holds the event with this index, from 0.
 
     The proof leads to the root of the newest commit whose tiles are there.
 
@@ -100,9 +101,7 @@ def prove(view: LedgerView, index: int) -> Proof:
 
 
 def prove_inclusion(ledger: Path, tree: Checkpoint, index: int) -> tuple[bytes, tuple[bytes, ...]]:
-    """Return the leaf hash at this index and its inclusion proof, from the tiles alone.
-
-    They lead to the root of the checkpoint.
+    """Return the leaf hash at this index and its inclusion proof to the root of this tree, from the tiles alone.
 
     Raises:
         ValueError: The tree has no such leaf.
@@ -124,7 +123,7 @@ def prove_inclusion(ledger: Path, tree: Checkpoint, index: int) -> tuple[bytes, 
 def _published(view: LedgerView, index: int) -> CommitRecord:
     """Return the newest commit whose tiles are written.
 
-    That is the newest, or the one before it if that has the event and a writer is still at work.
+    While a writer is still at work, that is the one before the newest, if it has the event.
     """
     *_, before, newest = (None, *view.records)
     is_behind = before is not None and index < before.tree_size and read_checkpoint(view.path) == before.note
@@ -156,10 +155,10 @@ def read_proof(path: Path) -> Proof:
 
 
 def parse_proof(where: str, text: str) -> Proof:
-    """Parse the proof in this text, without checking it. `str` gives the text back to the byte; errors call it `where`.
+    """Parse this text as a proof, whose `str` is the same text to the byte. Nothing is checked. Errors name it `where`.
 
     Raises:
-        LedgerCorrupted: It is not written as C2SP says, or without the event.
+        LedgerCorrupted: It is not in the form of C2SP, or lacks the event.
     """
     head, _, note = text.partition("\n\n")
     try:
@@ -181,11 +180,10 @@ def parse_proof(where: str, text: str) -> Proof:
 def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) -> Proven:
     """Check that the event is in the ledger of the proof's checkpoint, and that the trusted key, if given, signed it.
 
-    Errors call the proof `where`.
+    Errors name the proof `where`.
 
     Raises:
-        LedgerCorrupted: The hashes do not lead to the root, the event is not written canonically, or the key did not
-            sign.
+        LedgerCorrupted: The hashes do not lead to the root, the event is not canonical, or the key did not sign.
     """
     tree = proof.note.checkpoint
     found = root_of_inclusion(leaf_hash(proof.event), proof.index, tree.size, proof.hashes)

@@ -31,7 +31,7 @@ from fsar_ledger.ledger.store.walk import (
 
 _THREADS = 4
 _WORTH_THREADS_BYTES = 1 << 25
-"""Hashing so much takes some 20 ms; below that, starting threads gains nothing."""
+"""Hashing this much takes some 20 ms; below that, threads gain nothing."""
 
 
 class Head(msgspec.Struct, frozen=True):
@@ -47,10 +47,7 @@ EMPTY_HEAD = Head(0, 0, merkle.EMPTY_ROOT.hex())
 
 
 class Checked(NamedTuple):
-    """A segment found to be as committed.
-
-    Its path, and the file attributes that change when it is written to or replaced.
-    """
+    """A segment that was found to be as committed: its path, and the attributes that change when the file does."""
 
     path: Path
     device: int
@@ -63,8 +60,8 @@ class Checked(NamedTuple):
 class LedgerView(msgspec.Struct, frozen=True):
     """A ledger as it was when it was opened; later commits do not show.
 
-    `record_sha256` is the hash of the newest record, of ledger.json where there is none: it vouches for every byte of
-    the ledger but what is derived.
+    `record_sha256` is the hash of the newest record (of ledger.json if there is none), which vouches for every byte of
+    the ledger except the derived files.
     """
 
     path: Path
@@ -83,40 +80,41 @@ class LedgerView(msgspec.Struct, frozen=True):
         return Head(len(self.records), last.tree_size, last.tree_root, last.last_run)
 
     def location(self, number: int) -> Path:
-        """Find the segment of this commit, in place or in staging, without reading it: to move it.
+        """Find the segment of this commit, in place or in staging, without reading it.
 
         Raises:
-            LedgerCorrupted: The segment is in neither place, is no regular file, or has another size than committed.
+            LedgerCorrupted: The segment is in neither place, is not a regular file, or does not have the committed
+                size.
         """
         return self._found(number).path
 
     def segment(self, number: int) -> Path:
-        """Return the file with the rows of this commit, once checked: the committed one, within the bounds.
+        """Return the segment of this commit, after checking that it is the committed one and within the bounds.
 
-        They are read once for each view; a file that changed since is read again.
+        Each file is read once per view, and again if it has changed since.
 
         Raises:
-            LedgerCorrupted: As `location`; or its SHA-256 is another, or it asks for more than the bounds.
+            LedgerCorrupted: As `location`; or its SHA-256 is another, or it exceeds the bounds.
         """
         found = self._found(number)
         if self.checked.get(number) != found:
             try:
                 self._require_committed(number, found.path)
-            except FileNotFoundError:  # a writer moved it into place in between
+            except FileNotFoundError:  # a writer moved it into place meanwhile
                 found = self._found(number)
                 self._require_committed(number, found.path)
             self.checked[number] = found
         return found.path
 
     def segments(self) -> list[Path]:
-        """Return the files with the rows of all commits, in order, each checked.
+        """Return the segments of all commits, in order, each checked.
 
-        Raises: As `segment`, of the first that fails.
+        Raises: As `segment`, for the first that fails.
         """
         numbers = range(len(self.records))
         if sum(record.segment_bytes for record in self.records) < _WORTH_THREADS_BYTES:
             return [self.segment(number) for number in numbers]
-        with ThreadPoolExecutor(_THREADS) as pool:  # hashing lets other threads run
+        with ThreadPoolExecutor(_THREADS) as pool:  # hashing releases the interpreter lock
             return list(pool.map(self.segment, numbers))
 
     def _found(self, number: int) -> Checked:
@@ -140,7 +138,7 @@ class LedgerView(msgspec.Struct, frozen=True):
         check_layout(path, data)
 
     def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
-        """Yield the stored rows of each commit, in order, with these columns (all: None).
+        """Yield the stored rows of each commit, in order, with these columns (None: all).
 
         Raises: LedgerCorrupted for a segment that cannot be read.
         """
@@ -154,7 +152,7 @@ class LedgerView(msgspec.Struct, frozen=True):
         except LedgerCorrupted:
             if path.exists():
                 raise
-            return segment.read_table(self.segment(number), columns)  # a writer moved it into place in between
+            return segment.read_table(self.segment(number), columns)  # a writer moved it into place meanwhile
 
     def row(self, number: int, at: int) -> bytes:
         """Return the canonical bytes of one row of this commit.
@@ -177,9 +175,9 @@ class LedgerView(msgspec.Struct, frozen=True):
         return canonical.leaves(self._table(number))
 
     def runs(self) -> Iterator[codec.LedgerRun]:
-        """Yield every run, in order, its events as their newest versions.
+        """Yield every run, in order, with its events in their newest versions.
 
-        Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events.
+        Raises: LedgerCorrupted or UnknownEventTag if a segment does not hold valid events.
         """
         for number in range(len(self.records)):
             table = self._table(number)
@@ -196,8 +194,7 @@ def open_ledger(path: Path) -> LedgerView:
     Raises:
         NotALedger: There is no ledger.
         FormatVersionMismatch: It was written in another format, or holds events of a later release.
-        LedgerCorrupted: A record is missing, is not canonical, or contradicts the one before it; a folder is a link to
-            elsewhere.
+        LedgerCorrupted: A record is missing, is not canonical, or contradicts the one before it; or a folder is a link.
     """
     data = read_manifest(path)
     manifest = parse_manifest(path / MANIFEST, data)

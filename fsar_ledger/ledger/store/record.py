@@ -1,7 +1,7 @@
 """The JSON files of a ledger: `ledger.json` describes it, `commits/NNNNNNNNNNNN.json` what was committed.
 
-Each file is the RFC 8785 JSON of one struct, to the byte. Each record holds the SHA-256 of the record
-before it (the first: of ledger.json), so the last record vouches for all.
+Each file is the RFC 8785 JSON of one struct, to the byte. Each record holds the SHA-256 of the record before it (the
+first: of ledger.json), so the last record vouches for all.
 """
 
 import hashlib
@@ -37,13 +37,13 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What one commit added, and what the ledger was after it.
+    """What one commit added, and the state of the ledger after it.
 
     `release` is the first with the event types and columns of these rows.
 
-    Units: `segment_bytes` bytes, `rows` and `tree_size` events. `tree_root` and `frontier` (the roots of the
-    complete subtrees, largest first, which determine it) are hex; `note` is the C2SP checkpoint of that tree, with one
-    signature or none.
+    Units: `segment_bytes` bytes, `rows` and `tree_size` events. `tree_root` and `frontier` (the roots of the complete
+    subtrees, largest first, which determine it) are hex; `note` is the C2SP checkpoint of that tree, with one signature
+    or none.
     """
 
     number: Count
@@ -61,11 +61,11 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     note: str
 
     def tree(self) -> Frontier:
-        """Return the tree after this commit. Raises: ValueError where a hash is not hex."""
+        """Return the tree after this commit. Raises: ValueError if a hash is not hex."""
         return Frontier(self.tree_size, tuple(map(bytes.fromhex, self.frontier)))
 
     def signed_note(self, where: str = "note") -> Note:
-        """Parse the note. Raises: LedgerCorrupted where it is not written as C2SP says."""
+        """Parse the note. Raises: LedgerCorrupted if it is not in the form of C2SP."""
         return parse_note(where, self.note)
 
 
@@ -78,7 +78,7 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
     """Parse these bytes of `path` as a manifest.
 
     Raises:
-        NotALedger: They are JSON, but of something else.
+        NotALedger: They are the JSON of something else.
         FormatVersionMismatch: They describe a ledger of another format version.
         LedgerCorrupted: They are not the canonical JSON of a manifest.
     """
@@ -111,9 +111,7 @@ def parse_record(path: Path | str, data: bytes) -> CommitRecord:
     Raises: LedgerCorrupted if they are not the canonical JSON of one with fields in range.
     """
     record = _parse(path, data, CommitRecord)
-    _require_hash(
-        path, "segment_sha256", record.segment_sha256
-    )  # part of a path; the other hashes are compared with their own
+    _require_hash(path, "segment_sha256", record.segment_sha256)  # part of a path; other hashes are compared later
     for subtree in record.frontier:
         _require_hash(path, "frontier", subtree)
     if len(record.frontier) != record.tree_size.bit_count():
@@ -127,9 +125,9 @@ def parse_record(path: Path | str, data: bytes) -> CommitRecord:
 def contradictions(
     record: CommitRecord, number: int, previous: str, origin: str, before: Frontier
 ) -> Iterator[tuple[str, object, object]]:
-    """Yield each field (name, found, expected) in which a record contradicts something.
+    """Yield each field (name, found, expected) that contradicts something.
 
-    That is itself, its place, the tree before it, or what this version knows.
+    That may be the record itself, its place, the tree before it, or what this version knows.
     """
     tree = record.tree()
     if record.release not in FINGERPRINTS:
@@ -150,7 +148,7 @@ def contradictions(
 
 
 def _readable_releases(found: str) -> str:
-    """Say in words which releases a record may name."""
+    """Describe in words which releases a record may name."""
     return (
         f"at most {RELEASE}; read it with fsar-ledger {found} or later"
         if is_later(found)
@@ -160,7 +158,7 @@ def _readable_releases(found: str) -> str:
 
 def _is_note_of(record: CommitRecord, checkpoint: Checkpoint) -> bool:
     """Return whether the record's note is that of this checkpoint, unsigned or signed by the ledger's own key."""
-    if record.note == str(Note(checkpoint)):  # unsigned, as most are: no need to take it apart
+    if record.note == str(Note(checkpoint)):  # unsigned, as most are: no need to parse it
         return True
     try:
         note = record.signed_note()

@@ -1,24 +1,23 @@
-"""The one walk through a ledger: what stands at each commit.
+"""The one walk through a ledger: what is at each commit.
 
-It changes nothing and reports damage as findings, not exceptions.
-
-All that open a ledger fold this walk. What each needs of it, and what that costs:
+It changes nothing and reports damage as findings, not exceptions. Everything that opens a ledger folds this walk. What
+each needs from it, and at what cost:
 
 ```
-reader, info   every record; the first finding refuses the ledger        one small file a commit
-writer         as a reader, and where each segment is                    + one look at a name a commit
+reader, info   every record; the first finding refuses the ledger        one small file per commit
+writer         as a reader, and where each segment is                    + one look at a name per commit
 verify         every finding, and (verify/walk.py) the rows as well      + each segment, read, hashed and decoded
-recover        the commits before the first finding, and their rows;     as verify, and once more the names
-               then what stands after them, and every stray
+recover        the commits before the first finding, and their rows;     as verify, and the names again
+               then what comes after them, and every stray
 ```
 
-So the walk is lazy, hashes no segment, and asks for none: `find_segment` says where one is, `read_segment` whether it
-is the one committed. The same file has the same answer for all of them:
+So the walk is lazy and touches no segment: `find_segment` says where one is, `read_segment` whether it is the committed
+one. A file means the same to all of them:
 
 ```
-a link, or no file, where a record or a segment should be    is not read; the commit is in doubt
+a link, or no file, in place of a record or a segment        is not read; the commit is in doubt
 a link in staging/                                           is no segment: the segment is missing
-a link, or no folder, where a folder should be               holds nothing of the ledger
+a link, or no folder, in place of a folder                   holds nothing of the ledger
 a file of no commit                                          a stray; in staging/ harmless, as a crash leaves it
 a record without its segment, or after a gap                 in doubt, with its number
 ```
@@ -59,11 +58,11 @@ _NO_LINK = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 
 
 class Commit(msgspec.Struct, frozen=True):
-    """What stands at one commit.
+    """What is at one commit.
 
-    `sha256` is that of the file of its record, None where it cannot be read; `record` what it holds, None where it is
-    none; `before` the tree that the record before claims, None where there is none. `problems` are all that is wrong
-    with the record, by itself and after those before it.
+    `sha256` is the hash of the record's file, None if it cannot be read; `record` is what it holds, None if that is not
+    a record; `before` is the tree that the record before claims, None if there is none. `problems` are all that is
+    wrong with the record, by itself and compared with those before it.
     """
 
     number: int
@@ -74,9 +73,9 @@ class Commit(msgspec.Struct, frozen=True):
 
 
 class FoundSegment(NamedTuple):
-    """Where the segment of a commit is: in place, or in staging where its writer was interrupted.
+    """Where the segment of a commit is: in place, or in staging if its writer was interrupted.
 
-    `status` is that of the file; with a `problem` no file there can be the segment.
+    `status` is that of the file. With a `problem`, no file there can be the segment.
     """
 
     file: str
@@ -85,13 +84,13 @@ class FoundSegment(NamedTuple):
 
 
 def walk(ledger: Path, origin: str | None, previous: str | None, count: int) -> Iterator[Commit]:
-    """Yield what stands at each of the first `count` commits, in order.
+    """Yield what is at each of the first `count` commits, in order.
 
     Args:
         ledger: Its folder.
-        origin: What ledger.json says; None if that is not known.
-        previous: The SHA-256 of ledger.json; None if that is not known.
-        count: How many records there are (see `commit_names`); one that is missing is a finding.
+        origin: The origin in ledger.json; None if unknown.
+        previous: The SHA-256 of ledger.json; None if unknown.
+        count: How many records there are (see `commit_names`); a missing one is a finding.
     """
     before: Frontier | None = Frontier()
     for number in range(count):
@@ -103,7 +102,7 @@ def walk(ledger: Path, origin: str | None, previous: str | None, count: int) -> 
 def read_commit(
     ledger: Path, number: int, origin: str | None = None, previous: str | None = None, before: Frontier | None = None
 ) -> Commit:
-    """Read one commit, whose record is compared with as much of what comes before it as is known."""
+    """Read one commit, and compare its record with as much as is known of what comes before."""
     where = commit_file(number)
     sha256: str | None = None
     try:
@@ -115,7 +114,7 @@ def read_commit(
         problem = Problem(where, f"an unreadable file ({error.strerror})", "a commit record", commit=number)
     except FsarLedgerError as error:
         problem = Problem(where, f"no commit record {refusal(where, error)}", "one as it is written", commit=number)
-    except Exception as error:  # a check that fails in a way nobody thought of is still a finding
+    except Exception as error:  # a check that fails unexpectedly is still a finding
         problem = unexpected(where, number, error)
     return Commit(number, sha256, None, before, (problem,))
 
@@ -125,7 +124,7 @@ def _doubts(
 ) -> Iterator[Problem]:
     """Yield a problem for each field that contradicts the record's place, the file before or the tree before it.
 
-    What is not known of these is not compared.
+    Whatever is unknown of these is not compared.
     """
     known = {"previous_sha256": previous, "note": origin, "rows": before}
     for name, found, expected in contradictions(record, number, previous or "", origin or "", before or Frontier()):
@@ -136,14 +135,14 @@ def _doubts(
             because = f", the SHA-256 of {commit_file(number - 1) if number else MANIFEST}"
         elif name == "note":
             because = f", with the origin of {MANIFEST}"
-        wanted = f"{expected}" if name == "release" else f"{expected!r}{because}"  # which releases is said in words
+        wanted = f"{expected}" if name == "release" else f"{expected!r}{because}"  # already worded
         yield Problem(commit_file(number), f"{found!r}", wanted, commit=number, field=name)
 
 
 def find_segment(ledger: Path, number: int, record: CommitRecord) -> FoundSegment:
     """Find the segment of this commit without reading it. Never raises."""
     place, staged = segment_file(number), staged_file(record.segment_sha256)
-    for file in (place, staged, place):  # a writer may move it in between
+    for file in (place, staged, place):  # a writer may move it meanwhile
         try:
             status = os.lstat(f"{ledger}/{file}")
             if file == staged and (not stat.S_ISREG(status.st_mode) or os.path.islink(ledger / STAGING)):
@@ -161,7 +160,7 @@ def _no_segment(file: str, number: int, record: CommitRecord, found: str) -> Pro
 
 
 def _unfit(file: str, number: int, record: CommitRecord, status: os.stat_result) -> Problem | None:
-    """Say why a file of this kind and size cannot be the segment; None if it can."""
+    """Return why a file of this kind and size cannot be the segment; None if it can."""
     if not stat.S_ISREG(status.st_mode):
         return _no_segment(file, number, record, "a link or something else than a file")
     if status.st_size != record.segment_bytes:
@@ -173,10 +172,10 @@ def _unfit(file: str, number: int, record: CommitRecord, status: os.stat_result)
 def read_segment(
     ledger: Path, file: str, number: int, record: CommitRecord, *, is_kept: bool = True
 ) -> tuple[bytes, Problem | None]:
-    """Read this file, and return a problem unless it is the one that the record names; its bytes only if `is_kept`.
+    """Read this file and check that it is the one that the record names; return its bytes, if `is_kept`, and a problem.
 
     Raises:
-        FileNotFoundError: It is not there, or no more.
+        FileNotFoundError: It is not there, or no longer.
     """
     try:
         handle = os.open(f"{ledger}/{file}", _NO_LINK)
@@ -202,9 +201,9 @@ def read_segment(
 def commit_names(ledger: Path) -> list[str]:
     """List the folder of the commit records, sorted; nothing if it is missing or a link.
 
-    Raises: OSError if it cannot be listed.
-
     A listing may lack a commit that is made meanwhile, and yet hold a later one: then the folder is listed again.
+
+    Raises: OSError if it cannot be listed.
     """
     while True:
         names = names_in(ledger / COMMITS)
@@ -214,7 +213,7 @@ def commit_names(ledger: Path) -> list[str]:
 
 
 def check_names(names: Sequence[str]) -> Iterator[Problem]:
-    """Yield a problem for each name in the folder of records that is no record's, or leaves a gap before it."""
+    """Yield a problem for each name in the folder of records that is not a record's, or that follows a gap."""
     numbers = numbers_of(names, ".json")
     for name in names:
         if not numbers_of([name], ".json"):
@@ -228,7 +227,7 @@ def check_names(names: Sequence[str]) -> Iterator[Problem]:
 def names_in(folder: Path) -> list[str]:
     """List a folder, sorted; nothing if it is missing or a link.
 
-    Raises: OSError if it cannot be read or holds too much.
+    Raises: OSError if it cannot be read or holds too many names.
     """
     try:
         return [entry.name for entry in disk.entries(folder)] if stat.S_ISDIR(os.lstat(folder).st_mode) else []
@@ -255,7 +254,7 @@ def check_folders(ledger: Path) -> Iterator[Problem]:
 
 
 def check_manifest(ledger: Path) -> tuple[str | None, bytes | None, Problem | None]:
-    """Return the origin and the bytes of ledger.json, each None where it cannot be read, and why not."""
+    """Return the origin and the bytes of ledger.json, each None if it cannot be read, and then the problem."""
     try:
         data = disk.read_document(ledger / MANIFEST)
     except OSError as error:
@@ -271,12 +270,12 @@ def check_manifest(ledger: Path) -> tuple[str | None, bytes | None, Problem | No
 
 
 def strays(ledger: Path, kept: Container[str], folders: Sequence[str] = (COMMITS, SEGMENTS, STAGING)) -> Iterator[str]:
-    """Name every file that does not belong to the ledger, except below `tile/`, and every folder of it that is not one.
+    """Name every file outside `tile/` that is not the ledger's, and what is in place of one of its folders.
 
     Args:
         ledger: Its folder.
-        kept: The names within it that are the ledger's: its files, those of its commits, and what of staging is a
-            committed segment.
+        kept: The names within it that are the ledger's: its files, those of its commits, and committed segments in
+            staging.
         folders: Those that are looked into.
     """
     wrong = {problem.where for problem in check_folders(ledger) if problem.found != MISSING}

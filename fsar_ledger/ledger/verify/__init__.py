@@ -1,10 +1,10 @@
-"""Derive again everything that a ledger says about itself and compare; and recover it.
+"""Verify a ledger by deriving again everything that it says about itself; recover it.
 
 ```
 verify           the whole ledger
 walk             the walk of store/walk.py with the rows
 segment          one segment: what a worker does
-derived          tiles and checkpoint against the rows
+derived          tiles against the rows
 notes            who signed, and whether the ledger only grew
 recover          finishes or sets aside what a crash left; deletes nothing
 trusted_prefix   how much of a ledger can be trusted

@@ -1,4 +1,4 @@
-"""The comparison of tiles and checkpoint with those that the rows give: a part of `verify`."""
+"""Compare the tiles with those that the rows give: a part of `verify`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,19 +19,19 @@ LEFT_OVER = (
 
 
 class TileCheck:
-    """A comparison of tiles with those of a tree that grows, commit by commit; `finish` says what does not agree."""
+    """Compares the tiles with those of a tree that grows commit by commit; `finish` returns the differences."""
 
     def __init__(self, ledger: Path) -> None:
         self._ledger = ledger
         self._full: dict[int, int] = {}  # level -> full tiles
-        self._partial: dict[Tile, bytes] = {}  # those whose full tile has not come
-        self._newest: dict[Tile, bytes] = {}  # what the newest commit made
+        self._partial: dict[Tile, bytes] = {}  # whose full tile is still to come
+        self._newest: dict[Tile, bytes] = {}  # made by the newest commit
         self._outgrown: dict[Tile, bytes] = {}  # whose full tile came with the newest commit
         self._missing: list[Tile] = []
         self._problems: list[Problem] = []
 
     def add(self, commit: int, made: Mapping[Tile, bytes]) -> None:
-        """Take the tiles that a commit made."""
+        """Add the tiles that a commit made."""
         self._newest = dict(made)
         full = {(tile.level, tile.number) for tile in made if tile.width == WIDTH}
         self._outgrown = {tile: data for tile, data in self._partial.items() if (tile.level, tile.number) in full}
@@ -45,7 +45,7 @@ class TileCheck:
                 self._partial[tile] = data
 
     def finish(self, *, is_behind: bool) -> tuple[list[Problem], tuple[str, ...]]:
-        """Return what does not agree, and remarks on what only a crash may have left or lost."""
+        """Return the problems, and remarks on what only a crash may have left or lost."""
         for tile, data in self._partial.items():
             self._compare(tile, data, None)
         found = set(tile_files(self._ledger))

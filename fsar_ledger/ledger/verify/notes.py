@@ -29,7 +29,7 @@ class Signatures(msgspec.Struct, frozen=True):
 
 
 class Anchor(msgspec.Struct, frozen=True):
-    """An earlier checkpoint that was kept elsewhere: its file, and its note, or None and the reason."""
+    """An earlier checkpoint that was kept elsewhere: its file, and its note or the reason why there is none."""
 
     file: str
     note: Note | None
@@ -49,7 +49,7 @@ def read_anchor(path: Path) -> Anchor:
 
 
 def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -> tuple[list[Problem], Signatures]:
-    """Check that the trusted key signed the newest note and that no note pretends to be of it.
+    """Check that the trusted key signed the newest note, and that no note falsely claims its signature.
 
     Without a key, only tell whether the newest note is signed at all.
     """
@@ -78,9 +78,9 @@ def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -
 
 
 class ByTiles(msgspec.Struct, frozen=True):
-    """What the tiles prove of an anchor.
+    """What the tiles prove about an anchor.
 
-    Its root, None if nothing; the events of the tree that begins with it; the tile that was missing.
+    Its root, None if they prove nothing; the size in events of the tree that begins with it; the tile that was missing.
     """
 
     root: bytes | None = None
@@ -91,8 +91,8 @@ class ByTiles(msgspec.Struct, frozen=True):
 def root_by_tiles(ledger: Path, then: Checkpoint, records: Sequence[CommitRecord]) -> ByTiles:
     """Return the root of an earlier checkpoint if the tiles prove that the ledger begins with its events.
 
-    Tried are the trees of these records, the first whose tiles are there; the checkpoint has some events. The proof
-    counts, not the tiles: an attacker who rewrote history may have left old tiles in place.
+    The first of these records whose tiles are there gives the tree. The checkpoint is not empty. Only the proof counts:
+    an attacker who rewrote history may have left old tiles in place.
     """
     missing = ""
     for record in records:
@@ -122,9 +122,9 @@ def check_anchor(
         anchor: The earlier checkpoint.
         origin: The ledger's.
         size: The ledger's, in events.
-        root_then: The root of the ledger's first so many events as the anchor counts; None if it cannot be known.
+        root_then: The root of the ledger when it had as many events as the anchor counts; None if unknown.
         trusted: The key that must have signed the anchor too.
-        missing: The tile for want of which that root is not known, and nothing worse.
+        missing: The missing tile, if it is the only reason why that root is unknown.
     """
     if anchor.note is None:
         return [Problem(anchor.file, anchor.reason, "a checkpoint of this ledger")]

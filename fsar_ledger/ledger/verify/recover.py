@@ -1,10 +1,9 @@
-"""Recovery: finish or set aside what a crash left, explain what was altered, and delete nothing.
+"""Recover a ledger: finish or set aside what a crash left, explain what was altered, and delete nothing.
 
-1. What can be trusted is found first, without changing anything (`trusted_prefix.py`).
-2. If that is the whole ledger: committed segments move into place, and what only stands beside the commits
-   (ledger.json, tiles, checkpoint)
-   is made again from them where it is wrong. Whatever else is there is set aside: it moves to `LEDGER.set-aside/NNN/`
-   under the same name. Every step may be the last one before a crash; the next recovery goes on from there.
+1. First find what can be trusted, without changing anything (`trusted_prefix.py`).
+2. If that is the whole ledger, committed segments move into place, and what can be derived from the commits
+   (ledger.json, tiles, checkpoint) is made again where it is wrong. Everything else is set aside: it moves to
+   `LEDGER.set-aside/NNN/` under the same name. A crash may follow any step; the next recovery goes on from there.
 3. If it is not, the ledger stays as it is, as evidence; `into` copies the trusted commits to a new ledger, byte for
    byte.
 """
@@ -35,7 +34,7 @@ Outcome = Literal["whole", "mended", "damaged", "continued"]
 
 
 class Step(msgspec.Struct, frozen=True):
-    """One thing that was done: to which file of the ledger, and where it is now."""
+    """One thing that was done: to which file of the ledger, and where the file is now."""
 
     did: Literal["moved into place", "made again", "set aside"]
     file: str
@@ -46,10 +45,10 @@ class Recovery(msgspec.Struct, frozen=True):
     """What `recover` found and did.
 
     `outcome`: the ledger was *whole* already, or is so again (*mended*); or it is *damaged* and was not touched, with
-    the trusted commits in a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits;
-    `problems` are those of the first commit after them, `later` each commit after them on its own. `anchored` counts
-    those of their events that the anchor vouches for, None if it cannot or none was given. `report` is what `verify`
-    says about the mended or the new ledger.
+    the trusted commits in a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits.
+    `problems` are those of the first commit after them, `later` each commit after them, judged on its own. `anchored`
+    counts the trusted events that the anchor vouches for, None if it cannot or none was given. `report` is what
+    `verify` says about the mended or the new ledger.
     """
 
     outcome: Outcome
@@ -64,19 +63,19 @@ class Recovery(msgspec.Struct, frozen=True):
 def recover(
     path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None, into: Path | None = None
 ) -> Recovery:
-    """Mend the ledger so that it verifies, or leave it as it is and say what of it can be trusted.
+    """Mend the ledger so that it verifies, or leave it as it is and report what of it can be trusted.
 
     Args:
         path: The directory of the ledger.
         workers: Processes that read segments.
-        progress: Called with (segments done, segments in all), once for each time that they are read.
+        progress: Called with (segments done, segments in all), from the beginning each time that they are read.
         asked: A key that must have signed, an earlier checkpoint.
-        into: Where the trusted commits of a damaged ledger go; nothing is there yet.
+        into: Where the trusted commits of a damaged ledger go; nothing may be there yet.
 
     Raises:
         NotALedger, FormatVersionMismatch: There is no ledger that this version reads, or its creation was interrupted
             before anything was in it.
-        UsageError: There is something at `into` already, or it is within the ledger, or the anchor is none.
+        UsageError: Something is at `into` already, or it is within the ledger, or the anchor is not a checkpoint.
         LedgerCorrupted: No commit can be trusted, so there is nothing to copy; or files changed while they were read.
         WriteFailed: Another writer is at work, or the disk refused; what was done so far stays, and the next recovery
             goes on.
@@ -135,9 +134,7 @@ def _require_free(path: Path, into: Path | None) -> None:
 def _alone(path: Path) -> Iterator[None]:
     """Lock out writers, where the file system has locks. Raises: WriteFailed if one is at work, or locking fails."""
     with disk.refusals(path, "locking"):
-        handle = os.open(
-            path, os.O_RDONLY | os.O_DIRECTORY
-        )  # ledger.json may be missing, and another file once it is made again
+        handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)  # not ledger.json, which may be missing or replaced
     try:
         _lock(path, handle)
         yield
@@ -176,7 +173,7 @@ def _mend(path: Path, prefix: TrustedPrefix, workers: int, progress: Progress | 
 
 
 class _Mending:
-    """The steps on one ledger. Each may be the last before a crash; all of them can be done again."""
+    """The steps on one ledger. A crash may follow any of them; all of them can be repeated."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -184,7 +181,7 @@ class _Mending:
         self._aside: Path | None = None
 
     def make_room(self, prefix: TrustedPrefix) -> None:
-        """Set aside what stands in the place of a file of the ledger, and make the folders."""
+        """Set aside what is in the place of a file of the ledger, and make the folders."""
         for name in prefix.strays:
             if not is_tile(name):
                 self._set_aside(name)
@@ -194,7 +191,7 @@ class _Mending:
                 disk.make_folder(self.path / name)
 
     def set_strays_aside(self, prefix: TrustedPrefix) -> None:
-        """Set aside all that is not the ledger's.
+        """Set aside everything that is not the ledger's.
 
         Tiles of an earlier tree go last: the next writer needs them until the later ones are there.
         """
@@ -224,7 +221,7 @@ class _Mending:
         self.steps += [Step("made again", name, name) for name in made]
 
     def confirm(self) -> None:
-        """Sync the folders if anything was done: an earlier process may have been killed before it did."""
+        """Sync the folders if anything was done: an earlier process may have been killed before doing so."""
         for folder in (self.path, self.path / COMMITS, self.path / SEGMENTS) if self.steps else ():
             disk.sync_folder(folder)
 

@@ -1,4 +1,4 @@
-"""Tiles and checkpoint against verified rows: what is wrong, and deriving them again. A part of `recover`."""
+"""Compare tiles and checkpoint with verified rows, and make them again where they are wrong: a part of `recover`."""
 
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -17,7 +17,7 @@ from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import Head, LedgerView
 
 SetAside = Callable[[str], None]
-"""Takes the file of this name within the ledger out of it, to where nothing is lost."""
+"""Moves the file with this name within the ledger out of it, to where nothing is lost."""
 
 
 class Redo(msgspec.Struct, frozen=True):
@@ -36,15 +36,15 @@ class _Made(msgspec.Struct, frozen=True):
 
 
 class TilePlan:
-    """A comparison of tiles with those of a tree that grows commit by commit."""
+    """Compares the tiles with those of a tree that grows commit by commit, and finds what to make again."""
 
     def __init__(self, ledger: Path) -> None:
         self._ledger = ledger
         self._wrong: list[Redo] = []
-        self._partial: dict[tuple[int, int], list[_Made]] = {}  # those that no full tile has followed
+        self._partial: dict[tuple[int, int], list[_Made]] = {}  # whose full tile is still to come
 
     def add(self, by: Redo, made: Mapping[Tile, bytes]) -> list[_Made]:
-        """Take the tiles that a commit made; return the full ones."""
+        """Add the tiles that a commit made; return the full ones."""
         full = []
         for tile, data in made.items():
             if tile.width < WIDTH:
@@ -55,11 +55,11 @@ class TilePlan:
         return full
 
     def compare(self, made: list[_Made]) -> None:
-        """Count those as wrong that are not on the disk as they are here."""
+        """Note which of these are not on disk as they should be."""
         self._wrong += [one.by for one in made if not is_as(self._ledger, one.tile.name, one.data)]
 
     def redo(self) -> Redo | None:
-        """Return where to begin so that all is right afterwards; None if all is right."""
+        """Return where to begin so that everything is right afterwards; None if everything is."""
         return min(self._wrong, key=lambda by: by.commit, default=None)
 
     def partial(self) -> list[_Made]:
@@ -81,8 +81,8 @@ def is_as(ledger: Path, name: str, data: bytes) -> bool:
 def derive(view: LedgerView, redo: Redo | None, set_aside: SetAside) -> list[str]:
     """Derive the tiles from `redo` on and the checkpoint from the rows, durably; return the names of those written.
 
-    Each is written after the rows gave the tree of their commit record. What is there instead is set aside, unless it
-    is an older note, which a commit record holds too.
+    Each is written once the rows gave the tree of its commit record. What is in its place is set aside, unless it is an
+    older note, which a commit record holds too.
 
     Raises:
         LedgerCorrupted: The rows are not those that were verified.
@@ -109,7 +109,7 @@ def derive(view: LedgerView, redo: Redo | None, set_aside: SetAside) -> list[str
 
 
 def _leave(name: str) -> None:
-    """Let the file be replaced: nothing is lost by it."""
+    """Let the file be replaced, because nothing is lost by it."""
 
 
 def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[str]:
@@ -129,7 +129,7 @@ def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[s
 def begins_with(ledger: Path, then: Checkpoint, head: Head) -> bool:
     """Return whether the tiles prove that a checkpoint's tree begins with the events of this head, at least one.
 
-    The proof counts, not the tiles.
+    Only the proof counts, not the tiles as such.
     """
     if not 0 < head.size <= then.size:
         return False
@@ -144,21 +144,18 @@ def begins_with(ledger: Path, then: Checkpoint, head: Head) -> bool:
 
 
 def tile_strays(ledger: Path, head: Head, partial: list[_Made]) -> list[str]:
-    """Name every file below `tile/` that is no tile of this tree.
-
-    Outgrown partial tiles, links and other things are among them.
-    """
+    """Name every file below `tile/` that is not a tile of this tree, such as outgrown partial tiles and links."""
     expected = {one.tile.name for one in partial}
     return [name for name in tile_files(ledger) if name not in expected and not _is_full(tile_named(name), head.size)]
 
 
 def is_tile(name: str) -> bool:
-    """Return whether this is the name of a tile of some tree; nothing else of a ledger can have its place."""
+    """Return whether this is the name of a tile of some tree, which no other file of a ledger has."""
     return name.startswith(f"{TILE}/") and tile_named(name) is not None
 
 
 def grown_beyond(ledger: Path, head: Head, origin: str) -> Iterator[Problem]:
-    """Yield a problem for what is there only because the ledger had more commits, which were durable first."""
+    """Yield a problem for what exists only because the ledger once had more commits, which are durable first."""
     expected = (
         f"nothing of a tree of more than the {head.size} events that are committed: the newest commits were removed"
     )

@@ -1,4 +1,4 @@
-"""The examination of one segment on its own: what a worker of `verify` does."""
+"""Examine one segment on its own: what a worker of `verify` does."""
 
 from collections.abc import Callable
 from functools import partial
@@ -25,9 +25,9 @@ from fsar_ledger.ledger.store.walk import find_segment, read_segment
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
-    """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None where the rows are in doubt.
+    """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None if the rows are in doubt.
 
-    `alone` are those of `runs` that are no runs but one event which stands alone.
+    `alone` are those of `runs` that are not runs but one event that stands alone.
     """
 
     file: str
@@ -39,9 +39,9 @@ class SegmentFacts(msgspec.Struct, frozen=True):
 
 
 SecondReader = Callable[[str, pa.Table, bool], tuple[str, str] | None]
-"""Reads the file at a path with other code than `segment` and compares it with these rows: (found, expected), None if
-it holds them. True: the file is byte
-for byte what these rows are written as."""
+"""Reads the file at a path with code other than `segment`, and compares it with these rows. Returns (found, expected),
+or None if it holds them. True as the last argument: the file is what these rows are written as, to the byte.
+"""
 
 
 def examine(
@@ -52,10 +52,7 @@ def examine(
 
 
 def examine_file(ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
-    """Say whether the segment of this commit is the file that its record names, without a look at its rows.
-
-    Never raises.
-    """
+    """Compare the file of this commit's segment with its record, without reading the rows. Never raises."""
     return _guarded(_examine_file, Path(ledger), number, record)
 
 
@@ -102,9 +99,7 @@ def _examine(
     data, problem = read_segment(ledger, file, number, record)
     if problem is not None:
         return SegmentFacts(file, (problem,))
-    if (
-        record.release not in FINGERPRINTS
-    ):  # rows of a release that is not known cannot be judged; the record is a problem
+    if record.release not in FINGERPRINTS:  # its rows cannot be judged; the record is a problem already
         return SegmentFacts(file, rows=record.rows)
     says = f"as {commit_file(number)} says"
 
@@ -146,14 +141,11 @@ def _examine(
 def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tuple[str, str] | None]:
     """Return whether the file is what these rows are written as, and what in it could make a reader see other rows.
 
-    That is (found, expected), None if nothing.
-
-    A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
-    must write the same bytes; of a file by another version the statistics are compared.
+    That is (found, expected), or None. A query engine skips rows by the statistics in the footer, which no leaf covers.
+    The same version of pyarrow must write the same bytes; for a file by another version, the statistics are compared.
     """
-    is_ours = all(
-        _is_sorted(whole(table.column(name))) for name in table.column_names
-    )  # else writing them again repeats what is not ours
+    # Otherwise writing them again would repeat what is not ours.
+    is_ours = all(_is_sorted(whole(table.column(name))) for name in table.column_names)
     again = to_parquet(table)
     if is_ours and again.equals(pa.py_buffer(data)):
         return True, None
@@ -182,11 +174,11 @@ def _stored(value: int | str) -> bytes:
 
 
 def _is_sorted(column: pa.Array) -> bool:
-    """Return whether a column is no dictionary, or one as we write it."""
+    """Return whether a column has no dictionary, or one as we write it."""
     if not isinstance(column, pa.DictionaryArray):
         return True
     texts = column.dictionary
-    if column.null_count == len(column):  # most columns of a segment
+    if column.null_count == len(column):  # as most columns of a segment are
         return not len(texts)
     is_used = np.zeros(len(texts) + 1, bool)
     is_used[places(column)] = True

@@ -1,8 +1,8 @@
-"""The longest verified prefix of a ledger, found without changing anything. A part of `recover`.
+"""The longest verified prefix of a ledger, found without changing anything: a part of `recover`.
 
-The prefix is commits 0 to k-1 of which every record, segment, row and hash was derived again and agrees; with a trusted
-key it ends with a commit that the key signed, and with an anchor it agrees with it. What comes after is looked at piece
-by piece.
+The prefix is commits 0 to k-1, whose every record, segment, row and hash was derived again and agrees. With a trusted
+key it ends with a commit that the key signed; with an anchor, it agrees with the anchor. What comes after is examined
+piece by piece.
 """
 
 from collections.abc import Iterator
@@ -42,10 +42,10 @@ NO_SEGMENT = "the segment is missing or not as its record says"
 
 
 class Later(msgspec.Struct, frozen=True):
-    """A commit after the trusted ones, on its own.
+    """A commit after the trusted ones, judged on its own.
 
-    `restore` is the SHA-256 of its segment where that is lost or altered and all records up to this one are whole:
-    whoever has the file with this SHA-256 can put it back.
+    `restore` is the SHA-256 of its segment if that is lost or altered and all records up to this one are whole: whoever
+    has the file with this SHA-256 can put it back.
     """
 
     number: int
@@ -56,10 +56,9 @@ class Later(msgspec.Struct, frozen=True):
 class TrustedPrefix(msgspec.Struct, frozen=True):
     """What can be trusted, and the first doubt after it.
 
-    `manifest` are the right bytes of ledger.json, None where they cannot be known; `records` are the trusted records
-    and `files` their segments within the ledger. `problems` are those of the first commit in doubt, none if the ledger
-    is whole; then `redo` and `strays` say what a crash has left. `anchored` counts the events that the anchor vouches
-    for.
+    `manifest` is the right content of ledger.json, None if unknown; `records` are the trusted records and `files` their
+    segments within the ledger. `problems` are those of the first commit in doubt, none if the ledger is whole; then
+    `redo` and `strays` say what a crash has left. `anchored` counts the events that the anchor vouches for.
     """
 
     origin: str | None
@@ -84,7 +83,7 @@ class TrustedPrefix(msgspec.Struct, frozen=True):
 def find_prefix(
     path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None
 ) -> TrustedPrefix:
-    """Find what of the ledger can be trusted. Changes nothing; damage never raises.
+    """Find how much of the ledger can be trusted. Changes nothing; damage never raises.
 
     Args:
         path: The directory of the ledger.
@@ -108,7 +107,8 @@ class _Search:
         self.problems = [
             problem
             for problem in check_folders(path)
-            if problem.where in (COMMITS, SEGMENTS) and problem.found != MISSING  # the others are made again
+            if problem.where in (COMMITS, SEGMENTS)
+            and problem.found != MISSING  # other folders, and missing ones, are made again
         ]
         self.origin, self.manifest = _right_manifest(path, self.problems)
         self.chain: list[CommitRecord] = []  # records without doubt
@@ -121,7 +121,7 @@ class _Search:
         self.rows = RowWalk(path, {anchor.note.checkpoint.size for anchor in self.anchors if anchor.note is not None})
 
     def go(self, workers: int, progress: Progress | None) -> list[Problem]:
-        """Walk on while there is no doubt: over the records, then over the rows of those. Return the first doubt."""
+        """Check the records, then the rows of those without doubt; return the first doubt."""
         commits, broken = self._whole_records()
         for standing in self.rows.over(commits, workers):
             if standing.problems or standing.edge is None:
@@ -194,7 +194,7 @@ class _Search:
         )
 
     def _ask(self, anchor: Anchor, *, is_whole: bool) -> tuple[list[Problem], bool]:
-        """Return how an anchor contradicts what was verified, and whether it knows of more than that and so cannot."""
+        """Return how an anchor contradicts what was verified, and whether it counts more events and so cannot."""
         size = self.chain[len(self.files) - 1].tree_size if self.files else 0
         if self.origin is None or anchor.note is None:
             return [], False
@@ -217,7 +217,7 @@ class _Search:
         return head.size if is_own and begins_with(self.path, then, head) else None
 
     def _grown_beyond(self, head: Head) -> Iterator[Problem]:
-        """Yield what shows that the newest commits were removed."""
+        """Yield the evidence that the newest commits were removed."""
         yield from grown_beyond(self.path, head, self.origin or "")
         for number in sorted(self._segments()):
             if number >= head.commits:
@@ -246,7 +246,7 @@ class _Search:
 
 
 def _right_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, bytes | None]:
-    """Return the origin and the right bytes of ledger.json, each None where it cannot be known.
+    """Return the origin and the right content of ledger.json, each None if unknown.
 
     The first record vouches for them.
 
@@ -269,7 +269,7 @@ def _right_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, by
 
 
 def _manifest_of(first: CommitRecord) -> bytes | None:
-    """Return the bytes of ledger.json, if this first record vouches for them."""
+    """Return the content of ledger.json, if this first record vouches for it."""
     try:
         data = canonical.document(Manifest(FORMAT, first.signed_note().checkpoint.origin, VERSION))
     except LedgerCorrupted:
@@ -280,7 +280,7 @@ def _manifest_of(first: CommitRecord) -> bytes | None:
 def _signed_checkpoint(path: Path, trusted: VerifierKey | None) -> list[Anchor]:
     """Return the ledger's own checkpoint if the trusted key signed it.
 
-    Then it vouches like one that was kept elsewhere.
+    It then vouches like one that was kept elsewhere.
     """
     note = checkpoint_note(path)
     return [Anchor(CHECKPOINT, note)] if note is not None and trusted is not None and trusted.has_signed(note) else []

@@ -36,7 +36,7 @@ from fsar_ledger.ledger.verify.segment import SecondReader
 from fsar_ledger.ledger.verify.walk import RowWalk, Standing
 
 MAX_PROBLEMS = 100
-"""A report names the first so many; a ledger with more is lost anyway."""
+"""The most problems that a report names; a ledger with more is lost anyway."""
 
 Progress = Callable[[int, int], None]
 
@@ -44,9 +44,9 @@ Progress = Callable[[int, int], None]
 class Asked(msgspec.Struct, frozen=True):
     """What `verify` is asked to check beyond the ledger itself.
 
-    With `is_quick` the rows are not read: the chain of records, the files' hashes and the notes must do. `witnessed`
-    are more anchors, whose signatures were looked at where they came from. `second_reader` reads the rows of each
-    segment once more, with other code, and compares them; it can be pickled.
+    With `is_quick`, no rows are read: only the chain of records, the hashes of the files and the notes are checked.
+    `witnessed` are more anchors, whose signatures were checked where they came from. `second_reader` reads the rows of
+    each segment again, with other code, and compares them; it can be pickled.
     """
 
     is_quick: bool = False
@@ -66,10 +66,10 @@ class VerifyReport(msgspec.Struct, frozen=True):
 
     Units: `commits`, `events` and `runs` count what was read without doubt; `signed` counts commits.
 
-    `root` is the Merkle root in hex over the rows themselves (as recorded, where rows were not read), None if there is
-    any doubt. `signer` is the trusted key (`name+id`) if one was given, else whom the newest note names; `anchored`
-    counts the events of the anchor. `remarks` are no doubts: what a crash may leave behind, and what a quick look
-    leaves open. `record_sha256` is the hash of the newest commit record (of ledger.json where there is none), which
+    `root` is the Merkle root in hex over the rows themselves (as recorded, if rows were not read), None if there is any
+    doubt. `signer` is the trusted key (`name+id`) if one was given, else the one that the newest note names; `anchored`
+    counts the events of the anchor. `remarks` are not doubts: what a crash may leave behind, and what a quick look
+    leaves open. `record_sha256` is the hash of the newest commit record (of ledger.json if there is none), which
     vouches for all before; None if there is any doubt.
     """
 
@@ -91,19 +91,18 @@ class VerifyReport(msgspec.Struct, frozen=True):
 def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None) -> VerifyReport:
     """Derive every field of every record again, and report every difference as a problem.
 
-    Damage never raises, whatever the files hold. Symbolic links are refused as damage. Where a writer is at work and
-    what was read does not fit together, the writer waits while all is read once more.
+    Damage never raises, whatever the files hold. Symbolic links count as damage. If a writer is at work and what was
+    read does not fit together, the writer waits while all is read once more.
 
     Args:
         path: The directory of the ledger.
-        workers: Processes that read segments, or threads where rows are not read.
+        workers: Processes that read segments, or threads if rows are not read.
         progress: Called with (segments done, segments in all).
         asked: A quick look, a key that must have signed, an earlier checkpoint.
 
     Raises:
         NotALedger: There is no directory at the path, nothing of a ledger is in it, or its creation was interrupted.
-        WorkerDied: A process that reads segments was ended; the ledger is neither consistent nor damaged for all that
-            is known.
+        WorkerDied: A process that reads segments was ended, so nothing is known about the ledger.
     """
     if not any(os.path.lexists(path / name) for name in (MANIFEST, COMMITS, SEGMENTS)):
         raise NotALedger(
@@ -130,13 +129,13 @@ def _moment(path: Path) -> tuple[list[str], list[str], str | None] | None:
 
 
 def _look(path: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
-    """Look at the whole ledger once. Raises: WorkerDied, and nothing else: then nothing is known."""
+    """Look at the whole ledger once. Raises: WorkerDied only: then nothing is known."""
     verification = _Verification(path, asked)
     try:
         return verification.run(max(1, workers), progress)
     except WorkerDied:
         raise
-    except (Exception, RecursionError) as error:  # a check that fails in a way nobody thought of is still a finding
+    except (Exception, RecursionError) as error:  # a check that fails unexpectedly is still a finding
         problems = (*verification.problems[: MAX_PROBLEMS - 1], unexpected(str(path), None, error))
         return VerifyReport(False, problems, 0, 0, 0, None, is_quick=verification.asked.is_quick)
 
@@ -170,7 +169,7 @@ class _Verification:
         return self._report(origin, [commit.record for commit in commits if commit.record is not None], newest)
 
     def _add(self, standing: Standing) -> None:
-        """Take one more commit."""
+        """Add one commit."""
         self.problems += standing.problems
         if standing.made:
             self.tiles.add(standing.commit.number, standing.made)
@@ -205,7 +204,7 @@ class _Verification:
         )
 
     def _check_derived(self, records: list[CommitRecord]) -> tuple[str, ...]:
-        """Compare what is derived, but only where all it is derived from is beyond doubt; return the remarks on it."""
+        """Compare the derived files, but only if what they derive from is beyond doubt; return the remarks on them."""
         if self.problems:
             return ()
         found, self.is_behind = check_checkpoint(self.path, records)
@@ -233,7 +232,7 @@ class _Verification:
         return (anchor.note.checkpoint.size if anchor.note is not None else None), found.size
 
     def _look_then(self, anchor: Anchor, records: list[CommitRecord], size: int) -> ByTiles:
-        """Return the root of as many first events of the ledger as the anchor counts, if it is known."""
+        """Return the root of the ledger when it had as many events as the anchor counts, if it is known."""
         then = anchor.note.checkpoint if anchor.note is not None else None
         if then is not None and then.size == 0:
             return ByTiles(merkle.EMPTY_ROOT, size)
@@ -261,7 +260,7 @@ def _not_compared(anchored: int | None, proved: int, size: int) -> str:
 def _check_strays(path: Path, count: int) -> Iterator[Problem]:
     """Yield a problem for every file that the ledger should not hold.
 
-    What is in staging is harmless, and `check_names` looks at the records.
+    Files in staging are harmless, and `check_names` looks at the records.
     """
     for name in strays(path, FILES.union(map(segment_file, range(count))), [SEGMENTS]):
         if name.startswith(f"{SEGMENTS}/"):

@@ -1,4 +1,4 @@
-"""The walk of `store/walk.py` with the rows: each segment read and decoded, and the tree and the runs that they give.
+"""The walk of `store/walk.py` with the rows: each segment is read and decoded, and gives the tree and the runs.
 
 `verify` folds all of it; `recover` folds it up to the first finding.
 """
@@ -23,10 +23,10 @@ from fsar_ledger.workers import WorkerPool
 
 
 class Standing(msgspec.Struct, frozen=True):
-    """What stands at one commit, with its rows.
+    """What is at one commit, with its rows.
 
     `problems` are all of this commit: of its record, its segment, its rows, and what they add to the ledger. `edge` is
-    that of the tree before its rows, None where that is not known, and `made` the tiles that they make.
+    that of the tree before its rows, None if unknown, and `made` are the tiles that they make.
     """
 
     commit: Commit
@@ -41,26 +41,24 @@ class RowWalk:
 
     Args:
         ledger: Its folder.
-        sizes: The trees, by their number of events, whose roots are wanted.
-        is_quick: No rows are read: the hashes of the files must do.
+        sizes: The sizes, in events, of the trees whose roots are wanted.
+        is_quick: Read no rows, only hash the files.
     """
 
     def __init__(self, ledger: Path, sizes: set[int], *, is_quick: bool = False) -> None:
         self.ledger, self.sizes, self.is_quick = ledger, sizes, is_quick
         self.runs: set[str] = set()
-        self.alone: set[str] = set()  # of these, what is no run but an event that stands alone
-        self.tree: Frontier | None = (
-            Frontier()
-        )  # as its rows or, where they are in doubt, its record say; None: not known
-        self.roots = {0: merkle.EMPTY_ROOT}  # of the wanted trees, by their number of events
-        self._edge: Edge | None = None if is_quick else Edge()  # None: not known, because some rows were not read
+        self.alone: set[str] = set()  # of these, single events that stand alone
+        self.tree: Frontier | None = Frontier()  # by its rows or, if in doubt, by its record; None: unknown
+        self.roots = {0: merkle.EMPTY_ROOT}  # of the wanted trees, by size
+        self._edge: Edge | None = None if is_quick else Edge()  # None: unknown, because some rows were not read
 
     def over(
         self, commits: Sequence[Commit], workers: int = 1, second_reader: SecondReader | None = None
     ) -> Iterator[Standing]:
-        """Yield what stands at each of these commits, the first ones of the ledger.
+        """Yield what is at each of these commits, the first ones of the ledger.
 
-        Of commits without a record no rows are read.
+        No rows are read of commits without a record.
         """
         facts = _examine_all(self.ledger, commits, workers, second_reader, is_quick=self.is_quick)
         for commit, found in zip(commits, facts, strict=True):
@@ -79,16 +77,16 @@ class RowWalk:
     def _grow(
         self, commit: Commit, record: CommitRecord, facts: SegmentFacts, problems: list[Problem]
     ) -> dict[Tile, bytes]:
-        """Add the leaves of a commit to the tree: its rows' if they were read and agree, else as claimed.
+        """Add the leaves of a commit to the tree: those of its rows if they were read and agree, else as claimed.
 
-        So each error shows once.
+        So each error is reported once.
         """
         claimed = self.tree = record.tree()
         made: dict[Tile, bytes] = {}
         if facts.leaves is None or commit.before is None:
             self._edge = None
             return made
-        if self._edge is not None:  # then it is the edge of the tree before
+        if self._edge is not None:  # of the tree before this commit
             self._look_back(self._edge, facts.leaves)
             self._edge, made = self._edge.extend(facts.leaves)
             tree = self._edge.frontier()
@@ -97,7 +95,7 @@ class RowWalk:
         if tree == claimed:
             return made
         self._edge = None
-        if tree.size == claimed.size:  # another size is a contradiction in the record, and named there
+        if tree.size == claimed.size:  # another size contradicts the record, and is reported there
             found, expected = f"Merkle root {tree.root().hex()}", f"{record.tree_root} as committed: a row was altered"
             problems.append(Problem(facts.file, found, expected, commit=commit.number, field="tree_root"))
         return made
@@ -130,12 +128,12 @@ class RowWalk:
 def _examine_all(
     ledger: Path, commits: Sequence[Commit], workers: int, second_reader: SecondReader | None, *, is_quick: bool
 ) -> Iterator[SegmentFacts]:
-    """Yield what each segment holds, in order; nothing of those whose record is unreadable."""
+    """Yield what each segment holds, in order; nothing if its record is unreadable."""
     arguments = (repeat(str(ledger)), range(len(commits)), [commit.record for commit in commits])
     again = (*arguments, repeat(second_reader)) if second_reader is not None else arguments
     workers = min(workers, len(commits))
     with ExitStack() as stack:
-        if workers > 1 and is_quick:  # hashing lets other threads run
+        if workers > 1 and is_quick:  # hashing releases the interpreter lock
             yield from stack.enter_context(ThreadPoolExecutor(workers)).map(examine_file, *arguments)
         elif workers > 1:
             yield from stack.enter_context(WorkerPool(workers)).map(examine, *again)
