@@ -262,7 +262,7 @@ def with_value(table: pa.Table, name: str, row: int, value: object) -> pa.Table:
 
 
 def anchor_at(path: Path, size: int, signer: Signer | None, to: Path) -> Path:
-    """Write a checkpoint over the first so many events, as somebody may have kept it."""
+    """Write a checkpoint over the first this many events, as somebody may have kept it."""
     leaves = b"".join(b"".join(canonical.hashes(canonical.from_table(table))) for table in tables_of(path))
     to.write_text(note_of(Frontier().extend(leaves[: size * 32]), signer), "utf-8")
     return to

@@ -15,7 +15,7 @@ from tests.ledger.agreement_structure import STRUCTURES
 
 
 def drawn(folder: Path, count: int, *, is_large: bool) -> Iterator[Case]:
-    """Yield so many ledgers, the same each time. Each is removed when the next is asked for."""
+    """Yield this many ledgers, the same each time. Each is removed when the next is asked for."""
     shapes = bases(folder / "bases", is_large)
     large = shapes.pop() if is_large else None
     beside, path = folder / "beside", folder / "ledger"
@@ -48,7 +48,7 @@ def odd(path: Path, draw: random.Random) -> None:
 
 
 def outcomes(count: int, *, is_large: bool) -> list[Outcome]:
-    """Return the verdicts of both verifiers on so many ledgers."""
+    """Return the verdicts of both verifiers on this many ledgers."""
     with tempfile.TemporaryDirectory() as folder:
         return [judged(case) for case in drawn(Path(folder), count, is_large=is_large)]
 

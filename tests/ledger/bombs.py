@@ -61,7 +61,7 @@ def base_ledger(path: Path) -> None:
 
 
 def rows(count: int, **values: object) -> pa.Table:
-    """Return so many rows of one run that begins with RunStarted. A value goes into every row, an array is used as it
+    """Return this many rows of one run that begins with RunStarted. A value goes into every row, an array is used as it
     is."""
     started = {
         "kind": "simulated",
@@ -119,7 +119,7 @@ def _column(field: pa.Field, value: object, count: int) -> pa.Array:
 
 
 def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> None:
-    """Commit this segment so many times after what is there; only hashing its rows would reveal it."""
+    """Commit this segment this many times after what is there; only hashing its rows would reveal it."""
     data = data if isinstance(data, bytes) else bytes(segment.to_parquet(data))
     for _ in range(times):
         number = len(list((path / "commits").iterdir()))
@@ -159,12 +159,12 @@ def committed(make: Callable[[], pa.Table], times: int = 1) -> Callable[[Path], 
 
 
 def texts(count: int, *values: str) -> pa.DictionaryArray:
-    """Return so many texts that cycle through these."""
+    """Return this many texts that cycle through these."""
     return pa.DictionaryArray.from_arrays(pa.array((np.arange(count) % len(values)).astype(np.int32)), pa.array(values))
 
 
 def claims(count: int, claimants: int) -> pa.Table:
-    """Return so many claims of one dimension of one action, none of them released."""
+    """Return this many claims of one dimension of one action, none of them released."""
     numbers = pa.array((np.arange(count) % claimants).astype(np.int32))
     types = pa.DictionaryArray.from_arrays(
         pa.array(np.minimum(np.arange(count), 1).astype(np.int32)), pa.array(["RunStarted.v2", "AuthorityClaimed.v1"])
@@ -182,7 +182,7 @@ def lists(count: int, each: int) -> pa.Table:
 
 
 def runs(count: int) -> pa.Table:
-    """Return so many runs of one event."""
+    """Return this many runs of one event."""
     names = pa.array([f"run-{number:07d}" for number in range(count)])
     started = {
         "kind": "simulated",
@@ -225,7 +225,7 @@ def instead(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]
 
 
 def sparse(size: int) -> Callable[[Path], None]:
-    """Return a function that makes a file of so many bytes that takes no space."""
+    """Return a function that makes a file of this many bytes that takes no space."""
 
     def make(file: Path) -> None:
         file.touch()
@@ -249,7 +249,7 @@ def document(what: str) -> bytes:
 
 
 def unpacking(size: int) -> bytes:
-    """Return a segment of another layout whose one page unpacks to so many bytes."""
+    """Return a segment of another layout whose one page unpacks to this many bytes."""
     return written(pa.table({"a": [" " * size]}), use_dictionary=False, write_statistics=False)
 
 

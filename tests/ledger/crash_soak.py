@@ -63,7 +63,7 @@ def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -
 
 
 def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, seed: int = 13) -> int:
-    """Kill so many processes at random moments while they open, recover and append.
+    """Kill this many processes at random moments while they open, recover and append.
 
     Returns how many batches were acknowledged.
     """

@@ -28,7 +28,7 @@ STUCK_AFTER_S = 120
 
 
 class Order(msgspec.Struct, frozen=True):
-    """What the nursery does at a path: these writers append so many batches each, while so many readers watch.
+    """What the nursery does at a path: these writers append this many batches each, while this many readers watch.
 
     `kill_after_us` has a moment for each writer that is killed, counted from its start. With a fault, one process
     appends the batches of the trials and is killed at that call.

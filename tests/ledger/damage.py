@@ -25,7 +25,7 @@ class Case(NamedTuple):
 
 
 def write_ledger(path: Path, sizes: Sequence[int], snapshots: Path | None = None) -> None:
-    """Write a signed ledger with one run of so many events per commit; `snapshots/N` holds it after N commits."""
+    """Write a signed ledger with one run of this many events per commit; `snapshots/N` holds it after N commits."""
     for number, size in enumerate(sizes):
         with Writer(path, ORIGIN, SIGNER) as writer:
             writer.append(stage(path, [made_up_run(f"run-{number:04d}", size, seed=number)]))

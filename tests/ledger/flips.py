@@ -63,7 +63,7 @@ def write_runs(path: Path) -> None:
 
 
 def chosen(path: Path, count: int, seed: int, kinds: dict[str, int] = KINDS) -> Iterator[Flip]:
-    """Yield so many randomly drawn bits of the ledger's files."""
+    """Yield this many randomly drawn bits of the ledger's files."""
     draw = random.Random(seed)
     files: dict[str, list[str]] = {}
     for name in files_of(path):

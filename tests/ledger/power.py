@@ -179,8 +179,7 @@ class Choice:
 
 
 def choices(seed: int, random_count: int) -> list[Choice]:
-    """Return choices: all lost; all names kept, contents lost; all names kept, contents rubbish; all kept; and so many
-    random ones."""
+    """Return choices: all lost; all names kept with contents lost, rubbish or kept; and this many random ones."""
     draw = random.Random(seed)
     plain = [("lost", "lost"), ("kept", "lost"), ("kept", "rubbish"), ("kept", "kept")]
     return [Choice(names, contents, draw) for names, contents in [*plain, *[("some", "some")] * random_count]]

@@ -58,7 +58,7 @@ def run_of_every_type(run_id: str, seed: int) -> LedgerRun:
 
 
 def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[LedgerRun]]:
-    """Return so many batches of runs; the same call gives the same batches."""
+    """Return this many batches of runs; the same call gives the same batches."""
     numbers = [range(commit * runs, (commit + 1) * runs) for commit in range(commits)]
     return [[made_up_run(f"run-{number:04d}", size, seed=number) for number in batch] for batch in numbers]
 

@@ -18,7 +18,7 @@ FLIPS = 2000
 
 
 def restored(path: Path, snapshots: Path, number: int) -> Path:
-    """Return the whole ledger, with all its files, as it was after so many commits."""
+    """Return the whole ledger, with all its files, as it was after this many commits."""
     shutil.rmtree(path)
     return Path(shutil.copytree(snapshots / str(number), path))
 

@@ -165,7 +165,7 @@ def asked(anchor: Path | None = None, *, is_signed: bool = False) -> Asked:
 
 
 def checkpoint_of(batches: int, folder: Path) -> Path:
-    """Return the checkpoint of a ledger of so many commits, kept elsewhere."""
+    """Return the checkpoint of a ledger of this many commits, kept elsewhere."""
     append_all(folder / "then", BATCHES[:batches])
     return folder / "then" / "checkpoint"
 

@@ -229,7 +229,7 @@ def look(offered: list[list[LedgerRun]]) -> None:
 
 
 def at_all(examples: int, *, is_the_same: bool) -> None:
-    """Try so many ledgers, the same each time or others."""
+    """Try this many ledgers, the same each time or others."""
     FATES.clear()
     limits = settings(
         max_examples=examples,

@@ -166,7 +166,7 @@ class _Rows:
         return pa.DictionaryArray.from_arrays(_array(indices, indices >= 0), used, safe=False)
 
     def _numbers(self, name: str, parts: list[_Part]) -> pa.Array:
-        """Return a column of integers or booleans, NULL where the event type has no such field."""
+        """Return a column of integers or booleans, NULL if the event type has no such field."""
         at, column = _joined(parts, ARROW_TYPES[COLUMNS[name]])
         values, is_valid = np.zeros(self.size, column.type.to_pandas_dtype()), np.zeros(self.size, bool)
         is_valid[at] = column.is_valid() if column.null_count else True
@@ -178,7 +178,7 @@ class _Rows:
         return _array(values, is_valid)
 
     def _lists(self, parts: list[_Part]) -> pa.Array:
-        """Return a column of lists of strings, NULL where the event type has no such field."""
+        """Return a column of lists of strings, NULL if the event type has no such field."""
         at, column = _joined(parts, ARROW_TYPES["strings"])
         order = np.argsort(at, kind="stable")
         at, column = at[order], column.take(pa.array(order))

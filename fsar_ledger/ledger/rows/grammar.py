@@ -137,7 +137,7 @@ def text(value: bytes) -> bytes:
 
 
 def listed(count: int, kind: int) -> bytes:
-    """Encode the beginning of a Thrift list of so many values of one kind."""
+    """Encode the beginning of a Thrift list of this many values of one kind."""
     return bytes([count << 4 | kind]) if count < 15 else bytes([0xF0 | kind]) + length(count)
 
 
@@ -250,7 +250,7 @@ RUN_ID_REST = re.compile(_rest("string", is_nullable=False), re.DOTALL)
 
 @cache
 def encoding_statistics(kind: Kind, dictionary: int, plain: int) -> bytes:
-    """Return the encoding statistics of a column with so many data pages of either kind.
+    """Return the encoding statistics of a column with this many data pages of either kind.
 
     The values of a page are in a dictionary or plain; pages of integers all count as `dictionary`.
     """

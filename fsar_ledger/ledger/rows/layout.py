@@ -178,7 +178,7 @@ def read_layout(data: bytes) -> Layout:
 
 
 def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
-    """Return the dictionary of `run_id`: every run of a segment of so many rows, and perhaps strings that no row uses.
+    """Return the dictionary of `run_id`: every run of a segment of `rows` rows, and perhaps strings that no row uses.
 
     `run_id` is the first column, so the beginning of a segment is enough. None if it is cut off too early, does not
     have the form of a segment, or has rows whose strings are in no dictionary.
@@ -206,7 +206,7 @@ def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
 
 
 def _strings(data: bytes, count: int) -> list[str]:
-    """Split so many strings, each after its length. Raises: ValueError if they are not all of the data."""
+    """Split this many strings, each after its length. Raises: ValueError if they are not all of the data."""
     found, at = [], 0
     for _ in range(count):
         end = at + MIN_ENTRY_BYTES + int.from_bytes(data[at : at + MIN_ENTRY_BYTES], "little")

@@ -84,7 +84,7 @@ class StoredType(msgspec.Struct, frozen=True):
         return tuple(found)
 
     def events(self, columns: Iterable[Iterable[object]], count: int) -> list[Event]:
-        """Return so many events of this type from the values of these columns, given in the order of `fields`."""
+        """Return `count` events of this type from the values of these columns, given in the order of `fields`."""
         values = iter(columns)
         members = [_joined(member, [next(values) for _ in member.fields]) for member in self.members]
         if not members:

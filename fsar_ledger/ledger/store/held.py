@@ -49,7 +49,7 @@ class HeldRuns:
             self._plans.update(runs.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
 
     def add(self, number: int, path: Path, rows: int, runs: list[str] | None = None) -> None:
-        """Add the runs of this commit. If they are not given, read them from its segment, which has so many rows."""
+        """Add the runs of this commit. If they are not given, read them from its segment, which has this many rows."""
         for run in _read(path, rows) if runs is None else runs:
             self._commits.setdefault(run, (number, path))
 
@@ -67,7 +67,7 @@ class HeldRuns:
 
 
 def runs_of(path: Path, rows: int, data: bytes) -> list[str]:
-    """Return the runs of a segment with these bytes and so many rows.
+    """Return the runs of a segment with these bytes and this many rows.
 
     If another library wrote the segment, names that no row has may be among them.
 

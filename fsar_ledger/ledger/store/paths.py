@@ -1,4 +1,4 @@
-"""Where the files of a ledger are, how to tell its folder, and where other commands must not write."""
+"""Where the files of a ledger are, how to recognise its folder, and where other commands must not write."""
 
 import os
 from contextlib import suppress
