@@ -28,7 +28,7 @@ def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ..
 
 
 def _started_unchecked(state: State, command: StartAction) -> tuple[Event, ...]:
-    """Start the action as soon as its robot is there for it."""
+    """Start the action as soon as its robot is in place."""
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage not in ("queued", "approaching", "preempted") or not holds_robot(state, action):
         return ()
@@ -38,7 +38,7 @@ def _started_unchecked(state: State, command: StartAction) -> tuple[Event, ...]:
 
 
 def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
-    """Start delegated work, or else the robot's own, unchecked; check the other kind as before."""
+    """Return the change that starts delegated work (or the robot's own) unchecked; the other kind is still checked."""
 
     def changed(table: HandlerTable) -> HandlerTable:
         checked = table.decides[StartAction]
