@@ -147,7 +147,7 @@ def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) ->
     if named := _NAMED.search(what):
         field = (*field, named[1])
         if "unknown" in what:
-            return f"{at_line(where, text, field)}: found a field of this name, expected one of {_fields(kind, field)}"
+            return f"{at_line(where, text, field)}: found an unknown field, expected one of {_fields(kind, field)}"
         return f"{at_line(where, text, field)}: found nothing, expected a value: this field has no default"
     value: Any = found
     for part in field:

@@ -89,7 +89,7 @@ def _require(path: Path, text: str, problems: Iterator[Problem] | list[Problem])
 
 
 def _taken(name: str, names: Sequence[str]) -> Problem:
-    return Problem(("name",), name, f"another name than those that are registered: {', '.join(names)}")
+    return Problem(("name",), name, f"a name other than the registered ones: {', '.join(names)}")
 
 
 def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
@@ -119,7 +119,7 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
     for name, low_s, high_s in _ranges("", msgspec.to_builtins(constants)):
         if low_s > high_s and any(one.startswith(name) for one in given):
             raise UsageError(
-                f"--set: found {name} from {low_s:g} to {high_s:g} s, expected the shorter first; set both"
+                f"--set: found {name} from {low_s:g} to {high_s:g} s, expected the smaller first; set both"
             )
     return constants
 

@@ -141,7 +141,7 @@ def replay(
         path: The directory of the ledger, which is assumed to verify.
         workers: Number of processes; the report does not depend on it.
         progress: Called with (segments done, segments in all).
-        commits: Only the first so many; None is all of them.
+        commits: How many of the first commits to replay; None is all.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: as `open_ledger`, and where a segment is missing.

@@ -94,7 +94,7 @@ def test_the_line_of_a_field_is_found_in_tables_inside_a_list_and_under_dotted_k
         (
             'bodies = ["porter"]',
             'boddies = ["porter"]',
-            "my.toml:2: boddies: found a field of this name, expected one of name,",
+            "my.toml:2: boddies: found an unknown field, expected one of name,",
         ),
         ('bodies = ["porter"]', 'bodies = "porter"', "my.toml:2: bodies: found porter, expected a list in [ ]"),
         ('"door.lock",\n]', "7,\n]", "my.toml:12: robots[1].capabilities[1]: found 7, expected text in quotes"),
@@ -117,7 +117,7 @@ def test_a_file_that_is_no_fleet_is_refused_with_its_line_and_field(now: str, th
 @pytest.mark.parametrize(
     ("now", "then", "found"),
     [
-        ('"ward"', '"The Ward"', "name: found The Ward, expected a name of small letters"),
+        ('"ward"', '"The Ward"', "name: found The Ward, expected a name of lowercase letters"),
         (
             'bodies = ["porter"]',
             'bodies = ["porters"]',
@@ -141,7 +141,7 @@ def test_a_file_that_is_no_fleet_is_refused_with_its_line_and_field(now: str, th
         (
             "lasts_s = [1, 2.5]",
             "lasts_s = [3, 2.5]",
-            "capabilities[1].lasts_s: found 3 to 2.5, expected two lengths, the shorter first",
+            "capabilities[1].lasts_s: found 3 to 2.5, expected two durations, the shorter first",
         ),
         ("lasts_s = [1, 2.5]\n", "", "capabilities[1].lasts_s: found nothing, expected how long it takes"),
         ("to_s = 9.5", "to_s = 5", "off_shift[0].to_s: found 5, expected more than from_s"),
@@ -155,7 +155,7 @@ def test_a_file_that_is_no_fleet_is_refused_with_its_line_and_field(now: str, th
             "to_s = 9.5",
             'to_s = 9.5\n[[trust]]\nrole = "door"\npeer_role = "porter"\nscope = "task"\n'
             '[[trust]]\nrole = "porter"\npeer_role = "door"\nscope = "task"\nis_mutual = true',
-            "trust[1].role: found trust of door in porter once more, expected one entry for each pair",
+            "trust[1].role: found trust of door in porter a second time, expected one entry for each pair",
         ),
         (
             "to_s = 9.5",

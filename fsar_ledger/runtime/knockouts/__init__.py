@@ -1,8 +1,8 @@
-"""Mechanisms that can be taken out one at a time, to show which number each of them carries.
+"""Takes out mechanisms, to show which number each of them carries.
 
-A knockout changes decisions of one architecture and leaves the world as it is. The handlers check the four mechanisms
-of the paper's ablation themselves; what replaces each other mechanism is here. A configuration loses only the
-mechanisms that it names.
+A knockout changes decisions of one architecture and leaves the world as it is. The handlers themselves check the four
+mechanisms of the paper's ablation; the replacements of all others are here. A configuration loses only the mechanisms
+that it names.
 """
 
 from fsar_ledger.events.configuration import MECHANISMS_OF, Configuration, lacks
@@ -19,7 +19,7 @@ assert {(one.architecture, one.name) for one in KNOCKOUTS} == {
 
 
 def knock_out(table: HandlerTable, architecture: Architecture, configuration: Configuration) -> HandlerTable:
-    """Return the architecture's table without what the configuration lacks, save what its handlers check themselves."""
+    """Return the architecture's table without what the configuration lacks, except what its handlers check."""
     for knockout in KNOCKOUTS:
         if knockout.architecture == architecture and knockout.name in lacks(configuration):
             table = knockout.taken_out_of(table)

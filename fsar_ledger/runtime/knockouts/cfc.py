@@ -33,7 +33,7 @@ from .knockout import Knockout, decided_by, in_every_decision, in_no_time, nothi
 
 
 def _copy_of_now(state: State) -> Any:
-    """Return the knowledge with a copy that shows the robots as they are."""
+    """Return the knowledge with a copy that shows the present state of the robots."""
     (copy,) = coordinator.sync(state, coordinator.Sync())
     return msgspec.structs.replace(state.knowledge, copy=copy)
 
@@ -45,7 +45,7 @@ class RetryAlone(Command):
 
 
 def _may_try(budgets: Budgets, fleet: Fleet, recovery: Recovery, tried: int, now_us: int) -> bool:
-    """Tell whether the robot may try again after so many attempts, by the number and the time of its budget."""
+    """Return whether the robot may try again after this many attempts, by the number and the time of its budget."""
     allowed = budget(budgets, fleet, recovery.robot, "local")
     return tried < allowed.n_max and now_us < recovery.detected_us + allowed.t_max_us
 

@@ -29,7 +29,7 @@ def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ..
 
 
 def _starting_unchecked(*, is_delegated: bool) -> ChangeTable:
-    """Start delegated work, or else the robot's own, unchecked; check the other kind as before."""
+    """Return the change that starts delegated work (or the robot's own) unchecked; the other kind is still checked."""
 
     def changed(table: HandlerTable) -> HandlerTable:
         checked = table.decides[StartAction]

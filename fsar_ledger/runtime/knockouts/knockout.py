@@ -52,7 +52,7 @@ def nothing(_state: State, _command: Command) -> tuple[Event, ...]:
 
 
 def seeing(slot: str, seen: Callable[[State], Any], decide: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the same decision, or reaction, on a state that shows `seen` in one slot."""
+    """Return the same decision or reaction, made on a state that has `seen` in this slot."""
 
     @wraps(decide)
     def decide_on_it(state: State, *about: Any) -> Any:
@@ -66,7 +66,7 @@ def seeing(slot: str, seen: Callable[[State], Any], decide: Callable[..., Any]) 
 
 
 def edit_events(change: Callable[[State, Event], Event | None], decide: Decide) -> Decide:
-    """Return the same decision with each of its events changed, or left out where `change` returns None."""
+    """Return the same decision with each event changed, or left out where `change` returns None."""
 
     @wraps(decide)
     def edited(state: State, command: Command) -> tuple[Event, ...]:
@@ -76,7 +76,7 @@ def edit_events(change: Callable[[State, Event], Event | None], decide: Decide) 
 
 
 def in_every_decision(change: Callable[[State, Event], Event | None]) -> ChangeTable:
-    """Edit the events of every decision."""
+    """Return the change of a table that edits the events of every decision."""
 
     def changed(table: HandlerTable) -> HandlerTable:
         decides = {command: edit_events(change, decide) for command, decide in table.decides.items()}
@@ -86,7 +86,7 @@ def in_every_decision(change: Callable[[State, Event], Event | None]) -> ChangeT
 
 
 def leaving_out(kind: type[Event], command: type[Command]) -> ChangeTable:
-    """Drop events of this type from the decision on this command."""
+    """Return the change of a table that drops events of this type from the decision on this command."""
 
     def changed(table: HandlerTable) -> HandlerTable:
         edited = edit_events(lambda _state, event: None if isinstance(event, kind) else event, table.decides[command])
@@ -96,7 +96,7 @@ def leaving_out(kind: type[Event], command: type[Command]) -> ChangeTable:
 
 
 def decided_by(event: Event, robot: Robot | None) -> Event:
-    """Return the event with this robot, or nobody, on record as the one that decided."""
+    """Return the event with this robot, or nobody, recorded as the decider."""
     return with_columns(event, decided_by=robot, path=() if robot is None else (robot,))
 
 

@@ -32,7 +32,7 @@ class Problem(NamedTuple):
 
 def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
     """Yield the problems of the fleet by itself, in the order of its fields."""
-    yield from _named(("name",), fleet.name, _NAME, "a name of small letters, digits and -, as ward-night")
+    yield from _named(("name",), fleet.name, _NAME, "a name of lowercase letters, digits and -, such as ward-night")
     robots, capabilities = [one.name for one in fleet.robots], [one.name for one in fleet.capabilities]
     if not robots:
         yield Problem(("robots",), "none", "at least one robot")
@@ -49,7 +49,7 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
         yield from _known(("substitutes", at, "of"), substitute.of, capabilities, "the capabilities of the fleet")
         yield from _known(("substitutes", at, "by"), substitute.by, capabilities, "the capabilities of the fleet")
         before = [one.of for one in fleet.substitutes[:at]]
-        yield from _first(("substitutes", at, "of"), substitute.of, before, "another substitute of it")
+        yield from _first(("substitutes", at, "of"), substitute.of, before, "another substitute for it")
     yield from _problems_of_trust(fleet)
     for at, policy in enumerate(fleet.policies):
         yield from _known(("policies", at, "role"), policy.role, fleet.roles, "the roles of the fleet")
@@ -63,19 +63,19 @@ def _problems_of_capabilities(fleet: Fleet, names: Sequence[str]) -> Iterator[Pr
     lengths = dict(DURATIONS)
     for at, capability in enumerate(fleet.capabilities):
         about: Field = ("capabilities", at)
-        yield from _named((*about, "name"), capability.name, _CAPABILITY, "a name with a dot in it, as door.open")
+        yield from _named((*about, "name"), capability.name, _CAPABILITY, "a name with a dot in it, such as door.open")
         yield from _first((*about, "name"), capability.name, names[:at], "another capability of this name")
         for number, condition in enumerate(capability.postconditions):
             field = (*about, "postconditions", number)
-            yield from _named(field, condition, _CONDITION, "a condition of small letters, as load.held")
-            yield from _first(field, condition, capability.postconditions[:number], "the same condition before")
+            yield from _named(field, condition, _CONDITION, "a condition in lowercase letters, such as load.held")
+            yield from _first(field, condition, capability.postconditions[:number], "the same condition")
         yield from _each((*about, "visible_to"), capability.visible_to, fleet.roles, "the roles of the fleet")
         if capability.lasts_s is None:
             if capability.name not in lengths:
-                yield Problem((*about, "lasts_s"), "nothing", "how long it takes, as lasts_s = [2.0, 6.0]")
+                yield Problem((*about, "lasts_s"), "nothing", "how long it takes, such as lasts_s = [2.0, 6.0]")
         elif not 0 <= capability.lasts_s[0] <= capability.lasts_s[1] <= END_US / 1e6:
             found = f"{capability.lasts_s[0]:g} to {capability.lasts_s[1]:g}"
-            yield Problem((*about, "lasts_s"), found, f"two lengths, the shorter first, of 0 to {END_US / 1e6:g} s")
+            yield Problem((*about, "lasts_s"), found, f"two durations, the shorter first, from 0 to {END_US / 1e6:g} s")
 
 
 def _problems_of_trust(fleet: Fleet) -> Iterator[Problem]:
@@ -87,7 +87,7 @@ def _problems_of_trust(fleet: Fleet) -> Iterator[Problem]:
         pairs = {(trust.role, trust.peer_role), *([(trust.peer_role, trust.role)] if trust.is_mutual else [])}
         if pairs & given:
             role, peer_role = min(pairs & given)
-            yield Problem((*about, "role"), f"trust of {role} in {peer_role} once more", "one entry for each pair")
+            yield Problem((*about, "role"), f"trust of {role} in {peer_role} a second time", "one entry for each pair")
         given |= pairs
 
 
@@ -104,14 +104,14 @@ def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:
         supervised = [one.name for one in fleet.robots if one.has_supervisor]
         yield from _each((*about, "robots"), spell.robots, supervised, "the robots that have a supervisor of their own")
         if not spell.robots and not supervised:
-            yield Problem(about, "a spell of nobody", "robots that have a supervisor of their own")
+            yield Problem(about, "a spell that concerns no supervisor", "robots that have a supervisor of their own")
 
 
 def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
     """Yield the problems of the scenario, by itself or for this fleet, in the order of its fields."""
-    yield from _named(("name",), scenario.name, _NAME, "a name of small letters, digits and -, as night-shift")
+    yield from _named(("name",), scenario.name, _NAME, "a name of lowercase letters, digits and -, such as night-shift")
     if scenario.name.startswith("workflow-"):
-        yield Problem(("name",), printable.value(scenario.name), "a name that does not begin as those of workflows do")
+        yield Problem(("name",), printable.value(scenario.name), "a name that does not begin like those of workflows")
     robots = {robot.name: robot for robot in fleet.robots}
     if not scenario.tasks:
         yield Problem(("tasks",), "none", "at least one task")
@@ -140,7 +140,7 @@ def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
         if not 1 <= injection.times <= MOST_TIMES:
             yield Problem((*about, "times"), str(injection.times), f"1 to {MOST_TIMES:,}")
     if (asked_times := sum(one.times for one in scenario.injections)) > MOST_TIMES:
-        yield Problem(("injections",), f"{asked_times:,} requests of a team", f"at most {MOST_TIMES:,}")
+        yield Problem(("injections",), f"{asked_times:,} requests per team", f"at most {MOST_TIMES:,}")
     yield from _each(("degradable",), scenario.degradable, robots, f"the robots of fleet {fleet.name}")
 
 
