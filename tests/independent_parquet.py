@@ -14,8 +14,8 @@ import pyarrow as pa
 from independent_pages import DELTA, PLAIN, RLE, RLE_DICTIONARY, assembled, ended, levels, read_values  # type: ignore[import-not-found]
 from independent_thrift import FOOTER, PAGE, Bytes  # type: ignore[import-not-found]
 
-MAX_FILE_BYTES, MAX_FOOTER_BYTES, MAX_HEADER_BYTES, MAX_BOUND_BYTES = 1 << 28, 1 << 20, 1 << 14, 1 << 12
-MAX_ROWS, MAX_PAGES, MAX_LIST_VALUES, MAX_UNPACKED_BYTES, MAX_TEXT_BYTES = 1 << 20, 1 << 10, 1 << 23, 1 << 29, 1 << 29
+MAX_FILE_BYTES, MAX_FOOTER_BYTES, MAX_HEADER_BYTES, MAX_BOUND_BYTES = 1 << 27, 1 << 20, 1 << 14, 1 << 12
+MAX_ROWS, MAX_PAGES, MAX_LIST_VALUES, MAX_UNPACKED_BYTES, MAX_TEXT_BYTES = 1 << 20, 1 << 10, 1 << 22, 1 << 27, 1 << 29
 ZSTD = 6
 BOOLEAN, INT64, BYTE_ARRAY = 0, 2, 6
 REQUIRED, OPTIONAL, REPEATED = 0, 1, 2
@@ -85,12 +85,14 @@ def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, Values]]:
     )
     must(group["stored_bytes"], sum(column["stored_bytes"] for column in columns), "stored bytes of the row group")
     must(any(chunk["file_offset"] for chunk in group["chunks"]), False, "a place of a column's metadata")
-    at, values, unpacked = 4, {}, 0
+    at, values, unpacked, listed = 4, {}, 0, 0
     for leaf, column in zip(leaves, columns, strict=True):
         try:
             pages = list(read_layout(data[: -8 - length], at, leaf, column, rows))
             unpacked += column["unpacked_bytes"]
+            listed += column["num_values"] - rows
             must(unpacked <= MAX_UNPACKED_BYTES, True, "so much unpacked")
+            must(listed <= MAX_LIST_VALUES, True, "so many values of lists")
             values[leaf.path[0]] = read_column(leaf, column, pages, rows)
         except (ValueError, OSError, pa.ArrowException) as error:
             raise ValueError(f"column {leaf.path[0]}: {error}") from error
@@ -172,7 +174,7 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
         "offsets and unpacked bytes",
     )
     must((column["num_values"], values if leaf.repetition else rows), (values, values), "values")
-    must(values <= (MAX_LIST_VALUES if leaf.repetition else MAX_ROWS), True, "so many values:")
+    must(values <= rows + (MAX_LIST_VALUES if leaf.repetition else 0), True, "so many values:")
     stats = [((each["page_type"], each["encoding"]), each["count"]) for each in column["encoding_stats"]]
     must(
         stats,

@@ -1,3 +1,4 @@
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import cast
@@ -14,6 +15,7 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.grammar import path_of
 from fsar_ledger.ledger.rows.layout import check_layout, read_file
 from fsar_ledger.ledger.rows.schema import COLUMNS
+from tests.ledger.agreement import ROOT, independent
 from tests.ledger.hostile import lying_pages, written
 from tests.ledger.parts import Parts
 from tests.ledger.samples import made_up_run
@@ -115,6 +117,20 @@ def test_pages_have_bounds(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         with monkeypatch.context() as patch:
             patch.setattr(bounds, name, least)
             assert message in refusal(file, TABLE, data_page_size=100, max_rows_per_page=20)
+
+
+def test_the_page_and_the_independent_reader_name_the_bounds_of_the_package() -> None:
+    reader = independent().independent_parquet
+    own = {name: value for name, value in vars(bounds).items() if name.startswith("MAX_")}
+    own["MAX_FILE_BYTES"] = own.pop("MAX_SEGMENT_BYTES")
+    shared = sorted(own.keys() & vars(reader).keys())
+    assert len(shared) == 8
+    assert [getattr(reader, name) for name in shared] == [own[name] for name in shared]
+    page = (ROOT / "docs" / "ledger-format.md").read_text("utf-8")
+    said = " ".join(page[page.index("**Bounds**") :].partition("\n\n")[0].split())
+    named = ("FILE_BYTES", "FOOTER_BYTES", "ROWS", "PAGES", "LIST_VALUES", "UNPACKED_BYTES", "TEXT_BYTES")
+    written_as = {f"MAX_{name}": f"2^{own[f'MAX_{name}'].bit_length() - 1}" for name in named} | {"MAX_PAGES": "1,024"}
+    assert re.findall(r"2\^\d+|\d,\d+", said) == [written_as[f"MAX_{name}"] for name in named]
 
 
 def test_front_coded_strings_are_refused(file: Path) -> None:
