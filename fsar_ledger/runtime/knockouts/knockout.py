@@ -96,7 +96,7 @@ def leaving_out(kind: type[Event], command: type[Command]) -> ChangeTable:
 
 
 def decided_by(event: Event, robot: Robot | None) -> Event:
-    """Return the event with this robot, or nobody, on record as the one that decided."""
+    """Return the event with this robot, or nobody, recorded as the decider."""
     return with_columns(event, decided_by=robot, path=() if robot is None else (robot,))
 
 
