@@ -12,7 +12,6 @@ from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.dhma.agents import (
     EngagePlanner,
     TakeSnapshot,
-    close_execution,
     engage_planner,
     take_snapshot,
 )
@@ -46,6 +45,7 @@ from fsar_ledger.runtime.architectures.dhma.request import (
     call_for_proposals,
     evaluate_bid,
 )
+from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import (
     CloseExecution,
     DecideRoutine,

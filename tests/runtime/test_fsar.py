@@ -13,7 +13,6 @@ from fsar_ledger.events.world import (
 from fsar_ledger.projections.fold import apply
 from fsar_ledger.runtime.architectures.fsar.authority import (
     Revoke,
-    close_execution,
     revoke,
 )
 from fsar_ledger.runtime.architectures.fsar.discovery import DetectGap, QueryRegistry, detect_gap, query_registry
@@ -25,6 +24,7 @@ from fsar_ledger.runtime.architectures.fsar.request import (
     issue_request,
     take_turn,
 )
+from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.commands import (
     CloseExecution,
     DecideRoutine,

@@ -42,7 +42,7 @@ def helping(_state: State, command: _OfHelper) -> Robot:
 
 
 def body(state: State, command: _OfAction) -> Robot | None:
-    """Return the robot at which the action is."""
+    """Return the robot that has the action."""
     action = state.execution.actions.get(command.action_id)
     return None if action is None else action.robot
 

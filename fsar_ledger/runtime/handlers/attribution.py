@@ -22,7 +22,7 @@ def on_shift(fleet: Fleet, world: World, robot: Robot) -> Supervisor | None:
 def recorded_by(
     fleet: Fleet, world: World, robot: Robot, *, requested_by: Principal | None, executed_by: Robot | None
 ) -> Parties:
-    """Return whom a record that this robot makes names: besides these two, its supervisor on shift."""
+    """Return whom the robot's record names: these two, and its own supervisor while on shift."""
     return Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=on_shift(fleet, world, robot))
 
 
@@ -46,7 +46,7 @@ def parties(fleet: Fleet, world: World, action: Action) -> Parties:
 
 
 def is_injected(action: Action) -> bool:
-    """Tell whether an injected out-of-trust request is executed, which is no step of any task."""
+    """Tell whether the action executes an injected out-of-trust request, which is no step of a task."""
     return action.step == 0
 
 
@@ -105,7 +105,7 @@ def means(fleet: Fleet, capability: str) -> tuple[str, ...]:
 
 
 def family(capability: str) -> str:
-    """Return the pattern of a capability's kind, by which peers are sought: `grasp.robust` is of `grasp.*`."""
+    """Return the pattern of the capability's family, such as `grasp.*` for `grasp.robust`."""
     return capability.partition(".")[0] + ".*"
 
 

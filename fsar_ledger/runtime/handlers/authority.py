@@ -226,7 +226,7 @@ def _unknown(fleet: Fleet, registry: Registry, command: GrantAuthority | RevokeA
 
 
 def _latest(authority: Authority, about: AuthorityRevoked) -> Right | None:
-    """Return the last right about exactly this."""
+    """Return the last right with the same robots, capability and context."""
     return next((right for right in reversed(authority.rights) if _subject(right) == _subject(about)), None)
 
 
@@ -245,7 +245,7 @@ def _covers(right: Right, command: GrantAuthority | RevokeAuthority) -> bool:
 
 
 def _overlaps(right: Right, command: GrantAuthority) -> bool:
-    """Tell whether some request is subject to both."""
+    """Tell whether the right and the command can concern the same request."""
     pairs = (
         (right.executed_by, command.executor),
         (right.capability, command.capability),
@@ -279,7 +279,7 @@ def _in_context(authority: Authority, context: str) -> tuple[AuthorityGranted, .
 
 
 def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
-    """Return what the robot has admitted of the peer and would not admit again for lack of trust.
+    """Return the actions that the robot admitted for the peer and would now refuse for lack of trust.
 
     The peer is the requester or the relay.
     """
@@ -322,7 +322,7 @@ DECIDES: Decides = {
 
 
 def _on_role_trust(state: State, event: RoleTrustSet, _now_us: int) -> tuple[Scheduled, ...]:
-    """Do as `_on_trust`, for each pair of the roles in which something is in hand."""
+    """Revoke as `_on_trust` does, for each pair of these roles that has an action in hand."""
     asking = [
         (action, state.request.get(action.action_id))
         for action in state.execution.actions.values()

@@ -62,7 +62,7 @@ def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> 
 
 
 def queued(request: Request, parties: Parties, robot: Robot, override: OverrideLevel = "none") -> ExecutionQueued:
-    """Return the fact that the step waits for its turn at the robot, which approaches for another's step first."""
+    """Return the fact that the step waits for its turn at the robot; a delegated step has an approach first."""
     return ExecutionQueued(
         subject=request.subject,
         principals=parties,
@@ -79,7 +79,7 @@ def queued(request: Request, parties: Parties, robot: Robot, override: OverrideL
 
 
 def waiting(execution: Execution, action_id: str) -> Action | None:
-    """Return the action if it has not started and nothing but its turn or its robot's approach is waited for."""
+    """Return the action if it waits for its turn or for its robot's approach, else None."""
     action = execution.actions.get(action_id)
     return action if action is not None and action.stage in ("queued", "approaching") else None
 
@@ -98,7 +98,7 @@ def started(fleet: Fleet, world: World, action: Action, command: StartAction) ->
 
 
 def approach(state: State, command: TakeTurn) -> tuple[Event, ...]:
-    """Let the robot approach, which nobody has to agree to any more."""
+    """Start the robot's approach, which needs no further consent."""
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "queued":
         return ()
@@ -202,7 +202,7 @@ def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us
 def _in_stage(
     execution: Execution, robot: Robot, stage: Stage, command: Callable[[str], Command]
 ) -> tuple[Scheduled, ...]:
-    """Schedule the command about what the robot has in hand, if that is in this stage."""
+    """Schedule the command for the action that the robot has in hand, if it is in this stage."""
     action = in_hand(execution, robot)
     return (Scheduled(command(action.action_id)),) if action is not None and action.stage == stage else ()
 

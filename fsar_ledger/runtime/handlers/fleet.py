@@ -160,12 +160,12 @@ def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, .
 
 
 def not_possessed(registry: Registry, robot: Robot, capability: str) -> str | None:
-    """Return why to reject what needs the capability at the robot, or None while it possesses it."""
+    """Return why to reject a command that needs the robot's capability, or None if it possesses it."""
     return None if possesses(registry, robot, capability) else f"{robot} does not possess {capability}"
 
 
 def in_use(execution: Execution, robot: Robot, capability: str) -> str | None:
-    """Return why to leave the capability alone, an action at the robot that needs it, or None."""
+    """Return why the capability cannot be changed now, or None: an action at the robot needs it."""
     for name in (execution.current.get(robot, ""), *execution.queues.get(robot, ())):
         action = execution.actions.get(name)
         if action is not None and action.capability == capability:

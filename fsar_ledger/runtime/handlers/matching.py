@@ -47,7 +47,7 @@ def _sign(wanted: str) -> str:
 
 
 def _breaking(version: Version, given: int) -> Version:
-    """Return the next version that may break what relied on this one, of which so many numbers were given."""
+    """Return the next version that may be incompatible; `given` is how many numbers the range states."""
     major, minor, patch = version
     if major > 0 or given == 1:
         return major + 1, 0, 0

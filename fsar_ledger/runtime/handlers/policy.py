@@ -71,9 +71,7 @@ def compose(
     """Compose Pi: the requester's policy as carried by the request, the executor's own and the fleet's.
 
     Without policy composition, the executor's own alone counts: the ablation removes composition between robots, so a
-    robot's own steps and routine keep the fleet's rule. Paper: eq:policy. Without policy composition the executor's own
-    alone: what the ablation removes is composition between robots, so a robot's own steps and routine keep the fleet's
-    rule.
+    robot's own steps and routine keep the fleet's rule. Paper: eq:policy.
     """
     own = own_policy(state.policy, state.world, executor, capability, context)
     if "policy-composition" in state.fleet.without:
@@ -151,7 +149,7 @@ def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
 def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Event, ...]:
     """Set the fleet's rule for the robots of the role.
 
-    A rule about the same for the very robot goes before it. Paper: app:foundations.
+    A rule for a robot by name takes precedence. Paper: app:foundations.
     """
     inside = [robot for robot in state.fleet.robots.values() if is_within(robot.domain, command.domain)]
     refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
@@ -180,7 +178,7 @@ def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Even
 
 
 def _unfit(fleet: Fleet, command: SetPolicyRule) -> str | None:
-    """Return why this supervisor may not set this rule, or why there is no such rule; or None."""
+    """Return why the supervisor may not set this rule, or why no such rule exists, or None."""
     if command.scope not in get_args(PolicyScope) or command.outcome not in get_args(PolicyOutcome):
         return f"found {command.scope} {command.outcome}, expected local or fleet, and allow, deny or review"
     if command.scope == "fleet":

@@ -95,7 +95,7 @@ def _impossible(command: SetRecoveryBudget) -> str | None:
 
 
 def failed(action: Action, cause: FailureCause, now_us: int) -> ExecutionFailed:
-    """Return the fact that the running action fails now, with what was left of its execution."""
+    """Return the fact that the running action fails now, and how much of its execution was left."""
     return ExecutionFailed(
         subject=action.subject,
         robot=action.robot,

@@ -277,7 +277,7 @@ class CacheRegistry(PublicCommand):
 
 
 def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
-    """Answer from the registry; that nobody offers the capability is an answer too."""
+    """Answer from the registry; finding nobody is an answer too."""
     query = command.query
     wrong = unknown_robot(state.fleet, query.requester, command.cache_holder) or _malformed(query)
     if wrong is None and command.cache_holder is not None and command.cache_holder not in state.registry.caches:
@@ -314,7 +314,7 @@ def _malformed(query: Query) -> str | None:
 
 
 def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
-    """Give the holder a copy as of now."""
+    """Give the holder a copy of the registry as it is now."""
     wrong = unknown_robot(state.fleet, command.holder)
     if wrong is not None:
         return rejected(command, command.holder, wrong, command.holder)

@@ -25,7 +25,7 @@ def unknown_robot(fleet: Fleet, *robots: str | None) -> str | None:
 
 
 def unknown_supervisor(fleet: Fleet, supervisor: Supervisor | None) -> str | None:
-    """Return why to reject a command in the name of somebody who supervises nothing here, or None."""
+    """Return why to reject a command from a supervisor unknown in this fleet, or None."""
     if supervisor == FLEET_SUPERVISOR or (
         supervisor is not None and any(supervisor == robot.supervisor for robot in fleet.robots.values())
     ):
@@ -63,7 +63,7 @@ def unknown_capability(registry: Registry, capability: str | None) -> str | None
 
 
 def unknown_word(what: str, found: str | None, known: Iterable[str]) -> str | None:
-    """Return why to reject a command with a word that is none of those, or None when it is one."""
+    """Return why to reject a command with this word, or None if it is a known one."""
     known = tuple(known)
     return None if found in known else f"unknown {what} {found}, expected one of {', '.join(known)}"
 

@@ -191,7 +191,7 @@ def _not_executed(request: Request | None) -> str:
 
 
 def _not_reportable(registry: Registry, action: Action, command: ReportResult) -> str | None:
-    """Return why this is no result that the executor can report now, or None.
+    """Return why the executor cannot report this result now, or None.
 
     A failure is first handled by its own recovery.
     """

@@ -68,7 +68,7 @@ def is_due_for_review(supervision: Supervision, executor: Robot) -> bool:
 
 
 def requester_of(request: Request) -> Robot | None:
-    """Return the requester, whom a record of the answer names."""
+    """Return the requester, for the record of the answer."""
     return request.requester
 
 
@@ -89,7 +89,7 @@ def respond(state: State, command: Respond, name_requester: NameRequester = requ
 def respond_to_call(
     state: State, command: RespondToCall, name_requester: NameRequester = requester_of
 ) -> tuple[Event, ...]:
-    """Answer the open call as the supervisor it went to."""
+    """Answer the open call as the supervisor who was called."""
     unknown = not_in_charge(state.fleet, command.supervisor, None)
     if unknown is not None:
         return rejected(command, command.action_id, unknown, command.supervisor)
@@ -166,7 +166,7 @@ def set_supervision_density(state: State, command: SetSupervisionDensity) -> tup
 
 
 def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
-    """Return the robot that calls: the executor, or the robot whose step it is before there is one."""
+    """Schedule the response to the executor's call; before there is an executor, the requester calls."""
     action, request = state.execution.actions.get(event.subject.action_id), state.request.get(event.subject.action_id)
     if action is not None:
         return awaiting(state, event, action.robot)

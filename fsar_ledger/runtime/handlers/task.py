@@ -86,7 +86,7 @@ def _is_named(requests: Requests, task_id: str) -> bool:
 
 
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
-    """Begin the task's next step, complete the task, or give it up after twice its budget.
+    """Begin the task's next step, complete the task, or give it up after so many budgets.
 
     Nothing if the task has moved on by another way.
     """
@@ -112,7 +112,7 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
 
 
 def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
-    """Give the task up; nobody who waited for an answer gets one."""
+    """Give up the task, if it is still open."""
     return () if state.task.get(command.task_id) is None else (TaskAbandoned(command.task_id),)
 
 
@@ -143,7 +143,7 @@ def first_in_order(requests: Requests, tasks: Tasks, call: SupervisorCalled) -> 
 
 
 def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
-    """Schedule the next step; where another robot acts in it, the one that acted in this one tells it."""
+    """Schedule the next step; if another robot acts in it, the robot that acted in this one tells it."""
     task = state.task[event.subject.task_id]
     is_last = task.step == len(task.steps)
     before = acting(task, task.step - 1)

@@ -119,7 +119,7 @@ def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
 
 
 def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
-    """Set the trust between the roles, where nothing is set for the very pair. Paper: eq:trust."""
+    """Set the trust between the roles, for pairs without an entry of their own. Paper: eq:trust."""
     members = state.fleet.robots.values()
     inside = [robot for robot in members if is_within(robot.domain, command.domain)]
     refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)

@@ -38,7 +38,7 @@ class EndClaims(Command):
 
 
 def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
-    """Withdraw what the robot has of the task and has not begun, with every claim on it."""
+    """Withdraw the actions of the task that the robot has not begun, and release every claim on them."""
     waiting = [
         action for action in _waiting(state.execution, state.request, command.task_id) if action.robot == command.robot
     ]
@@ -51,7 +51,7 @@ def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
 
 
 def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
-    """Release the claims on what nobody does."""
+    """Release the claims on actions that no robot has."""
     never = {
         name for name in state.authority.claims if name not in state.execution.actions and name not in state.request
     }
@@ -59,7 +59,7 @@ def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
 
 
 def _waiting(execution: Execution, requests: Requests, task_id: str) -> list[Action]:
-    """Return what robots have of the task and have not begun."""
+    """Return the actions of the task that robots have and have not begun."""
     return [
         action
         for action in execution.actions.values()

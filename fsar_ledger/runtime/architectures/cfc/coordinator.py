@@ -50,12 +50,12 @@ class ProcessWork(Command):
 
 
 def by_coordinator(executor: Robot | None) -> Principals:
-    """Return the principals of what the coordinator decides before an action is commanded: it records no requester."""
+    """Return the principals of a decision before an action is commanded: the coordinator records no requester."""
     return Parties(requested_by=None, executed_by=executor, supervised_by=FLEET_SUPERVISOR).decided(COORDINATOR)
 
 
 def to_coordinator(action_id: str, item: str, draw: Draw) -> Scheduled:
-    """Schedule word of the action to the coordinator, one message away."""
+    """Send the coordinator a message about the action."""
     return Scheduled(ReachCoordinator(action_id, item), 0, (draw,))
 
 
@@ -114,7 +114,7 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
 def reach_coordinator(
     state: State, command: ReachCoordinator
 ) -> tuple[GapDetected | WorkQueued | RequestDenied | TaskAbandoned, ...]:
-    """Queue the item for the coordinator; record a gap without who has it.
+    """Queue the item for the coordinator; record a gap without naming the robot that has it.
 
     The coordinator knows its own queue, so it gives up at once a step that it would only reach after the task is given
     up. A queue that grows faster than it is served therefore stays as long as tasks last. The denial of such a step

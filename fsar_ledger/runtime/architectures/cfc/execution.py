@@ -118,7 +118,7 @@ def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> 
 
 
 def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:
-    """Tell the coordinator of the pause with the next sync."""
+    """Tell the coordinator about the pause at the next sync."""
     return (
         Scheduled(
             ReachCoordinator(event.subject.action_id, "replan"),

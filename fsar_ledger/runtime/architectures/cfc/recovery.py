@@ -176,7 +176,7 @@ def _report(
     item: str,
     hop: str,
 ) -> tuple[Scheduled, ...]:
-    """Schedule the robot's word to the coordinator about this failure."""
+    """Send the coordinator the robot's message about this failure."""
     action_id = event.subject.action_id
     return (to_coordinator(action_id, item, message(sender, f"{action_id}/{event.failure}", hop)),)
 

@@ -192,7 +192,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
 
 
 def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
-    """Let the second command wait its turn and release its claim on the running action."""
+    """Queue the second command and release its claim on the running action."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
@@ -225,7 +225,7 @@ def _complete(requests: Requests, command: ProcessWork) -> tuple[Event, ...]:
 
 
 def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
-    """Deny a request without trust at the coordinator."""
+    """Deny the outsider's request for lack of trust."""
     request = state.request[command.action_id]
     return (
         GapDetected(

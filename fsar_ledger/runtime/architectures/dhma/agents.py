@@ -49,7 +49,7 @@ def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
 
 
 def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
-    """Let every agent that is party to an open action of the robot claim override until the action ends."""
+    """Make every agent that is party to an open action of the robot claim override until the action ends."""
     robot = command.robot
     made: list[Event] = [PlannerEngaged(robot, command.now_us + state.fleet.structure.engagement_us)]
     for action in state.execution.actions.values():
@@ -72,7 +72,7 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
 
 
 def _has_started(execution: Execution, request: Request) -> bool:
-    """Tell whether no contract is left to question: the action runs, has ended, or is an outsider's."""
+    """Tell whether it is too late to question the contract: the action runs, has ended, or is an outsider's."""
     if request.step == 0:
         return True
     action = execution.actions.get(request.action_id)
@@ -84,7 +84,7 @@ def _has_started(execution: Execution, request: Request) -> bool:
 def claims(
     authority: Authority, action: Action, dimension: Any, claimants: tuple[Agent, ...], reason: str
 ) -> list[AuthorityClaimed]:
-    """Return the claims that these agents make and do not hold already."""
+    """Return the claims by these agents that they do not hold already."""
     known = {(claim.dimension, claim.claimant, claim.reason) for claim in authority.claims.get(action.action_id, ())}
     return [
         AuthorityClaimed(action.subject, dimension, claimant, reason)

@@ -135,7 +135,7 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
 
 
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
-    """Replan through the robot's agents, and for a delegated action through the other robot's as well."""
+    """Replan through the robot's agents; a delegated action also needs the other robot's agents."""
     structure = state.fleet.structure
     action = state.execution.actions[event.subject.action_id]
     key = f"{event.subject.action_id}/replan{action.segments}"

@@ -48,7 +48,7 @@ LONGEST = 3  # a call that is delivered within the answer time, and two hops, ar
 
 
 def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
-    """Deliver the call to the candidate, whose agents work out a bid; `before` comes first."""
+    """Deliver the call to the candidate, whose agents work out a bid. The draws `before` come first."""
     key = f"{request.action_id}/{request.round}/{robot}"
     said, record = talk(fleet, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
     return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)

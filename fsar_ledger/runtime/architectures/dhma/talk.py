@@ -56,7 +56,7 @@ class HandOver(Command):
 
 
 def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
-    """Record each hop; no message says for whom the work is."""
+    """Record each hop, without a requester: no message between agents names one."""
     names = path(command.robot, command.agents)
     parties = recorded_by(state.fleet, state.world, command.robot, requested_by=None, executed_by=command.robot)
     return tuple(InternalHandoff(parties, names[place], names[place + 1]) for place in range(len(names) - 1))

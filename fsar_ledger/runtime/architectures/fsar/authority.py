@@ -135,7 +135,7 @@ def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) ->
 
 
 def _on_meeting(state: State, event: PeersMet, _now_us: int) -> tuple[Scheduled, ...]:
-    """Schedule the acquaintance of two robots, if they can hear each other."""
+    """Let two robots that meet remember each other, if both are linked."""
     if "shared-registry" not in state.fleet.without or not all(
         is_linked(state.world, one) for one in (event.robot, event.peer)
     ):

@@ -37,7 +37,7 @@ class ReportBack(Command):
 
 
 def found_silent(fleet: Fleet, registry: Registry, robots: Iterable[Robot]) -> tuple[AvailabilityChanged, ...]:
-    """Set those who did not answer offline in the registry, if it is in use."""
+    """Mark the robots that did not answer as offline in the registry, if there is one."""
     if "shared-registry" in fleet.without:
         return ()
     news = [robot for robot in dict.fromkeys(robots) if robot not in registry.silent and any(surface(registry, robot))]

@@ -51,7 +51,7 @@ def put_in_order(state: State, request: Request, executor: Robot, principals: Pr
 
 
 def in_order(contention: Contention, action_id: str, preferred: str | None) -> tuple[str, ...]:
-    """Return the requests that waited for H_F's answer about this action, in the order given."""
+    """Return the requests that waited for H_F's answer about this action, in the order that H_F gave."""
     called = [pair for pair in contention.orders if pair[0] == action_id]
     if not called:
         return ()

@@ -55,7 +55,7 @@ def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
 
 
 def _untrusting(state: State, query: Query, answer: Answer) -> list[Robot]:
-    """Return the robots that only trust left out, nearest team first.
+    """Return the robots that were left out for lack of trust alone, nearest team first.
 
     A peer that both sides trust may ask them.
     """
@@ -148,7 +148,7 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
 
 
 def unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | None = None) -> RequestUnanswered:
-    """Record that nobody is known to ask, or that this executor did not answer."""
+    """Return the fact that the requester knows nobody to ask, or that this executor did not answer."""
     robot = request.requester
     return RequestUnanswered(
         request.subject,

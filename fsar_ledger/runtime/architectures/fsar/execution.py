@@ -61,7 +61,7 @@ def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
 
 
 def ready(execution: Execution, action_id: str) -> Action | None:
-    """Return the action if it has its robot and may be started, or None."""
+    """Return the action if it holds its robot and can be started, else None."""
     action = execution.actions.get(action_id)
     if (
         action is None
@@ -143,7 +143,7 @@ def _on_window_closed(state: State, event: PolicyWindowClosed, now_us: int) -> t
 
 
 def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: int) -> tuple[Scheduled, ...]:
-    """Try again what waits for a robot's own policy; what waits for the fleet's rule polls by itself."""
+    """Retry actions that wait for a robot's own policy; those that wait for the fleet's rule poll by themselves."""
     if event.scope == "fleet":
         return ()
     robots = (

@@ -172,7 +172,7 @@ def _first(
 def _chosen(
     state: State, action: Action, asking: Robot, able: list[Candidate], kind: str, carried: PolicyOutcome | None
 ) -> Found:
-    """Return the choice among those that answer."""
+    """Return the first idle candidate that answers and passes every check, or the check that left nobody."""
     if not able:
         return Found(None, NO_ANSWER)
     trusted = [one for one in able if one.left_out_by != "trust"]
@@ -188,7 +188,7 @@ def _chosen(
 
 
 def _is_allowed(state: State, asking: Robot, one: Candidate, action: Action, carried: PolicyOutcome | None) -> bool:
-    """Tell whether the asking robot's policy, and what the request carried, compose to allow."""
+    """Tell whether every policy allows it: the asking robot's, the carried one, the executor's and the fleet's."""
     for capability in {one.capability, action.capability}:
         about = (capability, action.task_id)
         own = own_policy(state.policy, state.world, asking, *about)

@@ -282,7 +282,7 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
 
 
 def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> tuple[Event, ...]:
-    """Call H_i about the robot's own matter, H_F about what concerns others. Paper: sec:model:recovery, level 4."""
+    """Call H_i if only the robot is concerned, else H_F. Paper: sec:model:recovery, level 4."""
     supervisor = supervisor_for(state.fleet, state.world, action.robot, is_cross_robot(state.task, action))
     called = SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery")
     principals = Principals(  # the service does not decide here, it passes on

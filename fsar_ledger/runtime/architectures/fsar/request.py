@@ -105,7 +105,7 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
 
 
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
-    """Pass the request on with the peer's policy composed, or deny this link of the chain. Paper: eq:nontransitive."""
+    """Pass the request on with the relay's policy added, or let the relay deny it. Paper: eq:nontransitive."""
     request = state.request.get(command.action_id)
     if request is None or request.relay is None:
         return ()
@@ -206,7 +206,7 @@ def _judged(
 
 
 def _parties(fleet: Fleet, world: World, request: Request, executor: Robot) -> Parties:
-    """Return whom the record of what the executor does with the request names."""
+    """Return whom the executor's records of the request name."""
     return recorded_by(fleet, world, executor, requested_by=request.requester, executed_by=executor)
 
 
