@@ -25,7 +25,7 @@ import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
 from numpy.typing import NDArray
 
-from .naming import constants_of, default_of
+from .constant_names import constants_of, default_of
 
 Vector = NDArray[np.float64]
 

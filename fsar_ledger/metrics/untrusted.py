@@ -1,6 +1,6 @@
 """SQL that anyone may have written, run where it can read one ledger and do nothing else.
 
-A process of its own (`locked.py`) holds the committed segments as one registered dataset, gives up every other right,
+A process of its own (`sandbox.py`) holds the committed segments as one registered dataset, gives up every other right,
 and runs exactly one SELECT or EXPLAIN under limits of memory and processor time; this side kills it at a wall-clock
 limit. What comes back is Arrow data, never pickled objects.
 """
@@ -26,7 +26,7 @@ from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.read import Head
 
 from .database import SHOWN, first_damage, plain_rows
-from .locked import GRACE_S, Limits, Question, Refusal
+from .sandbox import GRACE_S, Limits, Question, Refusal
 from .verified import is_verified
 
 ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -40,7 +40,7 @@ NEEDED = ("LD_LIBRARY_PATH",)
 
 START = (
     "import gc, json, os, sys; gc.disable(); sys.path[:] = json.loads(sys.argv[1]); "
-    "from fsar_ledger.metrics.locked import answer; gc.enable(); answer(int(sys.argv[2])); os._exit(0)"
+    "from fsar_ledger.metrics.sandbox import answer; gc.enable(); answer(int(sys.argv[2])); os._exit(0)"
 )
 """Imports make no garbage worth looking for, and what the process holds need not be put away: it only ends."""
 

@@ -20,7 +20,7 @@ from fsar_ledger.registration import registration
 
 from .definitions import published_metrics
 from .odds import Cell, Odds, Printed
-from .printed import printed
+from .paper_numbers import printed
 from .results import MetricRow
 
 Answer = Literal["yes", "no", "undecided"]

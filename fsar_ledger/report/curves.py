@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 from fsar_ledger.metrics.definitions import Metric, metric_named
-from fsar_ledger.metrics.printed import printed
+from fsar_ledger.metrics.paper_numbers import printed
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.figures import COLOURS, DIAMOND, HEADROOM, Row, canvas, rendered
 

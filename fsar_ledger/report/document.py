@@ -13,8 +13,8 @@ from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.registration import registration
 from fsar_ledger.report import (
+    all_readings,
     contradictions,
-    everyway,
     figures,
     mechanisms,
     numbers,
@@ -24,7 +24,7 @@ from fsar_ledger.report import (
     provenance,
     sections,
     sequence,
-    specification,
+    specification_curves,
     specs,
 )
 from fsar_ledger.report.calibration import Record
@@ -270,7 +270,9 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
 
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
     tables |= (
-        sections.tables(findings, sourced) | mechanisms.tables(findings, sourced) | everyway.tables(findings.multiverse)
+        sections.tables(findings, sourced)
+        | mechanisms.tables(findings, sourced)
+        | all_readings.tables(findings.multiverse)
     )
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
     rows, foretold = counted(findings, record), predictions.outcomes(findings)
@@ -291,7 +293,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
         "differing": [printing.words(one, MAX_DIFFERING) for one in findings.differing],
         "answer": _sayable(answer(findings)),
         "said": numbers.said(rows),
-        "every_way": everyway.said(findings.multiverse),
+        "every_way": all_readings.said(findings.multiverse),
         "tables": tables,
         "figures": {name: _figure(findings, name) for name in _drawers(findings)}
         | ({"sensitivity": _figure(findings, "sensitivity") | {"source": ""}} if effects and effects.figure else {}),
@@ -331,7 +333,7 @@ def _drawers(findings: Findings) -> dict[str, sections.Drawer]:
     if flows is not None and flows.recovery:
         found["workflow-layered-recovery"] = partial(sequence.ladder, flows.recovery)
     if findings.multiverse is not None:
-        found["specification-curves"] = partial(specification.curves, findings.multiverse)
+        found["specification-curves"] = partial(specification_curves.curves, findings.multiverse)
     return found | sections.drawers(findings)
 
 

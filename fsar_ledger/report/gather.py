@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from fsar_ledger.metrics import verdicts
-from fsar_ledger.metrics.comparing import differing_worlds
+from fsar_ledger.metrics.comparability import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.models import models
@@ -19,7 +19,7 @@ from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import cases, everyway, grades, printing, whole
+from fsar_ledger.report import all_readings, cases, grades, printing, run_shape
 from fsar_ledger.report.findings import (
     MAIN_CONFIGURATION,
     MAIN_FLEET_SIZE,
@@ -27,8 +27,8 @@ from fsar_ledger.report.findings import (
     Row,
     Source,
 )
-from fsar_ledger.report.others import held, others
-from fsar_ledger.report.rows import cells_of, rule_of, scenarios_of, tests_of
+from fsar_ledger.report.other_ledgers import read_database, read_ledgers
+from fsar_ledger.report.result_rows import cells_of, rule_of, scenarios_of, tests_of
 
 QUERIES = (
     "metrics/metric_summary",
@@ -278,7 +278,7 @@ def gather(
         QueryFailed: A packaged query fails on this ledger's data.
     """
     named = {**({} if workflows is None else {workflows: None}), **(beside or {})}
-    told = others(named, workflows, pools_seeds=pools_seeds)  # first: some may be mistakes
+    told = read_ledgers(named, workflows, pools_seeds=pools_seeds)  # first: some may be mistakes
     with connect(ledger, demanded=demanded) as database:
         head = database.head
         every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
@@ -286,11 +286,11 @@ def gather(
         overall, by_scenario = ([row for row in rows if _setting(row) == main] for rows in (every, every_by_scenario))
         tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if _setting(row) == main]
         held_here = _held(database, main)
-        apart = whole.apart(*held_here)
+        unjudged = run_shape.unjudged(*held_here)
         drawn = _odds(database, main, held_here[0])
-        cells = cells_of(overall, apart, drawn)
+        cells = cells_of(overall, unjudged, drawn)
         kinds, parameters, digest = _models(database, main)
-        told = told.over(held(database, pools_seeds=pools_seeds))
+        told = told.or_else(read_database(database, pools_seeds=pools_seeds))
         otherwise, runs = _others(every, main), _runs(database)
         graded, background = _of_main(ledger, demanded, database, main, alone=not otherwise)
         return Findings(
@@ -299,17 +299,17 @@ def gather(
             root=head.root if head else "",
             run_count=sum(row["runs"] for row in runs),
             cells=cells,
-            tests=tests_of(tests, apart),
+            tests=tests_of(tests, unjudged),
             scenarios=scenarios_of(overall, by_scenario),
             rule=rule_of(cells),
-            table_share=drawn.table if drawn is not None and not apart else None,
+            table_share=drawn.table if drawn is not None and not unjudged else None,
             others=otherwise,
             runs=runs,
             models=kinds,
             parameters=parameters,
             parameters_sha256=digest,
-            sources=_sources(database, (*told.queries(), *(everyway.queries() if reads_every_way else ()))),
-            features=grades.features(graded, apart),
+            sources=_sources(database, (*told.queries(), *(all_readings.queries() if reads_every_way else ()))),
+            features=grades.features(graded, unjudged),
             evidence=tuple(graded),
             background=background,
             cases=cases.beside(_of_setting(database.rows(CASES_SQL), main)),
@@ -317,11 +317,11 @@ def gather(
             workflows=told.workflows,
             ablation=told.ablation,
             scaling=told.scaling,
-            multiverse=_read(database, main, pools_seeds=pools_seeds) if reads_every_way and not apart else None,
+            multiverse=_read(database, main, pools_seeds=pools_seeds) if reads_every_way and not unjudged else None,
             mechanisms=told.mechanisms,
             model_version=main[5] if main else None,
             shown=_shown(main, otherwise),
-            unjudged=whole.why_apart(*held_here),
+            unjudged=run_shape.why_unjudged(*held_here),
             differing=tuple(map(str, differing_worlds(database))),
         )
 
@@ -331,7 +331,7 @@ def _read(database: Database, main: Setting | None, *, pools_seeds: bool) -> Mul
     return (
         None
         if main is None
-        else everyway.every_way(database, dict(zip(SETTING, main, strict=True)), pools_seeds=pools_seeds)
+        else all_readings.multiverse_of(database, dict(zip(SETTING, main, strict=True)), pools_seeds=pools_seeds)
     )
 
 
@@ -362,7 +362,7 @@ def _held(
     if main is None:
         return {}, {}
     chosen = dict(zip(SETTING, main, strict=True))
-    return whole.held(database.rows(OF_MAIN_SQL, chosen), "architecture"), whole.held(
+    return run_shape.run_counts(database.rows(OF_MAIN_SQL, chosen), "architecture"), run_shape.run_counts(
         database.rows(PAIRS_OF_MAIN_SQL, chosen), "comparison"
     )
 

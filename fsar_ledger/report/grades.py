@@ -62,8 +62,8 @@ def graded(database: Database) -> list[Row]:
     ]
 
 
-def features(grades: Sequence[Row], apart: Collection[str] = ()) -> tuple[Row, ...]:
-    """The table "Architectural comparison" with our grades beside the paper's, no verdict on architectures apart.
+def features(grades: Sequence[Row], unjudged: Collection[str] = ()) -> tuple[Row, ...]:
+    """The table "Architectural comparison" with our grades beside the paper's, no verdict on architectures unjudged.
 
     Paper: tab:baseline_context.
     """
@@ -73,7 +73,7 @@ def features(grades: Sequence[Row], apart: Collection[str] = ()) -> tuple[Row, .
         pairs = {name: (printed[name.upper()], ours.get((printed["feature"], name))) for name in ARCHITECTURES}
         row: Row = {
             "feature": printed["feature"],
-            "verdict": verdict({name.upper(): pair for name, pair in pairs.items() if name not in apart}),
+            "verdict": verdict({name.upper(): pair for name, pair in pairs.items() if name not in unjudged}),
         }
         for name, (paper, grade) in pairs.items():
             row |= {f"{name}_paper": paper, f"{name}_ours": grade}

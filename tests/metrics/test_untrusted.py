@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed
 from fsar_ledger.metrics.definitions import metrics
-from fsar_ledger.metrics.locked import SLICE_BYTES, Limits, slices, weight
+from fsar_ledger.metrics.sandbox import SLICE_BYTES, Limits, slices, weight
 from fsar_ledger.metrics.untrusted import run_untrusted, stream_untrusted
 
 

@@ -19,7 +19,7 @@ MAX_SETS = 2
 """Combinations of readings that a cell of a table names; the others are counted."""
 
 
-def every_way(database: Database, setting: Row, *, pools_seeds: bool = False) -> Multiverse | None:
+def multiverse_of(database: Database, setting: Row, *, pools_seeds: bool = False) -> Multiverse | None:
     """Return the multiverse of all metrics for the three architectures, over the runs of this setting alone.
 
     None where there are none.

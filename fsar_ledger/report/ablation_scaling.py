@@ -16,11 +16,11 @@ from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, Value
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.odds import Printed, odds
+from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.plans import completeness
-from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.results import DialledRow, dialled_rows
 from fsar_ledger.registration import registration
-from fsar_ledger.report import printing, whole
+from fsar_ledger.report import printing, run_shape
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, Told
 
 QUERIES = ("metrics/metrics_by_dial", "statistics/drawn_experiments", "statistics/drawn_scenarios")
@@ -182,9 +182,9 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
     return cells
 
 
-def _is_shaped(place: Place, runs: Mapping[Shape, whole.Held]) -> bool:
+def _is_shaped(place: Place, runs: Mapping[Shape, run_shape.RunCounts]) -> bool:
     """Whether the runs are those that a printed number is over: of one scenario, or equally many of all."""
-    return place.scenario is not None or whole.is_whole(
+    return place.scenario is not None or run_shape.is_complete(
         runs.get((place.architecture, place.configuration, place.fleet_size), {})
     )
 
@@ -200,7 +200,7 @@ def _runs(table: Iterable[DialledRow]) -> dict[Shape, dict[str | None, int]]:
 
 
 def _shares(
-    database: Database, name: Table, rows: Sequence[DialledRow], runs: Mapping[Shape, whole.Held]
+    database: Database, name: Table, rows: Sequence[DialledRow], runs: Mapping[Shape, run_shape.RunCounts]
 ) -> dict[Place, float]:
     """Return how many of the experiments drawn from our runs print a number as far out.
 
@@ -230,7 +230,7 @@ def _shares(
     return {} if told is None else told.cells
 
 
-def _count(of_scenarios: whole.Held, place: Place) -> int:
+def _count(of_scenarios: run_shape.RunCounts, place: Place) -> int:
     """The fewest runs of a scenario that an experiment would be drawn from."""
     counts = of_scenarios if place.scenario is None else {place.scenario: of_scenarios.get(place.scenario, 0)}
     return min(counts.values(), default=0)
@@ -270,7 +270,7 @@ def _over_all(rows: Iterable[DialledRow]) -> list[DialledRow]:
         row
         for row in every
         if row.scenario is None
-        and whole.is_whole(
+        and run_shape.is_complete(
             shaped.get(((row.architecture or "", row.configuration or "", row.fleet_size or 0), row.teams_working), {})
         )
     ]

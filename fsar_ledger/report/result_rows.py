@@ -16,13 +16,13 @@ def _blank(cls: type[msgspec.Struct]) -> Row:
     return dict.fromkeys(cls.__struct_fields__)
 
 
-def cells_of(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell] | None) -> tuple[Row, ...]:
-    """Return the cells of the results table: ours beside the paper's, with the verdict; `apart` are not judged."""
+def cells_of(rows: Iterable[MetricRow], unjudged: Collection[str], drawn: Odds[Cell] | None) -> tuple[Row, ...]:
+    """Return the cells of the results table: ours beside the paper's, with the verdict; `unjudged` are not judged."""
     found = {(row.metric, row.architecture): row for row in rows}
     judged = {
         (one.metric, one.architecture): one
         for one in verdicts.compare(found.values(), drawn)
-        if one.architecture not in apart
+        if one.architecture not in unjudged
     }
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
     cells = []
@@ -60,8 +60,8 @@ def _judged(one: verdicts.Comparison | None) -> Row:
     }
 
 
-def tests_of(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, ...]:
-    """Return the pairwise tests beside those that the paper prints; comparisons `apart` are not judged."""
+def tests_of(rows: Iterable[StatisticRow], unjudged: Collection[str]) -> tuple[Row, ...]:
+    """Return the pairwise tests beside those that the paper prints; comparisons `unjudged` are not judged."""
     found = {(row.metric, row.comparison): row for row in rows}
     printed = {(row["metric"], row["comparison"]): row for row in specs.paper_table("significance")}
     tests = []
@@ -81,7 +81,7 @@ def tests_of(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row,
                 "comparison": comparison,
                 "pooled_interval": _interval(test, "pooled_ci_low", "pooled_ci_high"),
             }
-            tests.append(with_agreement(test | named | _effect(test) | beside, is_judged=comparison not in apart))
+            tests.append(with_agreement(test | named | _effect(test) | beside, is_judged=comparison not in unjudged))
     return tuple(tests)
 
 
