@@ -53,31 +53,16 @@ OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory", "out of m
 """What C++, Python and the dynamic loader write when they get no memory."""
 
 
-class Answer(msgspec.Struct, frozen=True):
-    """The rows of a SELECT at this head, and whether the rows that it read were compared with the head's root."""
-
-    head: Head
-    rows_verified: bool
-    columns: list[str]
-    rows: list[dict[str, Any]]
-
-
 class Stream(NamedTuple):
-    """As `Answer`, but with `parts`: some rows at a time.
+    """The answer of a SELECT at this head, and whether the rows that it read were compared with the head's root.
 
-    They raise QueryFailed when the time is over, or for a value that cannot be shown.
+    `parts` yields some rows at a time. It raises QueryFailed when the time is over, or a value cannot be shown.
     """
 
     head: Head
     rows_verified: bool
     columns: list[str]
     parts: Iterator[list[dict[str, Any]]]
-
-
-def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Answer:
-    """The answer of this SELECT, all of it in memory. Raises: as `stream_untrusted`."""
-    with stream_untrusted(ledger, sql, limits, demanded) as answer:
-        return Answer(answer.head, answer.rows_verified, answer.columns, [row for part in answer.parts for row in part])
 
 
 @contextmanager

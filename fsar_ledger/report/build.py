@@ -67,7 +67,7 @@ def write_report(
         one: required_look(one, workers, progress) for one in (*([] if workflows is None else [workflows]), *beside)
     }
     findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way)
-    effects = section(given, findings.model_version, [findings.parameters_sha256 or "unknown"])
+    effects = section(given, findings.model_version, findings.parameters)
     record = recorded()
     laid_out = document.encoded(document.data(findings, record, effects))
     made = {out: typeset.pdf(laid_out, document.drawings(findings, effects))}

@@ -1,8 +1,7 @@
 """Read, check and show the file that `fsar-ledger sensitivity` writes."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from hashlib import sha256
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,7 @@ ARCHITECTURES = ("fsar", "cfc", "dhma")
 BOUNDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of a cell of the heat map, in margins
 SHOWN_FROM = 0.5  # margins: a factor that moves no cell this far is only counted
 MAX_SHOWN = 46  # factors that fit on a page
-MAX_NAMED = 5  # constants that differ, in a message
+MAX_NAMED = 5  # differing constants that a message names
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True):
@@ -104,31 +103,10 @@ def table_of(found: Sensitivity) -> pa.Table:
     return pa.Table.from_pylist([msgspec.structs.asdict(effect) for effect in found.effects], schema=schema)
 
 
-def read_sensitivity(path: Path, model_version: str, parameters: str) -> Sensitivity:
-    """Read the effects in the file, of this model around these constants (as `RunStarted.parameters` holds them).
-
-    Raises:
-        UsageError: The file cannot be read, is another file, or of another model or other constants.
-    """
-    found = open_effects(path)
-    if found.about.model_version != model_version:
-        raise UsageError(f"{path}: {_of_another_model(found.about, model_version)}")
-    if found.about.parameters != parameters:
-        differing = list(_differing("", *(read_parameters(text) for text in (found.about.parameters, parameters))))
-        named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + (
-            f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
-        )
-        raise UsageError(
-            f"{path}: found effects around other constants ({named}), expected those of these runs; make them again: "
-            f"{MADE_BY}"
-        )
-    return found
-
-
-def section(found: Sensitivity | None, model_version: str | None, digests: Collection[str]) -> Section:
+def section(found: Sensitivity | None, model_version: str | None, parameters: Mapping[str, str]) -> Section:
     """Return what a report about runs of this model says about the effects.
 
-    `digests` are the SHA-256 of the constants of these runs, as a ledger records them.
+    `parameters` are the constants of these runs by dotted name, as `Findings` has them.
     """
     if found is None:
         return Section(
@@ -138,10 +116,14 @@ def section(found: Sensitivity | None, model_version: str | None, digests: Colle
     about, still = found.about, sum(furthest == 0 for furthest in reach(found).values())
     if about.model_version != model_version:
         return Section(f"The effects that were given are not of these runs: {_of_another_model(about, model_version)}.")
-    if sha256(about.parameters.encode()).hexdigest() not in digests:
+    theirs = dict(printing.flat("", read_parameters(about.parameters)))
+    differing = [name for name in {**theirs, **parameters} if theirs.get(name) != parameters.get(name)]
+    if differing:
+        more = f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
+        named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + more
         return Section(
-            "The effects that were given are not of these runs: found effects around other constants; make them "
-            f"again: {MADE_BY}."
+            f"The effects that were given are not of these runs: found effects around other constants ({named}); make "
+            f"them again: {MADE_BY}."
         )
     sentence = (
         f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were "
@@ -185,16 +167,6 @@ def open_effects(path: Path) -> Sensitivity:
             f"`{MADE_BY}`"
         )
     return Sensitivity(about, effects)
-
-
-def _differing(above: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the dotted names of the constants that differ, or that only one of the two has."""
-    for name in dict.fromkeys((*one, *other)):
-        ours, theirs = one.get(name), other.get(name)
-        if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
-            yield from _differing(f"{above}{name}.", ours, theirs)
-        elif (name in one, ours) != (name in other, theirs):
-            yield f"{above}{name}"
 
 
 def _of_another_model(about: About, expected: str | None) -> str:

@@ -12,7 +12,8 @@ import pytest
 
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.sandbox import Limits
-from fsar_ledger.metrics.untrusted import ENVIRONMENT, cause_of_death, run_untrusted
+from fsar_ledger.metrics.untrusted import ENVIRONMENT, cause_of_death
+from tests.untrusted import run_untrusted
 
 NEVER_ENDS = "SELECT sum(x % 7) FROM range(1000000000000) AS t(x)"
 IN_TIME = (
