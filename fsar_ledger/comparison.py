@@ -19,7 +19,7 @@ from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, wi
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.printed import Place, Table, printed
+from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.verdicts import MARGINS, Answer, judge
 from fsar_ledger.prediction import CASES, SEED, SEEDS, Predicted, Record

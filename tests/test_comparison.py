@@ -11,7 +11,7 @@ import pytest
 from fsar_ledger.comparison import CHECKS, compare_predictions, compared
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import FsarLedgerError, UsageError
-from fsar_ledger.metrics.printed import printed
+from fsar_ledger.metrics.paper_numbers import printed
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.prediction import Predicted, Record, plays
 from fsar_ledger.registration import registration

@@ -6,7 +6,7 @@ from typing import Any
 import msgspec
 from msgspec import structs
 
-from fsar_ledger.metrics.comparing import (
+from fsar_ledger.metrics.comparability import (
     DifferingWorlds,
     differing_worlds,
     imputed,

@@ -31,9 +31,9 @@ class EveryWay(Multiverse, frozen=True, kw_only=True):
 
         Raises: WriteFailed if the file cannot be written.
         """
-        from fsar_ledger.report import specification, typeset
+        from fsar_ledger.report import specification_curves, typeset
 
-        typeset.publish(Path(file), specification.curves(self))
+        typeset.publish(Path(file), specification_curves.curves(self))
 
 
 def every_way(database: "Database", metrics: Sequence[str] | None, *, pools_seeds: bool) -> EveryWay:

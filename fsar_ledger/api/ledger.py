@@ -16,7 +16,7 @@ from .workload import Progress, readers_of
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.read import Head
     from fsar_ledger.metrics.database import Database
-    from fsar_ledger.metrics.locked import Limits
+    from fsar_ledger.metrics.sandbox import Limits
     from fsar_ledger.projections.fold import State
 
     from .about import About

@@ -1,7 +1,7 @@
 """The limits of a SELECT of the user's own."""
 
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.metrics.locked import Limits
+from fsar_ledger.metrics.sandbox import Limits
 
 MEMORY_MIB_MIN = 1024
 

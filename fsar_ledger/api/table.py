@@ -10,7 +10,7 @@ import pyarrow as pa
 from fsar_ledger import printable
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.database import plain_rows
-from fsar_ledger.metrics.locked import slices
+from fsar_ledger.metrics.sandbox import slices
 
 from .about import About
 

@@ -22,7 +22,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.locked import Limits
+    from fsar_ledger.metrics.sandbox import Limits
 
     from .pieces import Form
 

@@ -1,1 +1,1 @@
-"""What a ledger says: SQL over its events, the statistics functions it needs, and typed rows of the answers."""
+"""Query a ledger: SQL over its events, the statistics functions that SQL lacks, and typed rows of the answers."""

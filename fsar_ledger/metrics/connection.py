@@ -1,7 +1,7 @@
-"""The one module that owns DuckDB calls: a relation `events` and, over it, every packaged query.
+"""Own all DuckDB calls: a relation `events` and, over it, every packaged query.
 
-Queries become views when something first reads them, each after what it reads; those whose header says
-`Stored` become tables, so that the eight metrics are computed once per connection.
+Queries become views when something first reads them, each after what it reads. Those whose header says `Stored` become
+tables, so that the metrics are computed once per connection.
 """
 
 import re
@@ -35,11 +35,11 @@ LOCK = (
     "enable_external_access = false",
 )
 DUCKDB_SHARE = 0.75
-"""Of the memory that a process may take, what DuckDB may."""
+"""The part of the memory of this process that DuckDB may take."""
 
 BATCH_ROWS = 10_000
 SHOWN = 200
-"""Characters of a name, or of a line, that a message repeats."""
+"""Characters of a name or line that a message repeats."""
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
 FAULTS_OF_SQL = (
     duckdb.ParserException,
@@ -51,13 +51,13 @@ FAULTS_OF_SQL = (
     duckdb.TransactionException,
     *OUT_OF_MEMORY,
 )
-"""What DuckDB says of the SQL, or of this machine, and never because a segment is damaged."""
+"""DuckDB errors caused by the SQL or by this machine, never by a damaged segment."""
 
 _GIVEN = "given"
 NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
 _NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
 _UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
-"""Types whose values Arrow or Python would change without a word, or cannot hold."""
+"""Types whose values Arrow or Python would silently change, or cannot hold."""
 
 Value = str | int | float | bool | None | list[str]
 
@@ -65,8 +65,8 @@ Value = str | int | float | bool | None | list[str]
 class Database:
     """A connection to a private in-memory DuckDB that holds nothing but views of `events`.
 
-    Answers are the same bits on any number of threads as long as queries sum integers, or floats in a given order;
-    the packaged ones do.
+    Answers are the same bits on any number of threads if queries sum integers, or floats in a fixed order; the packaged
+    ones do.
     """
 
     def __init__(
@@ -81,30 +81,30 @@ class Database:
     ):
         self.head = head
         self.rows_verified = rows_verified
-        """Whether the rows were compared with the root of the head, by a whole look; None where there is no head."""
+        """Whether a whole look compared the rows with the root of the head; None without a head."""
         self.library = queries or library()
         self.source: str | None = None
-        """What has all columns and rows of `events`, but for those of `changed`, and stands in SQL for less.
+        """A relation with all columns and rows of `events`, except those of `changed`, that costs less to read.
 
-        Segments, or rows as they were stored.
+        It reads segments, or rows as they were stored.
         """
         self.changed: frozenset[str] = frozenset()
-        """Names, without version, of event types that are another in `events` than in `source`."""
+        """Names, without version, of event types that differ between `events` and `source`."""
         self.absent: frozenset[str] = frozenset()
-        """Event types that have no row in `events`, as far as it was looked: their views read nothing."""
+        """Event types known to have no row in `events`: their views read nothing."""
         self._segments = tuple(segments)
         self._made: set[str] = set()
-        self._given: dict[str, str] = {}  # of these, what was not made of a packaged query, and how it was made
+        self._given: dict[str, str] = {}  # how those were made that no packaged query defines
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
-        # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the
-        # answer is the same anywhere.
+        # The wide relation is read often, so its files stay open. UTC and no progress bar make the answer the same
+        # everywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'"):
             self._connection.execute(f"SET {setting}")
-        # In a notebook without ipywidgets the bar is off, and DuckDB refuses to hear of it.
+        # In a notebook without ipywidgets the bar is off, and DuckDB refuses the setting.
         if self._connection.execute("SELECT current_setting('enable_progress_bar')").fetchone() != (False,):
             self._connection.execute("SET enable_progress_bar = false")
-        # Who reads a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder. What it
-        # does not count is for the process.
+        # A reader of a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder. The
+        # rest of the memory is for what DuckDB does not count.
         self._connection.execute("SET temp_directory = ''")
         if (most := memory.limit()) is not None:
             self._connection.execute(f"SET memory_limit = '{int(most * DUCKDB_SHARE)} bytes'")
@@ -119,19 +119,19 @@ class Database:
         self.close()
 
     def close(self) -> None:
-        """The connection is gone; DuckDB complains at exit about one that is not."""
+        """Close the connection; DuckDB complains at exit about an open one."""
         self._connection.close()
 
     def hold(self, name: str, table: Any) -> None:
-        """An Arrow table or dataset is the relation of this name, whatever packaged query has it."""
+        """Make an Arrow table or dataset the relation of this name, in place of any packaged query."""
         self._connection.register(name, table)
         self._made.add(name)
         self._given[name] = "held"
 
     def refill(self, events: pa.Table) -> None:
-        """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack.
+        """Replace `events` by these few rows, in a table of DuckDB's own; columns that they lack are NULL.
 
-        What was stored of others is gone.
+        Stored results of other rows are dropped.
         """
         for name, kind in sorted(self._given.items()):
             self.drop(name) if kind == "held" else self._change(f"DROP {kind} {name}")
@@ -146,15 +146,15 @@ class Database:
         self._made.add("events")
 
     def drop(self, name: str) -> None:
-        """The relation that `hold` made is gone, and what it held."""
+        """Drop the relation that `hold` made."""
         self._connection.unregister(name)
         self._made.discard(name)
         self._given.pop(name, None)
 
     def direct(self, sql: str) -> list[tuple[Any, ...]]:
-        """The rows of one SELECT over files and what this connection holds.
+        """Return the rows of one SELECT over files and what this connection holds.
 
-        Names in it are never those of packaged queries. Raises: as `table`.
+        It may not name packaged queries. Raises: as `table`.
         """
         try:
             return self._connection.execute(sql).fetchall()  # a relation would plan it twice
@@ -162,22 +162,22 @@ class Database:
             raise self._failure(error) from error
 
     def define(self, name: str, sql: str, *, is_stored: bool = False) -> None:
-        """The SELECT, or its rows as they are now, is the relation of this name, whatever packaged query has it.
+        """Make the SELECT, or with `is_stored` its present rows, the relation of this name.
 
-        Raises: as `table`.
+        It replaces any packaged query. Raises: as `table`.
         """
         self._change(f"CREATE {'TABLE' if is_stored else 'VIEW'} {name} AS\n{sql}")
         self._made.add(name)
         self._given[name] = "TABLE" if is_stored else "VIEW"
 
     def undefine(self, name: str, *, is_stored: bool = False) -> None:
-        """The relation that `define` made is gone."""
+        """Drop the relation that `define` made."""
         self._change(f"DROP {'TABLE' if is_stored else 'VIEW'} {name}")
         self._made.discard(name)
         self._given.pop(name, None)
 
     def prepare(self, sql: str) -> None:
-        """Every relation that this SQL mentions exists, with all that it reads."""
+        """Create every relation that this SQL mentions, with everything that it reads."""
         for query in self.library.needs(self.library.mentioned(sql), self._given):
             if query.relation in self._made or query.parameters:
                 continue
@@ -186,7 +186,7 @@ class Database:
             self._made.add(query.relation)
 
     def _body(self, query: Query) -> str:
-        """Return what a packaged query selects, in the form that reads least here."""
+        """Return the SELECT of a packaged query, in the form that reads least here."""
         if query.tags and query.tags <= self.absent:
             return query.nothing
         is_changed = self.changed if not query.tags else self.changed & {tag.partition(".")[0] for tag in query.tags}
@@ -195,7 +195,7 @@ class Database:
         return query.reading_from({"events": self.source})
 
     def table(self, sql: str, params: Mapping[str, Value] | None = None) -> pa.Table:
-        """The answer to one SELECT, with `$name` parameters bound.
+        """Return the answer to one SELECT, with `$name` parameters bound.
 
         Raises:
             QueryFailed: DuckDB does not accept the SQL or its parameters, or it fails on the data.
@@ -205,7 +205,7 @@ class Database:
         return self._execute(sql, params)
 
     def rows(self, sql: str, params: Mapping[str, Value] | None = None) -> list[dict[str, Any]]:
-        """The answer to one SELECT as dictionaries. Raises: as `table`."""
+        """Return the answer to one SELECT as dictionaries. Raises: as `table`."""
         self.prepare(sql)
         try:
             found = self._connection.execute(sql, dict(params) if params else None)  # a relation would plan it twice
@@ -218,10 +218,10 @@ class Database:
             raise self._failure(error) from error
 
     def query(self, name: str, given: Mapping[str, str] | None = None) -> pa.Table:
-        """The rows of a packaged query, sorted by all their columns from the left.
+        """Return the rows of a packaged query, sorted by all their columns from the left.
 
         Raises:
-            UnknownQuery: There is no such query, or its parameters are others.
+            UnknownQuery: There is no such query, or it has other parameters.
             QueryFailed: A value does not fit its parameter.
             LedgerCorrupted: A segment cannot be read.
         """
@@ -233,10 +233,10 @@ class Database:
         return self._execute(f"SELECT * FROM (\n{query.sql}\n) ORDER BY ALL", bound)
 
     def lock(self, seconds: int, memory_bytes: int) -> None:
-        """Shut the connection off from all but what it holds; limit the seconds and the memory of a statement.
+        """Shut the connection off from everything but what it holds; limit seconds and memory of a statement.
 
-        There is no allow-list: in DuckDB one grants writing too. What DuckDB does not stop (one huge string) is for the
-        operating system to stop.
+        There is no allow-list: in DuckDB one grants writing, too. What DuckDB does not stop (one huge string) is left
+        to the operating system.
         """
         for setting in LOCK:
             self._connection.execute(f"SET {setting}")
@@ -245,14 +245,11 @@ class Database:
         self._connection.execute("SET lock_configuration = true")
 
     def only_read(self) -> None:
-        """From now on not even the relations of this connection change.
-
-        Not by a step of a SELECT that inserts or deletes, either.
-        """
+        """Forbid any further change to the relations, even by a SELECT whose steps insert or delete."""
         self._connection.execute("BEGIN TRANSACTION READ ONLY")
 
     def check_one_select(self, sql: str) -> None:
-        """The text is exactly one statement that only reads, as far as its type says.
+        """Check that the text is exactly one statement that only reads, as far as its type says.
 
         Raises:
             QueryFailed: It is empty, does not parse, holds several statements, or one that is neither SELECT nor
@@ -275,13 +272,13 @@ class Database:
             )
 
     def batches(self, sql: str) -> Iterator[pa.RecordBatch]:
-        """The answer to one SELECT, a batch at a time, the first one perhaps empty.
+        """Yield the answer to one SELECT in batches; the first may be empty.
 
         What it mentions must have been prepared.
 
         Raises:
             QueryFailed, LedgerCorrupted: As `table`; QueryFailed also for two columns of one name, or a type whose
-                values cannot be handed on as they are.
+                values cannot be handed on unchanged.
         """
         try:
             relation = self._connection.sql(sql)
@@ -293,7 +290,7 @@ class Database:
             raise self._failure(error) from error
 
     def _change(self, sql: str) -> None:
-        """Relations are made or gone; there is no answer."""
+        """Run a statement that makes or drops relations and has no answer."""
         try:
             self._connection.execute(
                 sql
@@ -302,16 +299,16 @@ class Database:
             raise self._failure(error) from error
 
     def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table:
-        """DuckDB's answer, its errors made ours."""
+        """Return DuckDB's answer, with its errors turned into ours."""
         try:
             return self._connection.sql(sql, params=dict(params) if params else None).to_arrow_table()
         except duckdb.Error as error:
             raise self._failure(error) from error
 
     def _failure(self, error: Exception) -> FsarLedgerError:
-        """What failed, for a user.
+        """Return the error to show a user.
 
-        The SQL, or, where the error may come from the data, the first segment that cannot be read.
+        It blames the SQL or, where the data may be the cause, the first segment that cannot be read.
         """
         if isinstance(error, OUT_OF_MEMORY) and memory.limit() is not None:
             return LimitReached(memory.exceeded_message())
@@ -320,7 +317,7 @@ class Database:
 
 
 def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
-    """What is wrong with the first segment that cannot be read; None when all can."""
+    """Say what is wrong with the first segment that cannot be read; None if all can."""
     for path in segments:
         try:
             read_table(path)
@@ -330,7 +327,7 @@ def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
 
 
 def _check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
-    """Every column of the answer can be told from the others and holds values that arrive as they are.
+    """Check that the columns have distinct names, and types whose values arrive unchanged.
 
     Raises: QueryFailed.
     """
@@ -347,9 +344,9 @@ def _check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
 
 
 def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
-    """The rows as dictionaries. DuckDB's sums of integers are decimals in Arrow; here they are integers again."""
+    """Return the rows as dictionaries; DuckDB's sums of integers, decimals in Arrow, become integers again."""
     whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
-    # Some at a time: between two parts whoever watches over the memory of this process has its turn.
+    # In parts: between two of them, the watch over this process's memory gets its turn.
     rows: list[dict[str, Any]] = [
         row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()
     ]
@@ -359,13 +356,13 @@ def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
 
 
 def _first_lines(text: str, count: int = 6) -> str:
-    """The beginning of DuckDB's message, blank lines left out and long ones cut."""
+    """Return the beginning of DuckDB's message, without blank lines and with long ones cut."""
     lines = [line if len(line) <= SHOWN else f"{line[:SHOWN]}..." for line in text.splitlines() if line.strip()]
     return "\n".join(lines[:count])
 
 
 def with_all_columns(events: pa.Table) -> pa.Table:
-    """The table as it is, or with NULL in the columns that it lacks."""
+    """Return the table with NULL in the columns that it lacks."""
     if events.column_names == SCHEMA.names:
         return events
     present = set(events.column_names)

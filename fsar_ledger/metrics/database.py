@@ -1,4 +1,4 @@
-"""Databases over the rows of a ledger, or over rows in memory."""
+"""Open databases over the rows of a ledger, or over rows in memory."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -38,20 +38,20 @@ __all__ = [
 ]
 
 FEW_ROWS = 20_000
-"""To copy so many rows costs less than what planning over an Arrow table takes longer than over one of DuckDB's own."""
+"""Up to this many rows, copying costs less than planning over an Arrow table does."""
 
 
 def connect(ledger: Path, threads: int | None = None, demanded: str | None = None) -> Database:
-    """A database over the committed segments of one head of this ledger, each the very file that was committed.
+    """Open a database over the committed segments of one head of this ledger, each checked against its hash.
 
     Args:
         ledger: Its folder.
         threads: Of DuckDB; None is one per core.
-        demanded: The newest record that a whole look just saw (`required_look`), where no other head will do.
+        demanded: The newest record that `required_look` has just checked, if no other head will do.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; also LedgerCorrupted for a
-            segment that is not as committed.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; also LedgerCorrupted for a segment
+            that is not as committed.
         SequenceConflict: As `is_verified`.
     """
     view = open_for_answers(ledger)
@@ -70,7 +70,7 @@ def connect(ledger: Path, threads: int | None = None, demanded: str | None = Non
 
 
 def from_table(events: pa.Table, threads: int | None = None) -> Database:
-    """A database over rows in memory; columns that the table lacks are NULL."""
+    """Open a database over rows in memory; columns that the table lacks are NULL."""
     database = Database(None, (), threads)
     if len(events) <= FEW_ROWS:
         database.refill(events)
@@ -80,7 +80,7 @@ def from_table(events: pa.Table, threads: int | None = None) -> Database:
 
 
 def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -> Database:
-    """A database over these rows; columns that a row lacks are NULL. For tests and small questions.
+    """Open a database over these rows; columns that a row lacks are NULL. For tests and small questions.
 
     Raises: as `table_of`.
     """
@@ -88,7 +88,7 @@ def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -
 
 
 def table_of(rows: Sequence[Mapping[str, Value]]) -> pa.Table:
-    """These rows with all columns of events; those that a row lacks are NULL.
+    """Return these rows with all columns of events; those that a row lacks are NULL.
 
     Raises:
         ValueError: A row has a column that events do not have.

@@ -1,4 +1,4 @@
-"""The metrics, as `reports/metrics.toml` names them: what each is, which events it rests on, and how it is printed.
+"""Define the metrics as `reports/metrics.toml` lists them: meaning, concerns, units and printed form.
 
 The file is the one list of metrics. What SQL needs of it becomes relations here (`metric_definitions`,
 `metric_concerns`, `metric_measurements`); the report, the statistics and the pages read the same rows.
@@ -13,9 +13,7 @@ import msgspec
 
 
 class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where the paper prints a metric.
-
-    Its names in `paper/results.csv`, in `paper/significance.csv`, and in all other tables.
+    """Where the paper prints a metric: its names in `results.csv`, in `significance.csv` and in all other tables.
 
     `margin` is the half-width within which a difference from a printed number does not matter, in the metric's unit.
     """

@@ -1,6 +1,6 @@
-"""What SQL does not have, as functions.
+"""Provide SQL with functions that it lacks.
 
-Tail probabilities and quantiles from scipy, a column at a time, and constants by name.
+They are tail probabilities and quantiles from scipy, a column at a time, and constants by name.
 
 | function | value |
 |---|---|
@@ -25,7 +25,7 @@ import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
 from numpy.typing import NDArray
 
-from .naming import constants_of, default_of
+from .constant_names import constants_of, default_of
 
 Vector = NDArray[np.float64]
 
@@ -33,54 +33,54 @@ _CONSTANTS = pa.list_(pa.struct([("name", pa.string()), ("value", pa.string())])
 
 
 def _scipy() -> Any:
-    """scipy.special, loaded when a query first needs it: it costs 0.3 s."""
+    """Import scipy.special when a query first needs it, since that takes 0.3 s."""
     from scipy import special
 
     return special
 
 
 def t_sf2(t: Vector, df: Vector) -> Vector:
-    """Two-sided tail probability of Student's t."""
+    """Return the two-sided tail probability of Student's t."""
     return np.asarray(2.0 * _scipy().stdtr(df, -np.abs(t)))
 
 
 def t_quantile(p: Vector, df: Vector) -> Vector:
-    """Quantile of Student's t."""
+    """Return the quantile of Student's t."""
     return np.asarray(_scipy().stdtrit(df, p))
 
 
 def norm_sf2(z: Vector) -> Vector:
-    """Two-sided tail probability of the standard normal."""
+    """Return the two-sided tail probability of the standard normal."""
     return np.asarray(2.0 * _scipy().ndtr(-np.abs(z)))
 
 
 def norm_quantile(p: Vector) -> Vector:
-    """Quantile of the standard normal."""
+    """Return the quantile of the standard normal."""
     return np.asarray(_scipy().ndtri(p))
 
 
 def gamma_quantile(p: Vector, shape: Vector) -> Vector:
-    """Quantile of the gamma distribution of scale 1, half of that of chi-square with twice the degrees of freedom."""
+    """Return the quantile of the gamma distribution of scale 1: half that of chi-square with twice the df."""
     return np.asarray(_scipy().gammaincinv(shape, p))
 
 
 def binomial_half_sf2(k: Vector, n: Vector) -> Vector:
-    """Exact two-sided probability that a fair coin deviates as much as k of n; 1 when there was no toss."""
+    """Return the two-sided probability that a fair coin deviates as much as k of n; 1 without tosses."""
     return np.asarray(np.minimum(1.0, 2.0 * _scipy().bdtr(k, n.astype(np.int64), 0.5)))
 
 
 def _floats(column: pa.Array) -> Vector:
-    """The column as a numpy vector."""
+    """Return the column as a numpy vector."""
     return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
 
 
 def _unary(function: Callable[[Vector], Vector]) -> Callable[[pa.Array], pa.Array]:
-    """The function of one vector over an Arrow column; DuckDB counts the arguments of what it is given."""
+    """Lift a function of one vector to Arrow columns; DuckDB counts the arguments of what it is given."""
     return lambda x: pa.array(function(_floats(x)))
 
 
 def _binary(function: Callable[[Vector, Vector], Vector]) -> Callable[[pa.Array, pa.Array], pa.Array]:
-    """The function of two vectors over Arrow columns."""
+    """Lift a function of two vectors to Arrow columns."""
     return lambda x, y: pa.array(function(_floats(x), _floats(y)))
 
 
@@ -94,17 +94,17 @@ BINARY = {
 
 
 def _read(column: pa.Array) -> pa.Array:
-    """The constants of each text of an Arrow column."""
+    """Return the constants of each text of an Arrow column."""
     return pa.array([constants_of(text) for text in column.to_pylist()], _CONSTANTS)
 
 
 def _defaults(column: pa.Array) -> pa.Array:
-    """The default of each name of an Arrow column."""
+    """Return the default of each name of an Arrow column."""
     return pa.array(map(default_of, column.to_pylist()), pa.string())
 
 
 def register(connection: duckdb.DuckDBPyConnection) -> None:
-    """The connection knows all functions."""
+    """Register all functions with the connection."""
     for name, unary in UNARY.items():
         connection.create_function(name, _unary(unary), ["DOUBLE"], "DOUBLE", type=PythonUDFType.ARROW)
     for name, binary in BINARY.items():

@@ -1,4 +1,4 @@
-"""The ten invariants, checked: what each of `queries/invariants/` finds, by architecture and configuration."""
+"""Check the ten invariants: what each query of `queries/invariants/` finds, by architecture and configuration."""
 
 from collections.abc import Sequence
 from difflib import get_close_matches
@@ -15,11 +15,11 @@ from .results import typed
 class AuditRow(msgspec.Struct, frozen=True):
     """One invariant over the runs of one architecture and configuration.
 
-    It holds if no event offends it, every run observes what it rests on and there was a case; `not_observed` names what
-    `runs_not_observed` of the runs do not. An offence counts although some of that is not observed, if what is observed
-    suffices to tell it; `holds` None: no offence, but something is not observed, or there was no case. `cases` is how
-    much was looked at. `events` are distinct events, `first_*` the first of them by run and seq. None: there is none,
-    or nothing that could be judged.
+    It holds if no event violates it, every run observes what it rests on, and there was a case; `not_observed` names
+    what `runs_not_observed` of the runs do not observe. A violation counts although something is not observed, if what
+    is observed suffices to prove it. `holds` is None without a violation if something is not observed or there was no
+    case. `cases` is how much was checked. `events` counts distinct events; `first_*` is the first of them by run and
+    seq, None if there is none or nothing could be judged.
     """
 
     invariant: str
@@ -38,16 +38,16 @@ class AuditRow(msgspec.Struct, frozen=True):
 
 
 def invariants() -> list[Query]:
-    """The queries of the invariants, I1 to I5 before A1 to A5."""
+    """Return the queries of the invariants, I1 to I5 before A1 to A5."""
     found = [query for query in library().queries.values() if query.name.startswith("invariants/")]
     return sorted(found, key=lambda query: (query.relation[0] != "i", query.relation))
 
 
 def chosen(names: Sequence[str]) -> list[Query]:
-    """The invariants of these names, each once and in order: `i4` or its whole name; all for no names.
+    """Return the invariants of these names (`i4` or the whole name), each once and in order; all for no names.
 
     Raises:
-        UnknownQuery: there is no such invariant; the message suggests the nearest.
+        UnknownQuery: There is no such invariant; the message suggests the nearest.
     """
     every = invariants()
     known = {
@@ -67,11 +67,11 @@ def chosen(names: Sequence[str]) -> list[Query]:
 
 
 def audit_rows(database: Database, queries: Sequence[Query], architectures: Sequence[str] = ()) -> list[AuditRow]:
-    """What these invariants find, one row for each and each architecture (all: none named) and configuration with runs.
+    """Return what these invariants find: a row for each, per architecture (default: all) and configuration with runs.
 
     Raises:
-        UsageError: there is no run to check, so that nothing could be said to hold.
-        QueryFailed, LedgerCorrupted: as `Database.table`.
+        UsageError: There is no run to check, so nothing could be said to hold.
+        QueryFailed, LedgerCorrupted: As `Database.table`.
     """
     rows = [row for query in queries for row in database.rows(_counts(query), {"architectures": list(architectures)})]
     if not rows:
@@ -83,7 +83,7 @@ def audit_rows(database: Database, queries: Sequence[Query], architectures: Sequ
 
 
 def _counts(query: Query) -> str:
-    """The SQL that counts and samples the rows of one invariant; runs in which no offence could be told have none."""
+    """Return the SQL that counts and samples the rows of one invariant; runs that cannot be judged have none."""
     return f"""
         WITH found AS (
             SELECT run_id, seq, min(type) AS type, string_agg(found, '; ' ORDER BY found) AS found

@@ -1,13 +1,13 @@
-"""The packaged queries: found by name, their headers read, their dependencies known.
+"""Find the packaged queries by name, read their headers and know their dependencies.
 
 A query file starts with comment lines `-- Name: text`. Title, Paper, Grain, Key, Units, NULL and Example are required.
-`Key` lists the columns that tell any two rows apart, `?` after one that may be NULL; or it says `one row`, or
-`none, <reason>`. `Parameters: name = default, ...` makes it a query that is run with values instead of a view.
-`Stored: <reason>` keeps its rows, once computed, for as long as a connection lives.
+`Key` lists the columns that tell any two rows apart, with `?` after one that may be NULL; or it says `one row`, or
+`none, <reason>`. `Parameters: name = default, ...` makes it a query that is run with values instead of a view. `Stored:
+<reason>` keeps its rows, once computed, for the life of a connection.
 
-A file in `readings/` is another reading of a relation: it has its columns, reads it, and differs in the one thing that
-`Title` says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves` the metrics
-that hang on it; `Question` is what it answers otherwise than we do, and `Why` on what words of the paper.
+A file in `readings/` is another reading of a relation: it reads that relation, has the same columns, and differs in the
+one thing that `Title` says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves`
+the metrics that depend on it, `Question` what it answers differently, and `Why` the words of the paper that allow it.
 """
 
 import difflib
@@ -47,7 +47,7 @@ class Query(msgspec.Struct, frozen=True):
     """One relation that SQL can name: a packaged file, or a view that is generated from an event type.
 
     `name` is `folder/relation`; `parameters` maps names to defaults (None: a value must be given); `tags` are the event
-    types whose view it is, and `nothing` selects the same columns where no such event exists.
+    types whose view it is; `nothing` selects the same columns where no such event exists.
     """
 
     name: str
@@ -59,12 +59,12 @@ class Query(msgspec.Struct, frozen=True):
 
     @property
     def relation(self) -> str:
-        """The name by which SQL refers to it: the last part of its name."""
+        """Return the name by which SQL refers to it: the last part of its name."""
         return self.name.rpartition("/")[2]
 
     @property
     def key(self) -> dict[str, bool] | None:
-        """Return the columns that tell any two rows apart, and whether each may be NULL, which is a value like others.
+        """Return the columns that tell any two rows apart, and whether each may be NULL, which counts as a value.
 
         Empty: there is at most one row. None: rows may look alike, and each counts.
         """
@@ -76,23 +76,20 @@ class Query(msgspec.Struct, frozen=True):
 
     @property
     def is_stored(self) -> bool:
-        """Whether its rows are computed once per connection."""
+        """Tell whether its rows are computed once per connection."""
         return "Stored" in self.header
 
     @property
     def sha256(self) -> str:
-        """The SHA-256 of its text, in hex."""
+        """Return the SHA-256 of its text, in hex."""
         return hashlib.sha256(self.sql.encode()).hexdigest()
 
     def sources(self) -> set[str]:
-        """What stands behind FROM or JOIN: relations and its own steps."""
+        """Return the names behind FROM and JOIN: relations and its own steps."""
         return set(_SOURCE.findall(_TEXT_OR_COMMENT.sub(" ", self.sql)))
 
     def reading_from(self, others: Mapping[str, str]) -> str:
-        """Its SQL, with other relations behind FROM and JOIN under the names that it knows.
-
-        `FROM others[name] AS name`.
-        """
+        """Return its SQL with other relations under the names that it knows: `FROM others[name] AS name`."""
 
         def renamed(match: re.Match[str]) -> str:
             before, name, alias = match.groups()
@@ -104,7 +101,7 @@ class Query(msgspec.Struct, frozen=True):
 
 
 def parse(name: str, sql: str) -> Query:
-    """The query of this text.
+    """Parse the text of a query file.
 
     Raises:
         ValueError: A required key is missing or empty, or a key is unknown or given twice.
@@ -130,7 +127,7 @@ def parse(name: str, sql: str) -> Query:
 
 
 def _parameters(text: str) -> dict[str, str | None]:
-    """Names and defaults of `name = default, other`."""
+    """Return names and defaults of `name = default, other`."""
     parameters: dict[str, str | None] = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, equals, default = (piece.strip() for piece in part.partition("="))
@@ -139,14 +136,14 @@ def _parameters(text: str) -> dict[str, str | None]:
 
 
 def view_name(tag: str) -> str:
-    """The name of an event type's view: `RequestIssued.v1` is `request_issued`."""
+    """Return the name of an event type's view: `RequestIssued.v1` is `request_issued`."""
     return _VERSIONED.sub("_", tag.partition(".")[0]).lower()
 
 
 def staging_sql(tag: str, source: str | None = "events") -> str:
-    """Return the SELECT of one event type's envelope and fields, from whatever has all columns of `events`.
+    """Return the SELECT of one event type's envelope and fields from a relation with the columns of `events`.
 
-    None: from nowhere, where there is no such event.
+    With `source` None it selects no rows, for a type that no event has.
     """
     return _select([*ENVELOPE, *LAYOUTS[tag].fields], [tag], source, without="type")
 
@@ -164,7 +161,7 @@ def _select(fields: Iterable[Field], tags: Iterable[str], source: str | None, wi
 
 
 def staging_query(tag: str) -> Query:
-    """The view of one event type: the envelope and the fields of the type, one row an event."""
+    """Return the view of one event type: its envelope and fields, one row per event."""
     layout = LAYOUTS[tag]
     title = (layout.cls.__doc__ or "").strip().splitlines()[0]
     header = {
@@ -230,7 +227,7 @@ def concern_query(concern: str) -> Query:
 
 
 def world_query() -> Query:
-    """The view of what the world did, whatever its type: one text for each fact, alike for facts that are alike."""
+    """Return the view of what the world did, of any type: one text per fact, equal for equal facts."""
     layouts = [layout for layout in LAYOUTS.values() if issubclass(layout.cls, get_args(WorldEvent))]
     fields = sorted({field.name for layout in layouts for field in layout.fields})
     values = ", ".join(f"'{name}=' || to_json(\"{name}\")::VARCHAR" for name in fields)
@@ -301,7 +298,7 @@ def metric_queries() -> list[Query]:
 def generated() -> list[Query]:
     """Return the queries that have no file.
 
-    A view of each event type, their concerns, the world's facts, and what is said of metrics.
+    They are a view of each event type and concern, the facts of the world, and the relations about metrics.
     """
     return [
         *map(staging_query, LAYOUTS),
@@ -313,7 +310,7 @@ def generated() -> list[Query]:
 
 
 def _files(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, str]]:
-    """Name and text of every SQL file below the folder, sorted by name."""
+    """Yield name and text of every SQL file below the folder, sorted by name."""
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
         if entry.is_dir():
             yield from _files(entry, f"{prefix}{entry.name}/")
@@ -331,7 +328,7 @@ class Library:
             raise ValueError("two queries have the same last part in their names; SQL could not tell them apart")
 
     def find(self, name: str) -> Query:
-        """The query of this full name or unique last part.
+        """Return the query of this full name or unique last part.
 
         Raises:
             UnknownQuery: There is none; the message suggests the nearest names.
@@ -348,10 +345,10 @@ class Library:
         return query
 
     def needs(self, names: Iterable[str], held: Collection[str] = ()) -> tuple[Query, ...]:
-        """The queries that these relations are made of, themselves included, each after what it reads.
+        """Return the queries that these relations are made of, themselves included, each after what it reads.
 
-        Names that are no relation are left out, and those that are held already, with what only they read. Raises:
-        ValueError if a query reads itself.
+        Left out are names that are no relation, and those already held with what only they read. Raises: ValueError if
+        a query reads itself.
         """
         order: dict[str, Query] = {}
 
@@ -370,12 +367,12 @@ class Library:
         return tuple(order.values())
 
     def mentioned(self, sql: str) -> set[str]:
-        """The relations whose names occur in this SQL, wherever they stand."""
+        """Return the relations whose names occur anywhere in this SQL."""
         return {word.lower() for word in _WORD.findall(sql)} & self.relations.keys()
 
 
 def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
-    """The value of every parameter of the query: the given one, else its default.
+    """Return the value of every parameter of the query: the given one, else its default.
 
     Raises:
         UnknownQuery: A given name is no parameter of the query, or a parameter without default has no value.
@@ -393,6 +390,6 @@ def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
 
 @cache
 def library() -> Library:
-    """Return the packaged queries and those that are made."""
+    """Return the packaged and the generated queries."""
     packaged = [parse(name, sql) for name, sql in _files(files("fsar_ledger.queries"))]
     return Library([*generated(), *packaged])

@@ -1,4 +1,4 @@
-"""The models of a ledger: with which constants its runs were played, as they record it."""
+"""List the models of a ledger: the constants under which its runs were made, as they record them."""
 
 from collections.abc import Iterable, Iterator
 from hashlib import sha256
@@ -32,10 +32,8 @@ MODELS = """
 class Model(msgspec.Struct, frozen=True):
     """The runs of one kind, source and model version under the same constants, by value.
 
-    `text` is how the first of them records these.
-
-    `constants` names those that other runs of the same model have otherwise, None where there are none. Runs that were
-    not simulated may have neither a model nor constants, and as parameters a text that is none: `parameters` is None
+    `text` is how the first of them records these. `constants` names those that differ between runs of the model, None
+    if none do. Runs that were not simulated may have neither a model nor readable parameters: `parameters` is None
     then.
     """
 
@@ -51,12 +49,12 @@ class Model(msgspec.Struct, frozen=True):
 
     @property
     def sha256(self) -> str | None:
-        """The digest of the constants, as `runs.parameters_sha256` has it for the first of the runs."""
+        """Return the digest of the constants, as `runs.parameters_sha256` has it for the first of the runs."""
         return None if self.text is None else sha256(self.text.encode()).hexdigest()
 
 
 def models(database: Database) -> tuple[Model, ...]:
-    """All models, in the order of the names of their first runs.
+    """Return all models, in the order of the names of their first runs.
 
     Raises: LedgerCorrupted if a simulated run records something else as its parameters.
     """
@@ -77,9 +75,9 @@ def models(database: Database) -> tuple[Model, ...]:
 
 
 def lettered(found: Iterable[Model]) -> list[tuple[Model, str | None]]:
-    """The models, those with most runs first, each with the letter by which commands call its constants.
+    """Return the models, those with most runs first, with the letter by which commands call their constants.
 
-    None where none are on record.
+    The letter is None where no constants are on record.
     """
     letters = _letters()
     return [
@@ -89,7 +87,7 @@ def lettered(found: Iterable[Model]) -> list[tuple[Model, str | None]]:
 
 
 def _letters() -> Iterator[str]:
-    """A to Z, AA, AB and so on."""
+    """Yield A to Z, AA, AB and so on."""
     return ("".join(letters) for length in count(1) for letters in product(ascii_uppercase, repeat=length))
 
 
@@ -99,7 +97,7 @@ def _read(kind: str, run: str, parameters: str | None) -> dict[str, Any] | None:
     try:
         return read_parameters(parameters)
     except BadParameters as error:
-        if kind != "simulated":  # 0.1.0 and 0.2.0 stored any text of others
+        if kind != "simulated":  # 0.1.0 and 0.2.0 stored any text for other kinds
             return None
         raise LedgerCorrupted(
             f"run {run!r:.300}, seq 0, field parameters: {error}; do not rely on this ledger, run fsar-ledger verify "

@@ -1,9 +1,8 @@
-"""Every cell of the results table under every reading that the paper's text allows, and whether the ranking survives.
+"""Compute every cell of the results table under every reading of the paper's text, and whether the ranking survives.
 
-A reading (`queries/readings/*.sql`) replaces one relation by another with the same columns, so that readings of
-different questions go together, and those of one question exclude each other. The multiverse of a metric is every
-combination of the readings that move it; the one without any is ours. Nothing is simulated again: the ledger is the
-same, it is read otherwise.
+A reading (`queries/readings/*.sql`) replaces one relation by another with the same columns. Readings of different
+questions combine; those of one question exclude each other. The multiverse of a metric is every combination of the
+readings that move it; the empty one is ours. Nothing is simulated again: the same ledger is read differently.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,16 +18,16 @@ from .results import SETTINGS, typed
 from .verdicts import published
 
 Chosen = tuple[str, ...]
-"""The readings that replace ours, by name and in order; () is our reading."""
+"""The readings that replace ours, by name and in order; () is our own."""
 
 CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
-"""What tells groups of runs apart that are never ranked together."""
+"""Columns by which runs are kept apart that are never ranked together."""
 
 PRINTED = ("full", 4)
 """Configuration and fleet size of the paper's results table."""
 
 AT_ONCE = 8
-"""Combinations that are judged by one statement: more are hardly quicker, and each takes memory."""
+"""Combinations per statement: more are hardly faster, and each takes memory."""
 
 MEANS = """
     WITH measured AS ({measured}), definitions AS ({definitions}), means AS (
@@ -63,11 +62,9 @@ DEFINED = (
 
 
 class Reading(msgspec.Struct, frozen=True):
-    """One reading other than ours.
+    """One reading other than ours: its title, the number of ours, their question, and the words of the paper behind it.
 
-    What it says, the number of ours, the question that both answer, and on what words of the paper it rests.
-
-    `replaces` is a relation, `moves` are the metrics that hang on it.
+    `replaces` is a relation; `moves` are the metrics that depend on it.
     """
 
     name: str
@@ -81,7 +78,7 @@ class Reading(msgspec.Struct, frozen=True):
 
 
 class _OfRuns(msgspec.Struct, frozen=True, kw_only=True):
-    """What a metric is of: an architecture, and runs that may be counted together. None: what the runs do not have."""
+    """The architecture and the runs that a metric is of. None: what the runs do not have."""
 
     metric: str
     architecture: str | None
@@ -97,9 +94,7 @@ class _OfRuns(msgspec.Struct, frozen=True, kw_only=True):
 class Universe(_OfRuns, frozen=True, kw_only=True):
     """The mean of one metric for one architecture when these readings replace ours.
 
-    Runs whose source does not record what the metric rests on are left out.
-
-    None: undefined or not observed.
+    Runs whose source does not record what the metric rests on are left out. None: undefined or not observed.
     """
 
     readings: Chosen
@@ -110,10 +105,10 @@ class Universe(_OfRuns, frozen=True, kw_only=True):
 class Cell(_OfRuns, frozen=True, kw_only=True):
     """The range of one cell over all combinations of readings, and the reading that moves it most by itself.
 
-    `paper`, `ours`, `lowest`, `highest`, `moved_by` in the metric's unit; of several combinations with the same mean
-    that of fewest readings is named.
-    None: undefined or not observed; `paper` but for whole architectures of four robots; `most_moving` where no
-        reading alone moves the cell.
+    `paper`, `ours`, `lowest`, `highest`, `moved_by` are in the metric's unit; among combinations with the same mean the
+    one of fewest readings is named.
+    None: undefined or not observed; `paper` also unless the cell is of a full architecture with four robots;
+        `most_moving` where no reading alone moves the cell.
     """
 
     paper: float | None
@@ -130,11 +125,11 @@ class Cell(_OfRuns, frozen=True, kw_only=True):
 
 
 class Ranking(msgspec.Struct, frozen=True, kw_only=True):
-    """How stable the order of the architectures by one metric is under every combination of readings, and FSAR's place.
+    """How stable the order of the architectures by one metric is under all combinations of readings.
 
-    `order` is the one under our reading, the best first, `=` between equals; it is that of means, whatever chance has
-    to do with it. `same_order`, `fsar_best` count combinations; `changed_under`, `fsar_not_best_under` name the
-    smallest combinations under which it is not so.
+    `order` is the one under our reading, the best first, `=` between equals; it orders means without regard to chance.
+    `same_order` and `fsar_best` count combinations; `changed_under` and `fsar_not_best_under` name the smallest
+    combinations under which the order differs, or FSAR is not the best.
     None: fewer than two architectures have a mean, or FSAR is none of them.
     """
 
@@ -156,7 +151,7 @@ class Ranking(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Multiverse(msgspec.Struct, frozen=True):
-    """All that is to be said: the readings, the range of each cell, the rankings, and the mean in each universe."""
+    """The readings, the range of each cell, the rankings, and the mean in each universe."""
 
     readings: tuple[Reading, ...]
     cells: tuple[Cell, ...]
@@ -166,7 +161,7 @@ class Multiverse(msgspec.Struct, frozen=True):
 
 @cache
 def readings() -> tuple[Reading, ...]:
-    """All readings other than ours, by name."""
+    """Return all readings other than ours, by name."""
     return tuple(_reading(query) for name, query in sorted(library().queries.items()) if name.startswith(READINGS))
 
 
@@ -186,9 +181,9 @@ def _reading(query: Query) -> Reading:
 
 
 def combinations(metric: str) -> tuple[Chosen, ...]:
-    """Every combination of the readings that move this metric: at most one of each question.
+    """Return every combination of the readings that move this metric: at most one for each question.
 
-    Ours first, then those of fewer readings first.
+    Ours comes first, then those of fewer readings.
     """
     questions: dict[str, list[str]] = {}
     for one in readings():
@@ -201,11 +196,10 @@ def combinations(metric: str) -> tuple[Chosen, ...]:
 
 
 class Relations:
-    """The relations of a ledger as they are when some readings replace ours.
+    """The relations of a ledger under alternative readings.
 
-    Each is made once, and shared by all combinations that leave it the same.
-
-    What readings replace or read is stored, what follows from it is not.
+    Each is made once and shared by all combinations that leave it the same. What readings replace or read is stored;
+    what follows from it is not.
     """
 
     def __init__(self, database: Database, using: Sequence[Reading]):
@@ -217,7 +211,7 @@ class Relations:
         self._made: dict[tuple[str, frozenset[str]], tuple[str, bool]] = {}
 
     def under(self, relation: str, chosen: frozenset[str]) -> str:
-        """The name under which this relation now is to be had. Raises: as `Database.define`."""
+        """Return the name of this relation under these readings. Raises: as `Database.define`."""
         query = self._database.library.relations.get(relation)
         if query is None:
             return relation  # the events, or a step of the query that reads it
@@ -230,7 +224,7 @@ class Relations:
         return self._made[relation, telling][0]
 
     def _telling(self, relation: str) -> frozenset[str]:
-        """The readings that replace this relation, or something that it is made of."""
+        """Return the readings that replace this relation, or something that it is made of."""
         if relation not in self._readings_of:
             below = {one.relation for one in self._database.library.needs([relation])}
             self._readings_of[relation] = frozenset(
@@ -239,7 +233,7 @@ class Relations:
         return self._readings_of[relation]
 
     def _make(self, query: Query, telling: frozenset[str]) -> None:
-        """The relation under these readings, all of which it hangs on.
+        """Make the relation under these readings, all of which it depends on.
 
         The last one that replaces it reads it under the others.
         """
@@ -254,7 +248,7 @@ class Relations:
         self._made[query.relation, telling] = (name, is_stored)
 
     def means(self, metric: str, combined: Sequence[Chosen], *, pools_seeds: bool = False) -> list[Universe]:
-        """The mean of this metric for each architecture and setting under each of these combinations, in their order.
+        """Return the mean of this metric for each architecture and setting under each of these combinations, in order.
 
         Raises: as `Database.rows`.
         """
@@ -279,14 +273,14 @@ class Relations:
         )
 
     def forget(self) -> None:
-        """Nothing that was made here is there any more."""
+        """Drop everything that was made here."""
         for name, is_stored in reversed(self._made.values()):
             self._database.undefine(name, is_stored=is_stored)
         self._made.clear()
 
 
 def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: bool = False) -> Multiverse:
-    """The multiverse of these metrics (all: none named), over the runs of each seed by itself, or of all seeds.
+    """Return the multiverse of these metrics (default: all), over the runs of each seed, or of all seeds.
 
     Raises: as `Database.rows`.
     """
@@ -302,7 +296,7 @@ def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: 
 
 
 def universes(database: Database, metric: str, *, pools_seeds: bool = False) -> list[Universe]:
-    """The mean of this metric for each architecture and setting under every combination of its readings.
+    """Return the mean of this metric for each architecture and setting under every combination of its readings.
 
     Raises: as `Database.rows`.
     """
@@ -315,7 +309,7 @@ def universes(database: Database, metric: str, *, pools_seeds: bool = False) -> 
 
 
 def cells(found: Iterable[Universe]) -> Iterator[Cell]:
-    """The range of each cell, in the order of the universes of our reading."""
+    """Return the range of each cell, in the order of the universes of our reading."""
     by_cell: dict[tuple[object, ...], list[Universe]] = {}
     for one in found:
         by_cell.setdefault((one.metric, *_conditions(one).values(), one.architecture), []).append(one)
@@ -345,7 +339,7 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
 
 
 def rankings(found: Iterable[Universe], better: Mapping[str, str]) -> Iterator[Ranking]:
-    """Whether each ranking survives, in the order of the universes of our reading."""
+    """Return whether each ranking survives, in the order of the universes of our reading."""
     by_place: dict[tuple[object, ...], dict[Chosen, list[Universe]]] = {}
     for one in found:
         by_place.setdefault((one.metric, *_conditions(one).values()), {}).setdefault(one.readings, []).append(one)
@@ -371,14 +365,14 @@ def rankings(found: Iterable[Universe], better: Mapping[str, str]) -> Iterator[R
 
 
 def ranked(mine: Iterable[Universe], better: str) -> tuple[tuple[str, ...], ...]:
-    """The architectures that have a mean, the best first, equal ones together by name."""
+    """Return the architectures that have a mean, the best first; equal ones together, by name."""
     sign = -1 if better == "higher" else 1
     ordered = sorted((sign * one.mean, one.architecture or "unnamed") for one in mine if one.mean is not None)
     return tuple(tuple(name for _, name in equals) for _, equals in groupby(ordered, key=lambda each: each[0]))
 
 
 def smallest(sets: Sequence[Chosen]) -> tuple[Chosen, ...]:
-    """Those of these combinations of which no other one is a part."""
+    """Return those combinations that contain no other one."""
     return tuple(one for one in sets if not any(set(other) < set(one) for other in sets))
 
 

@@ -1,6 +1,6 @@
-"""What the runs of a ledger do not observe of the events that a query reads.
+"""Tell what the runs of a ledger do not observe of the events that a query reads.
 
-An empty answer about them says nothing.
+An empty answer about such events says nothing.
 """
 
 import re
@@ -16,11 +16,11 @@ _COMMENT = re.compile(r"--[^\n]*")
 _WIDE = frozenset({"events", "event_principals"})
 """Relations that hold every event, whatever its type."""
 _TIES = frozenset({"event_principals", "keyed_events"})
-"""Relations that read all events only to say which belong together; what is asked about is named beside them."""
+"""Relations that read all events only to tell which belong together; the query names what it is about beside them."""
 
 
 class Unobserved(msgspec.Struct, frozen=True):
-    """A concern that some runs do not observe: how many of how many."""
+    """A concern that some runs do not observe, and how many of how many."""
 
     concern: str
     runs: int
@@ -28,7 +28,7 @@ class Unobserved(msgspec.Struct, frozen=True):
 
 
 def types_read(library: Library, query: Query) -> frozenset[str] | None:
-    """The event types that the query names, or what it reads; None where it reads all events, whatever their type."""
+    """Return the event types that the query reads; None if it reads events of every type."""
     found: set[str] = set()
     for one in (*library.needs(query.sources() - {query.relation}), query):
         named = _TYPE.findall(_COMMENT.sub("", one.sql))
@@ -43,7 +43,7 @@ def types_read(library: Library, query: Query) -> frozenset[str] | None:
 
 
 def unobserved(database: Database, query: Query, run: str | None = None) -> list[Unobserved]:
-    """The concerns that the query rests on and that not all runs observe (or this one does not), by name.
+    """Return the concerns that the query rests on and that not all runs observe (or this one does not), by name.
 
     A judge rests on what `judged_concerns` says, any other query on the concerns of the events that it reads. Raises:
     as `Database.rows`.
@@ -60,12 +60,12 @@ def unobserved(database: Database, query: Query, run: str | None = None) -> list
 
 
 def never_observed(database: Database) -> list[Unobserved]:
-    """The concerns that not all runs observe, by name. Raises: as `Database.rows`."""
+    """Return the concerns that not all runs observe, by name. Raises: as `Database.rows`."""
     return _lacking(database, "SELECT DISTINCT concern FROM event_concerns")
 
 
 def _lacking(database: Database, needed: str, run: str | None = None) -> list[Unobserved]:
-    """Those of the needed concerns that not all runs (or not this one) observe."""
+    """Return those of the needed concerns that not all runs (or not this one) observe."""
     rows = database.rows(
         f"""
         SELECT
@@ -84,13 +84,13 @@ def _lacking(database: Database, needed: str, run: str | None = None) -> list[Un
 
 
 def told(found: Iterable[Unobserved]) -> str | None:
-    """One line for people; None if every run observes everything."""
+    """Return one line for people; None if every run observes everything."""
     parts = shown(found)
     return f"not observed, so that the answer says nothing about it: {parts}" if parts else None
 
 
 def shown(found: Iterable[Unobserved]) -> str:
-    """The concerns, and how many runs do not observe each."""
+    """Return the concerns, and how many runs do not observe each."""
     return ", ".join(f"{one.concern} ({one.runs:,} of {one.of_runs:,} runs)" for one in found)
 
 

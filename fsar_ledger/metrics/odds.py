@@ -1,11 +1,11 @@
-"""Whether the paper's experiment, run on this model, could have printed these numbers.
+"""Tell whether the paper's experiment, run on this model, could have printed these numbers.
 
 The rules are registered in `reports/registration.toml`, `[verdicts]`.
 
-`drawn_experiments` draws experiments of the paper's size from the runs of a ledger. For each cell the share of them
-that print a number at least as far out as the paper's, on either side, is its two-sided p. For the table the smallest p
-of its cells is compared with the smallest p of each drawn table (min-p, Westfall and Young 1993), so cells that go
-together are not counted twice.
+`drawn_experiments` draws experiments of the paper's size from the runs of a ledger. The share of them that print a
+number at least as far out as the paper's, on either side, is the two-sided p of a cell. For the table, the smallest p
+of its cells is compared with the smallest p of each drawn table (min-p, Westfall and Young 1993), so that correlated
+cells are not counted twice.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,7 +31,7 @@ class Printed(NamedTuple):
 class Odds(NamedTuple, Generic[_Cell]):
     """The p of each cell, and that of the table as a whole.
 
-    A cell of which no drawn experiment has a number is left out.
+    Cells for which no drawn experiment has a number are left out.
     """
 
     cells: dict[_Cell, float]
@@ -41,10 +41,10 @@ class Odds(NamedTuple, Generic[_Cell]):
 def odds(
     drawn: Mapping[_Cell, Sequence[float | None] | Numbers], printed: Mapping[_Cell, Printed]
 ) -> Odds[_Cell] | None:
-    """Return how likely the printed table is among the drawn ones; None where they share no cell.
+    """Return how likely the printed table is among the drawn ones; None if they share no cell.
 
-    `drawn` holds a number for each drawn experiment, all in one order of the experiments; None where an experiment
-    leaves it undefined.
+    `drawn` holds a number for each drawn experiment, in the same order for every cell; None where an experiment leaves
+    it undefined.
     """
     cells = [cell for cell in printed if cell in drawn and not np.isnan(_numbers(drawn[cell])).all()]
     if not cells:
@@ -63,9 +63,9 @@ def _numbers(values: Sequence[float | None] | Numbers) -> Numbers:
 
 
 def _two_sided(steps: Numbers, asked: Numbers) -> Numbers:
-    """Twice the smaller share of experiments that print this or less, or this or more.
+    """Return twice the smaller share of experiments that print this or less, or this or more.
 
-    An undefined number is no evidence, and has 1.
+    An undefined number is no evidence and gets 1.
     """
     defined = np.sort(steps[~np.isnan(steps)])
     below = np.searchsorted(defined, asked, side="right") / len(defined)

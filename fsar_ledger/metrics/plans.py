@@ -1,4 +1,4 @@
-"""Whether all is there that was planned, as a sentence beside numbers that rest on it."""
+"""Tell whether all planned runs are there, as a sentence beside numbers that rest on them."""
 
 from typing import Any
 
@@ -9,13 +9,13 @@ from .database import Database
 EXPERIMENTS = "SELECT * FROM experiments ORDER BY planned_count DESC, plan"
 MISSING = "SELECT missing_count FROM missing_runs"
 MAX_COMBINATIONS = 10_000
-"""Of architecture, configuration and scenario in a plan that `missing_runs` reads."""
+"""The most combinations of architecture, configuration and scenario in a plan that `missing_runs` reads."""
 
 UNPLANNED = "SELECT count(*) AS runs FROM unplanned_runs"
 
 
 class Completeness(msgspec.Struct, frozen=True):
-    """What the plans of a ledger say of its runs: `unfinished` plans lack some, and no larger plan covers them.
+    """What the plans of a ledger say about its runs: `unfinished` plans lack some, and no larger plan covers them.
 
     `unplanned` counts runs that no plan names.
     """
@@ -26,11 +26,11 @@ class Completeness(msgspec.Struct, frozen=True):
     missing: int | None
     """How many runs of these plans are missing, each counted once, however many plans name it.
 
-    None where plans name too much to tell.
+    None if plans name too many to tell.
     """
 
     def warning(self) -> str | None:
-        """What is missing; None where nothing is, as far as plans say."""
+        """Say what is missing; None if nothing is, as far as plans say."""
         if not self.unfinished:
             return None
         first, *others = self.unfinished
@@ -41,7 +41,7 @@ class Completeness(msgspec.Struct, frozen=True):
         )
 
     def answer(self) -> dict[str, object]:
-        """The same for programs: `complete` is None where no plan tells, or some runs are in none.
+        """Return the same for programs: `complete` is None without a plan, or if some runs are in none.
 
         `missing_count` counts each run once.
         """
@@ -49,7 +49,7 @@ class Completeness(msgspec.Struct, frozen=True):
         return {"complete": False if self.unfinished else told, "missing_count": self.missing}
 
     def sentence(self) -> str:
-        """What the plans say, whatever it is."""
+        """Say what the plans say, in any case."""
         if not self.plans:
             return "no plan is on record, so nothing says whether these are all the runs that were meant"
         found = self.warning() or "all runs that were planned are there"
@@ -57,7 +57,7 @@ class Completeness(msgspec.Struct, frozen=True):
 
 
 def completeness(database: Database) -> Completeness:
-    """What the plans of this ledger say of its runs. Raises: as `Database.rows`."""
+    """Return what the plans of this ledger say about its runs. Raises: as `Database.rows`."""
     rows = database.rows(EXPERIMENTS)
     [counted] = database.rows(UNPLANNED)
     unfinished = tuple(row for row in rows if row["missing_count"] and not row["larger_plans"])

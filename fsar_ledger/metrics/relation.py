@@ -1,10 +1,9 @@
-"""The relation `events` over segments of every release.
+"""Make the relation `events` over segments of every release.
 
-Each event once, as its newest version, with the columns of today.
-
-Files are read in place, and columns that came after a segment was written are NULL. Rows of a retired type whose next
-versions only add to it are read in place, too, with what was added; others are left out where they are and come from
-memory, upcast one by one, which costs a ledger that holds some one reading of those segments.
+It has each event once, as its newest version, with today's columns. Files are read in place; columns that came after a
+segment was written are NULL. Rows of a retired type whose next versions only add to it are read in place, too, with
+what was added. Others are upcast one by one in memory, which costs a ledger that holds some one more pass over those
+segments.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,7 +26,7 @@ _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_st
 
 
 def hold_segments(database: Database, segments: Sequence[Path], releases: Sequence[str]) -> None:
-    """The database's `events` are the rows of these segments, given the release of each. Raises: as `_upcast`."""
+    """Make the rows of these segments, given the release of each, the database's `events`. Raises: as `_upcast`."""
     types = _types(database, segments)
     database.absent = frozenset(
         tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types))
@@ -74,16 +73,16 @@ def _hold_newest(
         database.hold(_UPCAST, newest)
         selects.append(f"SELECT * FROM {_UPCAST}")
     database.define("events", "\nUNION ALL\n".join(selects))
-    # Most types have no retired rows. Their views need not read a type that is made row by row, of which DuckDB knows
+    # Most types have no retired rows. Their views need not read types that are made row by row, of which DuckDB knows
     # nothing before it has read the rest.
     database.define(_AS_STORED, "\nUNION ALL\n".join(_select(*part) for part in parts))
     database.source, database.changed = _AS_STORED, frozenset(map(_name, holding))
 
 
 def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> str:
-    """The rows of a relation that has these columns, with all of today's, NULL in others.
+    """Return the SELECT of a relation that has the columns `present`, with all of today's, NULL in others.
 
-    Rows of these retired types with what their way adds.
+    Rows of the retired types in `added` get what their later versions add.
     """
     values = {
         name: f'"{name}"' if name in present else f"CAST(NULL AS {SQL_TYPES[kind]})" for name, kind in COLUMNS.items()
@@ -101,7 +100,7 @@ def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> 
 
 
 def _literal(value: Any) -> str:
-    """A value of an event as SQL writes it."""
+    """Write a value of an event in SQL."""
     match value:
         case None:
             return "NULL"
@@ -114,13 +113,13 @@ def _literal(value: Any) -> str:
 
 
 def _parquet(paths: Sequence[Path], *options: str) -> str:
-    """These files as SQL reads them."""
+    """Write these files as a SQL relation."""
     files = ", ".join(_literal(str(path)) for path in paths)
     return f"read_parquet([{files}], {', '.join(('hive_partitioning = false', *options))})"
 
 
 def _types(database: Database, segments: Sequence[Path]) -> frozenset[str] | None:
-    """The event types of which these segments hold rows; None where one cannot be read."""
+    """Return the event types of which these segments hold rows; None if one cannot be read."""
     try:
         return frozenset(
             str(tag)
@@ -133,9 +132,9 @@ def _types(database: Database, segments: Sequence[Path]) -> frozenset[str] | Non
 def _holding(
     database: Database, segments: Sequence[Path], types: frozenset[str] | None
 ) -> Mapping[str, Sequence[Path]]:
-    """The retired types among these of the segments, and which hold them.
+    """Return the retired types among these of the segments, and the segments that hold them.
 
-    All of both where one cannot be read, so that reading it says what is wrong.
+    All of both if one cannot be read, so that reading it says what is wrong.
     """
     if types is None:
         return dict.fromkeys(RETIRED, segments)
@@ -150,17 +149,17 @@ def _holding(
 
 
 def _name(tag: str) -> str:
-    """What all versions of an event type are called."""
+    """Return the name that all versions of an event type share."""
     return tag.partition(".")[0]
 
 
 def _listed(tags: Iterable[str]) -> str:
-    """These types as SQL lists them."""
+    """Write these types as a SQL list."""
     return ", ".join(map(_literal, tags))
 
 
 def _upcast(holding: Mapping[str, Sequence[Path]]) -> pa.Table | None:
-    """The rows of these retired types, which these segments hold, as their newest versions; None if there are none.
+    """Return the rows of these retired types as their newest versions; None if there are none.
 
     Raises:
         LedgerCorrupted: A segment that holds some cannot be read, or does not hold valid events.

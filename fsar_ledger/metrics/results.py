@@ -1,4 +1,4 @@
-"""The answers of the metric and statistics queries as typed rows, in the order of the paper's tables."""
+"""Return the answers of the metric and statistics queries as typed rows, in the order of the paper's tables."""
 
 from typing import Any, TypeVar
 
@@ -20,11 +20,11 @@ SETTINGS = (
 class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     """One metric over the runs of one architecture under the same constants, with one seed or with all.
 
-    `constants` names those that other runs of the same model in this ledger have otherwise, None where there are none.
+    `constants` names those that differ between runs of the same model in this ledger, None if none do.
     Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs of
-    `seeds` seeds; `denominator` what the metric counts, summed over runs; `mean_without_routine` where it counts
-    routine operations, too; `runs_not_observed` runs whose source does not record what the metric rests on, which
-    nothing else counts. Reading: R42.
+        `seeds` seeds; `denominator` what the metric counts, summed over runs; `mean_without_routine` if it also counts
+        routine operations; `runs_not_observed` runs whose source does not record what the metric rests on, which count
+        nowhere else. Reading: R42.
     None: undefined, not observable, what the runs do not have, or `scenario` (`seed`) for all of them together.
     """
 
@@ -53,10 +53,9 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
 class DialledRow(MetricRow, frozen=True, kw_only=True):
     """A metric's summary with the dials that the paper leaves open.
 
-    How often two robots meet, in seconds between, and how many teams work.
-
-    `setting` as in `run_settings`; `made_alike_but` is the same text for runs of one model that differ in fleet size
-    and these dials alone.
+    They are the mean time between encounters of two robots, in seconds, and the number of working teams. `setting` is
+    as in `run_settings`; `made_alike_but` is the same text for runs of one model that differ only in fleet size and
+    these dials.
     """
 
     setting: str
@@ -68,14 +67,12 @@ class DialledRow(MetricRow, frozen=True, kw_only=True):
 class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     """One comparison of two architectures, or of one with itself without a mechanism, by one metric over paired runs.
 
-    Paper: tab:significance.
-
     `comparison` is `first-second`; differences are first minus second, in the metric's unit. `configuration` is that of
     both architectures, or the ablated one; `seed` None: all seeds together; `constants` as in `MetricRow`. Holm adjusts
     the `family_tests` tests of one `family` together. The pooled columns are of the number that the results table
-    prints, a ratio over all pairs (`statistics/pooled_tests`).
-    None: undefined (no variance, fewer than two pairs), McNemar's test of a metric that is not 0/1, or pooled
-        columns of one that is not pooled.
+    prints, a ratio over all pairs (`statistics/pooled_tests`). Paper: tab:significance.
+    None: undefined (no variance, fewer than two pairs), McNemar's test of a metric that is not 0/1, or pooled columns
+        of one that is not pooled.
     """
 
     family: str
@@ -122,7 +119,7 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def metric_rows(database: Database, by_scenario: bool = False, *, pools_seeds: bool = False) -> list[MetricRow]:
-    """The summary of every metric, over all scenarios or one row each; of each seed, or of all together.
+    """Return the summary of every metric over all scenarios, or by scenario; of each seed, or of all together.
 
     Raises: as `Database.rows`.
     """
@@ -136,7 +133,7 @@ def metric_rows(database: Database, by_scenario: bool = False, *, pools_seeds: b
 
 
 def dialled_rows(database: Database, *, pools_seeds: bool = False) -> list[DialledRow]:
-    """The summaries over all scenarios and of each, with their dials; of each seed, or of all together.
+    """Return the summaries over all scenarios and of each, with their dials; of each seed, or of all together.
 
     Raises: as `Database.rows`.
     """
@@ -153,10 +150,8 @@ def dialled_rows(database: Database, *, pools_seeds: bool = False) -> list[Diall
 def statistic_rows(database: Database, defined_only: bool = False, *, pools_seeds: bool = False) -> list[StatisticRow]:
     """Return the pairwise tests of each seed, or of all together.
 
-        They follow the published convention (n is all pairs), or take only pairs where the metric is defined in both
-        runs.
-
-    Raises: as `Database.rows`.
+    They follow the published convention (n is all pairs), or with `defined_only` take only pairs where the metric is
+    defined in both runs. Raises: as `Database.rows`.
     """
     relation = f"pairwise_tests{'_defined' if defined_only else ''}{'_over_seeds' if pools_seeds else ''}"
     rows = database.rows(f"""
@@ -170,9 +165,9 @@ def statistic_rows(database: Database, defined_only: bool = False, *, pools_seed
 
 
 def typed(rows: list[dict[str, Any]], kind: type[_Row]) -> list[_Row]:
-    """The rows as structs.
+    """Return the rows as structs.
 
-    Raises: LedgerCorrupted where a value is none that an event as `verify` accepts it leads to.
+    Raises: LedgerCorrupted for a value that no valid event leads to.
     """
     try:
         return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]

@@ -1,12 +1,9 @@
-"""The rows of a segment by DuckDB's own Parquet reader, compared with those that were decoded by pyarrow.
+"""Compare the rows of a segment as DuckDB's own Parquet reader finds them with those that pyarrow decoded.
 
-A whole look believes neither alone.
-
-Answers come from the one, proofs and replay from the other. `layout` leaves no way known to us in which a file could
-say two things to them; this finds the ways that are not known. A file that is byte for byte what its rows are written
-as leaves nobody a choice: there the two are compared by a digest of each column (its values counted, and its integers
-together). In any other file every value is compared, since whoever can choose what a file says can choose it to fit a
-digest.
+A whole look trusts neither alone: answers come from the one, proofs and replay from the other. `layout` leaves no known
+way in which a file could say two things to them; this finds unknown ones. For a file that is byte for byte what its
+rows are written as, a digest of each column suffices (the number of its values, and its integers combined). In any
+other file every value is compared, since whoever can choose the content of a file can make it fit a digest.
 """
 
 import os
@@ -25,9 +22,9 @@ _EXPECTED = "the same as by pyarrow: rows that both of our readers read alike"
 
 
 def read_again(path: str, decoded: pa.Table, is_as_written: bool) -> tuple[str, str] | None:
-    """Return what DuckDB finds in the segment at this path and what was expected, None if it finds the decoded rows.
+    """Return what DuckDB finds in this segment and what was expected; None if it finds the decoded rows.
 
-    For `verify.Asked.second_reader`: it can be pickled, and keeps one connection for each process.
+    It serves as `verify.Asked.second_reader`: it can be pickled, and keeps one connection per process.
     """
     database = _databases().setdefault(os.getpid(), None) or _opened()
     try:
@@ -37,7 +34,7 @@ def read_again(path: str, decoded: pa.Table, is_as_written: bool) -> tuple[str, 
 
 
 def _by_digest(database: Database, path: str, decoded: pa.Table) -> tuple[str, str] | None:
-    """As `read_again`, by how many values each column has, and all its integers XORed."""
+    """Compare as `read_again` does, by the number of values in each column and the XOR of its integers."""
     columns = {name: whole(decoded.column(name)) for name in decoded.column_names}
     integers = [name for name, column in columns.items() if pa.types.is_int64(column.type)]
     counts = [f'count("{name}")' for name in columns] + [f'bit_xor("{name}")' for name in integers]
@@ -50,13 +47,13 @@ def _by_digest(database: Database, path: str, decoded: pa.Table) -> tuple[str, s
         expected.append((name, int(np.bitwise_xor.reduce(values, initial=0))))
     [found] = database.direct(f"SELECT count(*), {', '.join(counts)} FROM {_source(path)}")
     for (name, by_pyarrow), by_duckdb in zip(expected, found, strict=True):
-        if (by_duckdb or 0) != by_pyarrow:  # NULL, where all values are
+        if (by_duckdb or 0) != by_pyarrow:  # the XOR is NULL where all values are
             return f"{by_duckdb} as the digest of column {name} by DuckDB, {by_pyarrow} by pyarrow", _EXPECTED
     return None
 
 
 def _by_value(database: Database, path: str, decoded: pa.Table) -> tuple[str, str] | None:
-    """As `read_again`, value by value."""
+    """Compare as `read_again` does, value by value."""
     source = f"FROM {_source(path)} AS a POSITIONAL JOIN {_DECODED} AS b"
     differences = {name: f'a."{name}" IS DISTINCT FROM b."{name}"' for name in decoded.column_names}
     database.hold(_DECODED, decoded)
@@ -78,7 +75,7 @@ def _source(path: str) -> str:
 
 @cache
 def _databases() -> dict[int, Database | None]:
-    """The connection of each process: one that was opened before a fork is no use after it."""
+    """Return the connection of this process: one opened before a fork cannot be used after it."""
     return {}
 
 

@@ -1,6 +1,4 @@
-"""Two sides of a comparison: which there are, which are meant, and what their runs, paired, have to say.
-
-Of one ledger or of two.
+"""Compare two sides: find those of a ledger, or of two, choose the ones that are meant, and pair their runs.
 
 A side is an architecture and configuration under one setting (kind, source, model version, constants, fleet size). Runs
 of two sides are paired by seed, scenario and number. What is compared is read from its ledger run by run and held in a
@@ -72,9 +70,9 @@ LEFT_OUT = """
 
 
 class Side(msgspec.Struct, frozen=True, kw_only=True):
-    """Runs that differ in seed, scenario and number alone.
+    """Runs that differ only in seed, scenario and number.
 
-    `letter` is that of their constants, as `info` has it, None where none are on record.
+    `letter` is that of their constants, as in `info`; None where no constants are on record.
     """
 
     side: str
@@ -95,14 +93,14 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def name(self) -> str:
-        """Its whole name: `fsar:full@A/4`."""
+        """Return its full name: `fsar:full@A/4`."""
         robots = "-" if self.fleet_size is None else self.fleet_size
         named = f"{self.architecture or '-'}:{self.configuration or '-'}@{self.letter or '-'}"
         return f"{named}/{robots}{self._end}"
 
     @property
     def names(self) -> set[str]:
-        """All by which it can be asked for.
+        """Return all names by which it can be asked for.
 
         The configuration `full`, the constants and the fleet size may be left out.
         """
@@ -119,14 +117,14 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def _end(self) -> str:
-        """What tells workflows from the runs of scenarios, which are made under the same constants."""
+        """Return the suffix that tells workflows from runs of scenarios under the same constants."""
         return "+workflow" if self.made_as == "workflow" else ""
 
     def __str__(self) -> str:
         return f"{printable.value(self.name)} ({counted(self.run_count, 'run')})"
 
     def held(self) -> str:
-        """What its runs are numbered by, in words."""
+        """Say in words which seeds, scenarios and numbers its runs have."""
         unnamed = (
             ""
             if self.named_count == self.run_count
@@ -154,8 +152,8 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
 class SideRow(msgspec.Struct, frozen=True, kw_only=True):
     """The paired difference of one metric, first minus second, in the metric's unit (`statistics/side_differences`).
 
-    `seed` None: all seeds together; `scenario` None: all scenarios. `differing_pairs` of `n` pairs have runs that
-    differ at all.
+    `seed` None: all seeds together; `scenario` None: all scenarios. In `differing_pairs` of the `n` pairs the runs
+    differ.
     """
 
     seed: int | None
@@ -176,7 +174,7 @@ class SideRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Differing(msgspec.Struct, frozen=True, kw_only=True):
-    """A constant that the two sides have otherwise; a value is JSON, or `absent`."""
+    """A constant in which the two sides differ; a value is JSON, or `absent`."""
 
     name: str
     first_value: str
@@ -184,10 +182,7 @@ class Differing(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Paired(msgspec.Struct, frozen=True, kw_only=True):
-    """What two sides have to say of each other.
-
-    How many pairs share what, which runs have no part in them, and the rows.
-    """
+    """The comparison of two sides: how many pairs share what, which runs are left out, and the rows."""
 
     same_facts: int
     same_draws: int
@@ -198,18 +193,18 @@ class Paired(msgspec.Struct, frozen=True, kw_only=True):
     left_out: list[LeftOut]
     constants: list[Differing]
     absent: list[str]
-    """Metrics of which no pair has a value on both sides."""
+    """Metrics that no pair defines on both sides."""
 
     rows: list[SideRow]
 
     @property
     def pairs(self) -> int:
-        """Pairs that are compared."""
+        """Return how many pairs are compared."""
         return self.same_facts + self.same_draws + self.same_seed
 
 
 def sides(database: Database) -> list[Side]:
-    """All sides of a ledger, in the order of the paper. Raises: as `Database.rows` and `models`."""
+    """Return all sides of a ledger, in the order of the paper. Raises: as `Database.rows` and `models`."""
     letters = {
         (one.kind, one.source, one.model_version, one.parameter_set): letter
         for one, letter in lettered(models(database))
@@ -224,15 +219,15 @@ def sides(database: Database) -> list[Side]:
 def chosen(
     held: Sequence[Sequence[Side]], asked: tuple[str | None, str | None], places: Sequence[str]
 ) -> tuple[Side, Side]:
-    """The two sides that are meant.
+    """Return the two sides that are meant.
 
     Args:
         held: The sides of the ledger, or of each of two.
-        asked: What `--first` and `--second` name; None where nothing.
+        asked: The names given as `--first` and `--second`; None where none is.
         places: The ledgers, for messages.
 
     Raises:
-        UsageError: A name is none, or more than one; or nothing says which of several are meant.
+        UsageError: A name matches no side or several, or nothing says which of several is meant.
     """
     firsts, seconds = held[0], held[-1]
     first = _named("--first", asked[0], firsts, places[0])
@@ -258,9 +253,9 @@ def chosen(
 
 
 def _alike(one: Side | None, held: Sequence[Side]) -> list[Side]:
-    """Those that are this one but for constants, model and kind of runs.
+    """Return the sides that equal this one except for constants, model and kind of runs.
 
-    Where none is, but for the size of the fleet, too.
+    If there is none, those that also differ in fleet size.
     """
     named = [
         side
@@ -292,7 +287,7 @@ def _named(option: str, asked: str | None, held: Sequence[Side], place: str) -> 
 
 
 def _of_one(held: Sequence[Side], first: Side | None, second: Side | None, place: str) -> tuple[Side, Side]:
-    """Both sides of one ledger, where it leaves no choice."""
+    """Return both sides of one ledger, if it leaves no choice."""
     if first is not None and second is not None:
         return first, second
     one = first or second
@@ -311,7 +306,7 @@ def _of_one(held: Sequence[Side], first: Side | None, second: Side | None, place
 
 
 def _like(one: Side | None, held: Sequence[Side], option: str, place: str) -> Side:
-    """The side of the other ledger that is like this one, or the only one there."""
+    """Return the side of the other ledger that is like this one, or the only one there."""
     alike = _alike(one, held) or list(held)
     if len(alike) != 1:
         raise UsageError(
@@ -327,7 +322,7 @@ def _listed(held: Sequence[Side]) -> str:
 def paired(
     held: Sequence[Database], both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False
 ) -> Paired:
-    """What the runs of the two sides, each in its ledger, have to say in pairs. Raises: as `Database.rows`."""
+    """Compare the runs of the two sides, each from its ledger, in pairs. Raises: as `Database.rows`."""
     tables = [
         _runs(database, side, name)
         for database, side, name in zip((held[0], held[-1]), both, ("first", "second"), strict=True)

@@ -1,8 +1,8 @@
-"""SQL that anyone may have written, run where it can read one ledger and do nothing else.
+"""Run SQL that anyone may have written where it can read one ledger and do nothing else.
 
-A process of its own (`locked.py`) holds the committed segments as one registered dataset, gives up every other right,
-and runs exactly one SELECT or EXPLAIN under limits of memory and processor time; this side kills it at a wall-clock
-limit. What comes back is Arrow data, never pickled objects.
+A separate process (`sandbox.py`) holds the committed segments as one registered dataset, gives up every other right,
+and runs exactly one SELECT or EXPLAIN under limits of memory and processor time; this process kills it at a wall-clock
+limit. It answers in Arrow data, never in pickled objects.
 """
 
 import json
@@ -26,46 +26,37 @@ from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.read import Head
 
 from .database import SHOWN, first_damage, plain_rows
-from .locked import GRACE_S, Limits, Question, Refusal
+from .sandbox import GRACE_S, Limits, Question, Refusal
 from .verified import is_verified
 
 ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1"}
-"""All that the process finds in its environment.
+"""The whole environment of the process.
 
 Libraries then reserve no address space that they do not use (2.4 GiB become 0.7 GiB).
 """
 
 NEEDED = ("LD_LIBRARY_PATH",)
-"""What it is given of the caller's environment: some interpreters do not start without it."""
+"""Variables taken from the caller's environment: some interpreters do not start without them."""
 
 START = (
     "import gc, json, os, sys; gc.disable(); sys.path[:] = json.loads(sys.argv[1]); "
-    "from fsar_ledger.metrics.locked import answer; gc.enable(); answer(int(sys.argv[2])); os._exit(0)"
+    "from fsar_ledger.metrics.sandbox import answer; gc.enable(); answer(int(sys.argv[2])); os._exit(0)"
 )
 """Imports make no garbage worth looking for, and what the process holds need not be put away: it only ends."""
 
 
 DYING_S = 5
-"""Seconds within which a process is gone after its pipe is."""
+"""Seconds within which a process ends after its pipe is closed."""
 
 SAID_BYTES = 1 << 16
 OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory", "out of memory", "failed to map segment")
 """What C++, Python and the dynamic loader write when they get no memory."""
 
 
-class Answer(msgspec.Struct, frozen=True):
-    """The rows of a SELECT at this head, and whether the rows that it read were compared with the head's root."""
-
-    head: Head
-    rows_verified: bool
-    columns: list[str]
-    rows: list[dict[str, Any]]
-
-
 class Stream(NamedTuple):
-    """As `Answer`, but with `parts`: some rows at a time.
+    """The answer of a SELECT at this head, and whether the rows that it read were compared with the head's root.
 
-    They raise QueryFailed when the time is over, or for a value that cannot be shown.
+    `parts` yields some rows at a time. It raises QueryFailed when the time is over, or a value cannot be shown.
     """
 
     head: Head
@@ -74,25 +65,17 @@ class Stream(NamedTuple):
     parts: Iterator[list[dict[str, Any]]]
 
 
-def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Answer:
-    """The answer of this SELECT, all of it in memory. Raises: as `stream_untrusted`."""
-    with stream_untrusted(ledger, sql, limits, demanded) as answer:
-        return Answer(answer.head, answer.rows_verified, answer.columns, [row for part in answer.parts for row in part])
-
-
 @contextmanager
 def stream_untrusted(
     ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None
 ) -> Iterator[Stream]:
-    """The answer of this SELECT over the ledger's present head.
+    """Yield the answer of this SELECT over the ledger's present head; with `demanded`, only of that head.
 
-    With `demanded`, only over the head with that newest record.
-
-    The limit of time holds until the last part has been taken.
+    The time limit holds until the last part has been taken.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; LedgerCorrupted also for a
-            segment that is not as committed.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; LedgerCorrupted also for a segment
+            that is not as committed.
         SequenceConflict: As `is_verified`.
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
@@ -119,7 +102,7 @@ def table_untrusted(
 def _answering(
     ledger: Path, sql: str, limits: Limits, demanded: str | None
 ) -> Iterator[tuple[Head, bool, bytes, "_Process"]]:
-    """Return the head, whether its rows were compared with the root, an empty first part and the sending process."""
+    """Yield the head, whether its rows were compared with the root, an empty first part and the process."""
     check_text(sql, limits)
     view = open_for_answers(ledger)
     rows_verified = is_verified(view, demanded)
@@ -146,7 +129,7 @@ def _parts(process: "_Process") -> Iterator[list[dict[str, Any]]]:
 
 
 def check_text(sql: str, limits: Limits) -> None:
-    """The SQL is text that DuckDB can be given.
+    """Check that the SQL is text that DuckDB can be given.
 
     Raises:
         QueryFailed: It is too long, is not Unicode, or holds a NUL character.
@@ -168,14 +151,14 @@ def check_text(sql: str, limits: Limits) -> None:
 class _Process:
     """A process that waits for a `Question`, and the pipe to it.
 
-    It is ended when its time is over, whatever either side is doing.
+    It is killed when its time is over, whatever either side is doing.
     """
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self.pipe, there = Pipe()
         self._said, said = os.pipe()
-        os.set_blocking(said, False)  # what does not fit into the pipe is lost, and nobody waits for it
+        os.set_blocking(said, False)  # what does not fit into the pipe is dropped rather than waited for
         os.set_blocking(self._said, False)
         path = json.dumps([os.path.abspath(place) for place in sys.path])
         try:
@@ -196,14 +179,14 @@ class _Process:
         self._alarm.start()
 
     def send(self, data: bytes) -> None:
-        """The process has these bytes. Raises: QueryFailed if it is gone."""
+        """Send these bytes to the process. Raises: QueryFailed if it has ended."""
         try:
             self.pipe.send_bytes(data)
         except OSError as error:
             raise self._gone() from error
 
     def receive(self) -> bytes:
-        """What the process sends next. Raises: QueryFailed if it is gone, or its time is over."""
+        """Return what the process sends next. Raises: QueryFailed if it has ended, or its time is over."""
         try:
             return self.pipe.recv_bytes(self.limits.answer_bytes)
         except (EOFError, OSError) as error:
@@ -215,7 +198,7 @@ class _Process:
             raise self._gone()
 
     def end(self) -> None:
-        """The process is gone, and the pipes to it are closed."""
+        """End the process and close the pipes to it."""
         self._alarm.cancel()
         self._child.kill()
         self._child.wait()
@@ -239,9 +222,9 @@ class _Process:
 
 
 def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
-    """Return why a process ended without an answer, and what to do.
+    """Say why a process ended without an answer, and what to do.
 
-    It is told by the exit code (below zero: a signal's number) and by the end of what the process wrote to stderr.
+    It is told from the exit code (below zero: a signal's number) and the end of what the process wrote to stderr.
     """
     last = next((line for line in reversed(said.splitlines()) if line.strip()), "nothing")[:SHOWN]
     memory = (
@@ -268,7 +251,7 @@ def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
 
 @contextmanager
 def _process(limits: Limits) -> Iterator[_Process]:
-    """A process that waits for a `Question`; it is gone at the end, however that comes."""
+    """Yield a process that waits for a `Question`; it is ended afterwards in any case."""
     process = _Process(limits)
     try:
         yield process

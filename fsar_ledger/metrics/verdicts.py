@@ -1,9 +1,9 @@
-"""The paper beside ours: two questions, and an answer to each for every cell that is judged.
+"""Judge our numbers against the paper's by two questions.
 
 Both rules were registered before the fit, in `reports/registration.toml`.
 
-- *Does this model give the printed number?* Equivalence by two one-sided tests, with our sampling error alone: `yes`
-  if the 90 % interval of (ours - paper) lies within the metric's margin, `no` if it lies wholly outside, `undecided`
+- *Does this model give the printed number?* Equivalence by two one-sided tests, with our sampling error alone: `yes` if
+  the 90 % interval of (ours - paper) lies within the metric's margin, `no` if it lies wholly outside, `undecided`
   otherwise, also where our mean has no SD.
 - *Could the paper's experiment, run on this model, have printed it?* `no` if fewer than one in twenty experiments of
   the paper's size, drawn from our runs, print a number as far out (`odds.py`), `yes` otherwise.
@@ -20,7 +20,7 @@ from fsar_ledger.registration import registration
 
 from .definitions import published_metrics
 from .odds import Cell, Odds, Printed
-from .printed import printed
+from .paper_numbers import printed
 from .results import MetricRow
 
 Answer = Literal["yes", "no", "undecided"]
@@ -58,17 +58,17 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 
 @cache
 def published() -> dict[Cell, Printed]:
-    """The 24 cells of the paper's results table in our unit, by metric and architecture.
+    """Return the 24 cells of the paper's results table in our unit, by metric and architecture.
 
-    No other table is read for them. Paper: tab:results.
+    No other table is read. Paper: tab:results.
     """
     return {(place.metric, place.architecture): number for place, number in printed("results").items()}
 
 
 def compare(rows: Iterable[MetricRow], odds: Odds[Cell] | None = None) -> list[Comparison]:
-    """The answers for every row whose metric and architecture the results table prints, in the order given.
+    """Judge every row whose metric and architecture the results table prints, in the given order.
 
-    The second only with odds.
+    The second question is answered only with odds.
     """
     found = []
     for row in rows:
@@ -79,9 +79,9 @@ def compare(rows: Iterable[MetricRow], odds: Odds[Cell] | None = None) -> list[C
 
 
 def judge(row: MetricRow, paper: float, share: float | None) -> Comparison:
-    """A number beside a printed one, of whatever table, by the rules above.
+    """Judge a number against a printed one, of any table, by the rules above.
 
-    `share` of the drawn experiments, None where none were drawn.
+    `share` is that of the drawn experiments, None if none were drawn.
     """
     margin = MARGINS[row.metric]
     difference = None if row.mean is None else row.mean - paper
@@ -111,7 +111,7 @@ def judge(row: MetricRow, paper: float, share: float | None) -> Comparison:
 
 
 def gives(low: float | None, high: float | None, margin: float) -> Answer:
-    """The answer to the first question, by the 90 % interval of (ours - paper)."""
+    """Answer the first question by the 90 % interval of (ours - paper)."""
     if low is None or high is None:
         return "undecided"
     if -margin <= low and high <= margin:
@@ -120,17 +120,14 @@ def gives(low: float | None, high: float | None, margin: float) -> Answer:
 
 
 def _half_width(sd: float, n: int) -> float:
-    """Half the 90 % interval of a mean of n runs: each of the two tests is at `ALPHA`."""
+    """Return half the 90 % interval of a mean of n runs: each of the two tests is at `ALPHA`."""
     from scipy.special import stdtrit
 
     return float(stdtrit(n - 1, 1.0 - ALPHA)) * sd / math.sqrt(n)
 
 
 def _power(sd: float, n: int, margin: float) -> float:
-    """The chance of `yes` where the difference is nothing.
-
-    That the mean lies so near that its interval is within the margin.
-    """
+    """Return the chance of `yes` if the true difference is 0: that the whole interval falls within the margin."""
     from scipy.special import stdtr
 
     reach = (margin - _half_width(sd, n)) / (sd / math.sqrt(n))

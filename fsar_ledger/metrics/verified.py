@@ -1,14 +1,14 @@
-"""The heads whose rows a whole look has compared with their root.
+"""Remember the heads whose rows a whole look has compared with their root.
 
-Remembered beside the user's other caches, never in a ledger.
+They are remembered beside the user's other caches, never in a ledger.
 
-A name is all that is remembered: a SHA-256 over the hash of the newest commit record, which vouches for every segment's
-hash, and the versions of all that read the rows. Whoever opens a ledger with that record, and compares its segments
-with their hashes, has the very bytes that were looked at.
+All that is remembered is a name: a SHA-256 over the hash of the newest commit record, which vouches for every segment's
+hash, and the versions of everything that reads the rows. Whoever opens a ledger with that record, and compares its
+segments with their hashes, has the very bytes that were checked.
 
-Exactly that head counts. After a commit more it is another: what the look saw is then a part of the rows, and no answer
-says which part it came from. The memory is of this user on this machine, who could as well change the program; nobody
-else's is believed, and to lose it costs one more look.
+Only exactly that head counts. After another commit the rows that the look saw are only a part, and no answer says which
+part it came from. The memory belongs to this user on this machine, who could as well change the program; no other
+memory is trusted, and losing it costs one more look.
 """
 
 import hashlib
@@ -35,13 +35,13 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 def whole_look(
     ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, asked: Asked | None = None
 ) -> VerifyReport:
-    """The report of `verify`; where it read the rows and doubts nothing, the head is remembered.
+    """Return the report of `verify`; remember the head if it read the rows and doubts nothing.
 
     Raises: as `verify`.
     """
     asked = asked or Asked()
     if not asked.is_quick:
-        from .second_reader import read_again  # DuckDB, which a proof does without
+        from .second_reader import read_again  # imports DuckDB, which a proof does not need
 
         asked = msgspec.structs.replace(asked, second_reader=read_again)
     report = verify(ledger, workers, progress, asked)
@@ -51,7 +51,7 @@ def whole_look(
 
 
 def required_look(ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> str:
-    """The SHA-256 of the newest record of this ledger, after a whole look that doubts nothing; for `is_verified`.
+    """Return the SHA-256 of the newest record after a whole look that doubts nothing; for `is_verified`.
 
     Raises:
         LedgerCorrupted: The look doubts something; the message names the first problem.
@@ -69,14 +69,14 @@ def required_look(ledger: Path, workers: int = 1, progress: Callable[[int, int],
 
 
 def is_verified(view: LedgerView, demanded: str | None = None) -> bool:
-    """Whether the rows of this head, where its segments are as committed, are known to be those under its root.
+    """Tell whether the rows of this head, if its segments are as committed, are known to be those under its root.
 
     Args:
         view: The opened ledger.
-        demanded: The newest record that `required_look` just saw, where no other head will do.
+        demanded: The newest record that `required_look` has just checked, if no other head will do.
 
     Raises:
-        SequenceConflict: The view is of another head than the one that is demanded.
+        SequenceConflict: The view is of another head than the demanded one.
     """
     if demanded is not None and view.record_sha256 != demanded:
         raise SequenceConflict(
@@ -87,7 +87,7 @@ def is_verified(view: LedgerView, demanded: str | None = None) -> bool:
 
 
 def is_remembered(record_sha256: str) -> bool:
-    """Return whether this user's `verify`, with these versions, found nothing in a ledger with this newest record."""
+    """Tell whether this user's `verify`, with these versions, found no fault in a ledger with this newest record."""
     file = _place(record_sha256)
     if file is None or not _is_own(file.parent):
         return False
@@ -98,7 +98,7 @@ def is_remembered(record_sha256: str) -> bool:
 
 
 def _remember(record_sha256: str) -> None:
-    """The head is remembered, if it can be: without memory the next answer only says less."""
+    """Remember the head if possible; otherwise the next answer only claims less."""
     file = _place(record_sha256)
     if file is None:
         return
@@ -118,9 +118,9 @@ def _remember(record_sha256: str) -> None:
 
 
 def _folder() -> Path | None:
-    """The user's cache of this program: `$XDG_CACHE_HOME/fsar-ledger`, else `~/.cache/fsar-ledger`.
+    """Return the user's cache of this program: `$XDG_CACHE_HOME/fsar-ledger`, else `~/.cache/fsar-ledger`.
 
-    None where there is no home.
+    None if there is no home.
     """
     named = os.environ.get("XDG_CACHE_HOME", "")
     if os.path.isabs(named):  # the specification ignores any other
@@ -132,7 +132,7 @@ def _folder() -> Path | None:
 
 
 def _is_own(folder: Path) -> bool:
-    """Whether this is a folder, and not a link to one, into which nobody but this user can put anything."""
+    """Tell whether this is a folder, not a link to one, into which nobody but this user can write."""
     try:
         status = folder.lstat()
     except OSError:
@@ -145,9 +145,9 @@ def _is_safe(status: os.stat_result) -> bool:
 
 
 def _place(record_sha256: str) -> Path | None:
-    """The file by which a head is remembered.
+    """Return the file by which a head is remembered.
 
-    None where there is no cache, or nobody knows which versions read the rows.
+    None if there is no cache, or the versions that read the rows are unknown.
     """
     folder = _folder()
     try:
@@ -158,5 +158,5 @@ def _place(record_sha256: str) -> Path | None:
 
 
 def _line(record_sha256: str) -> bytes:
-    """All that the file of a head holds: half of it, after a full disk, is no memory."""
+    """Return the whole content of the file of a head: after a full disk, half of it does not count."""
     return f"{record_sha256}\n".encode()

@@ -1,7 +1,7 @@
-"""The report: tables and figures of the evaluation beside the paper's, typeset as a PDF.
+"""Typeset the evaluation as a PDF, with its tables and figures beside the paper's.
 
-`gather` asks the queries, `findings` holds their rows, `printing` and `figures` show them by the specs of
-`reports/`, `document` lays them out, `typeset` makes the PDF. Nothing heavy is imported until it is needed.
+`gather` runs the queries, `findings` defines what they yield, `printing` and `figures` render it by the specs of
+`reports/`, `document` lays it out, and `typeset` makes the PDF. Heavy imports wait until they are needed.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ __all__ = ["result_figure_png", "result_figure_svg", "write_report"]
 
 
 def __getattr__(name: str) -> Any:
-    """What `build` makes, which is loaded only then."""
+    """Load `build` when one of its functions is first asked for."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from fsar_ledger.report import build

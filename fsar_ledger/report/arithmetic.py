@@ -1,7 +1,7 @@
-"""The paper's own arithmetic, redone from its printed numbers alone.
+"""Redo the paper's own arithmetic from its printed numbers alone, without any ledger.
 
-Nothing here looks at a ledger. Each function takes printed values and gives the numbers that one paragraph
-of "Contradictions in the paper" quotes, so that each can be checked by hand.
+Each function computes the numbers that one paragraph of "Contradictions in the paper" quotes, so that each can be
+checked by hand.
 """
 
 import math
@@ -15,47 +15,44 @@ ARCHITECTURES = ("FSAR", "CFC", "DHMA")
 
 
 def half_width(sd: float, n: int) -> float:
-    """The half width of a 95 % interval around a mean of `n` values with this SD. Unit: that of `sd`."""
+    """Return the half width of a 95 % interval around a mean of `n` values with this SD. Unit: that of `sd`."""
     return Z95 * sd / math.sqrt(n)
 
 
 def sd_of_half_width(half: float, n: int) -> float:
-    """The SD that a printed 95 % half width means for `n` values: the inverse of `half_width`."""
+    """Return the SD implied by a printed 95 % half width of `n` values: the inverse of `half_width`."""
     return half * math.sqrt(n) / Z95
 
 
 def wilson(share: float, n: int) -> tuple[float, float]:
-    """The Wilson 95 % interval of a share observed on `n` trials. Unit: share."""
+    """Return the Wilson 95 % interval of a share observed on `n` trials. Unit: share."""
     centre = (share + Z95**2 / (2 * n)) / (1 + Z95**2 / n)
     reach = Z95 / (1 + Z95**2 / n) * math.sqrt(share * (1 - share) / n + Z95**2 / (4 * n * n))
     return centre - reach, centre + reach
 
 
 def pooled_sd(difference: float, d: float) -> float:
-    """The pooled SD that Cohen's d means for a difference of two means: |difference| / d.
-
-    Unit: that of the difference.
-    """
+    """Return the pooled SD implied by Cohen's d: |difference| / d. Unit: that of the difference."""
     return abs(difference) / d
 
 
 def binary_d(first: float, second: float) -> float:
-    """Cohen's d of a 0/1 value, which follows from its two means (shares) alone."""
+    """Return Cohen's d of a 0/1 value, which follows from its two means (shares) alone."""
     return abs(first - second) / math.sqrt((first * (1 - first) + second * (1 - second)) / 2)
 
 
 def smallest_sd_with_a_zero(mean: float, groups: int) -> float:
-    """The least SD that `groups` group means can have when they average `mean` and one of them is 0.
+    """Return the least SD of `groups` group means that average `mean` while one of them is 0.
 
-    It is least when the others are equal, mean x groups / (groups - 1) each; divisor `groups`, which is the smaller
-    one.
+    It is least when the others are equal, mean x groups / (groups - 1) each. The divisor is `groups`, which gives the
+    smaller SD.
     """
     other = mean * groups / (groups - 1)
     return math.sqrt((mean**2 + (groups - 1) * (other - mean) ** 2) / groups)
 
 
 def counts_that_print(percent: int, largest: int) -> list[str]:
-    """The fractions "k/n" with n up to `largest` that round to this whole percentage, one k for each n."""
+    """Return the fractions "k/n" with n up to `largest` that round to this percentage, one k for each n."""
     found = []
     for n in range(1, largest + 1):
         k = round(percent * n / 100)
@@ -65,7 +62,7 @@ def counts_that_print(percent: int, largest: int) -> list[str]:
 
 
 class Variances(msgspec.Struct, frozen=True):
-    """Variances that three pairwise d imply, and the largest that rounding of the printed values still allows."""
+    """Variances implied by three pairwise d, and the largest that rounding of the printed values still allows."""
 
     metric: str
     implied: Mapping[str, float]
@@ -82,9 +79,9 @@ def _squared_sd_range(first: float, second: float, d: float, mean_step: float, d
 def implied_variances(
     metric: str, means: Mapping[str, float], d: Mapping[frozenset[str], float], mean_step: float, d_step: float = 0.01
 ) -> Variances:
-    """The three variances that follow from (v_a + v_b) / 2 = ((m_a - m_b) / d_ab)^2 for each pair.
+    """Return the three variances that follow from (v_a + v_b) / 2 = ((m_a - m_b) / d_ab)^2 for each pair.
 
-    `mean_step` and `d_step` are one unit in the last printed place; `largest` uses whatever the rounding leaves open.
+    `mean_step` and `d_step` are one unit in the last printed place; `largest` uses all the room that rounding leaves.
     """
     squared = {
         frozenset(pair): pooled_sd(means[pair[0]] - means[pair[1]], d[frozenset(pair)]) ** 2
@@ -104,5 +101,5 @@ def implied_variances(
 
 
 def growth_exponent(sizes: Sequence[float], values: Sequence[float]) -> float:
-    """The exponent b of value ~ size^b between the first and the last point; above 1 is super-linear."""
+    """Return the exponent b of value ~ size^b between the first and the last point; above 1 is super-linear."""
     return math.log(values[-1] / values[0]) / math.log(sizes[-1] / sizes[0])

@@ -1,4 +1,4 @@
-"""A ledger becomes the report: gather, lay out, typeset, publish."""
+"""Make the report of a ledger: gather, lay out, typeset, publish."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -27,32 +27,32 @@ def write_report(
     reads_every_way: bool = True,
     numbers_out: Path | None = None,
 ) -> None:
-    """Write the PDF about the ledger's present head, and about those of the ledgers beside it, and its numbers.
+    """Write the PDF and its numbers about the present heads of the ledger and of the ledgers beside it.
 
-    Each file is at its path complete or not at all.
-
-    First every row of each is compared with its root. Same heads and versions, same bytes.
+    First every row of each ledger is compared with its root. Each file appears complete at its path, or not at all. The
+    same heads and versions give the same bytes.
 
     Args:
         ledger: The folder of the ledger.
         out: The PDF.
         workflows: The folder of the ledger of workflows.
-        beside: The folders of other ledgers: of ablations, of larger fleets, of workflows. Each is asked what it holds.
+        beside: The folders of other ledgers: of ablations, of larger fleets, of workflows. Each fills the sections that
+            it has runs for.
         workers: Processes that compare rows.
-        progress: Told of segments compared, done and in all.
-        pools_seeds: Whether the tables are of the runs of all seeds together.
-        sensitivity: The file of `fsar-ledger sensitivity`; the report has it if it is of these runs, else it says how
-            to make it.
-        reads_every_way: Whether the cells are shown under every reading of the text, too.
-        numbers_out: Where the same numbers go for programs (`reproduction`); None: nowhere.
-        demanded: The newest record of the ledger, if a whole look just saw it (`required_look`); None looks now.
+        progress: Called with the number of segments compared and the number in all.
+        pools_seeds: Whether the tables take the runs of all seeds together.
+        sensitivity: The file of `fsar-ledger sensitivity`. If it is of other runs, or None, the report says how to make
+            it.
+        reads_every_way: Whether the cells are also shown under every reading of the text.
+        numbers_out: Where the same numbers are written for programs (`reproduction`); None: nowhere.
+        demanded: The newest record of the ledger, if `required_look` has just checked it; None checks it now.
 
     Raises:
-        UsageError: The ledger of workflows holds no workflow, one beside it nothing for the report, `out` lies inside a
-            ledger or is `numbers_out`, too, or `sensitivity` is something else.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read, or its rows are not those under
-            its root.
-        SequenceConflict: Somebody appended meanwhile.
+        UsageError: The ledger of workflows holds no workflow, one beside it has nothing for the report, `out` lies
+            inside a ledger or equals `numbers_out`, or `sensitivity` is another kind of file.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: A ledger cannot be read, or its rows are not those under its
+            root.
+        SequenceConflict: Somebody appended in the meantime.
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
@@ -67,23 +67,23 @@ def write_report(
         one: required_look(one, workers, progress) for one in (*([] if workflows is None else [workflows]), *beside)
     }
     findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way)
-    effects = section(given, findings.model_version, [findings.parameters_sha256 or "unknown"])
+    effects = section(given, findings.model_version, findings.parameters)
     record = recorded()
     laid_out = document.encoded(document.data(findings, record, effects))
     made = {out: typeset.pdf(laid_out, document.drawings(findings, effects))}
     if numbers_out is not None:
         made[numbers_out] = reproduction(findings, document.counted(findings, record))
-    for place, content in made.items():  # nothing is replaced before all is made
+    for place, content in made.items():  # replace nothing before everything is made
         typeset.publish(place, content)
 
 
 def result_figure_svg(ledger: Path, out: Path) -> None:
-    """The figure "Evaluation results" of the ledger is at `out` as SVG. Raises: as `write_report`."""
+    """Write the figure "Evaluation results" of the ledger as SVG. Raises: as `write_report`."""
     require_outside(out, str(out))
     typeset.publish(out, figures.evaluation_results(gather(ledger).cells, "svg"))
 
 
 def result_figure_png(ledger: Path, out: Path) -> None:
-    """The figure "Evaluation results" of the ledger is at `out` as PNG. Raises: as `write_report`."""
+    """Write the figure "Evaluation results" of the ledger as PNG. Raises: as `write_report`."""
     require_outside(out, str(out))
     typeset.publish(out, figures.evaluation_results(gather(ledger).cells, "png"))

@@ -1,7 +1,7 @@
-"""The record of the fit, `reports/calibration.json`, as far as it is there.
+"""Read the record of the fit, `reports/calibration.json`.
 
-Every part is optional and unknown keys are skipped, so that a report can be made before, during and after a
-fit; a part that is absent is said to be absent. Percentages and seconds are as in the queries (shares in [0, 1]).
+Every part is optional and unknown keys are skipped, so that a report can be made before, during and after a fit; the
+report says which parts are absent. Units are those of the queries (shares in [0, 1], seconds).
 """
 
 from importlib.resources import files
@@ -13,7 +13,7 @@ from fsar_ledger.errors import FsarLedgerError
 
 
 class Objective(msgspec.Struct, frozen=True):
-    """What the fit made small: in words, its value before and after."""
+    """What the fit minimised: a description, and its value before and after."""
 
     description: str
     start: float | None = None
@@ -21,7 +21,7 @@ class Objective(msgspec.Struct, frozen=True):
 
 
 class Parameter(msgspec.Struct, frozen=True):
-    """One fitted constant: start and accepted value in `unit`, what it means, and whether the data identify it."""
+    """One fitted constant: start and accepted value in `unit`, its meaning, and whether the data identify it."""
 
     name: str
     unit: str
@@ -32,7 +32,7 @@ class Parameter(msgspec.Struct, frozen=True):
 
 
 class Residual(msgspec.Struct, frozen=True):
-    """One cell after the fit: paper and fitted mean (stored units) and their distance in margins of the metric."""
+    """One cell after the fit: paper and fitted mean (stored units), and their distance in margins of the metric."""
 
     metric: str
     architecture: str
@@ -50,7 +50,7 @@ class Direction(msgspec.Struct, frozen=True):
 
 
 class Record(msgspec.Struct, frozen=True):
-    """The whole record; lists are empty where the fit recorded nothing."""
+    """The record of a fit; lists are empty where it recorded nothing."""
 
     objective: Objective | None = None
     seeds: list[int] = []
@@ -64,9 +64,9 @@ class Record(msgspec.Struct, frozen=True):
 
 
 def recorded(folder: Traversable | None = None) -> Record | None:
-    """The record of the fit in this folder (default: the packaged one), or None when there is none.
+    """Return the record of the fit in this folder (default: the packaged one), or None if there is none.
 
-    Raises: FsarLedgerError when the file is there and is not such a record.
+    Raises: FsarLedgerError if the file is not such a record.
     """
     path = (folder or files("fsar_ledger.reports")).joinpath("calibration.json")
     if not path.is_file():

@@ -1,4 +1,4 @@
-"""The paper's four cases beside what `queries/cases/` counts. Paper: sec:evaluation:qualitative. Reading: R46."""
+"""Lay the paper's four cases beside what `queries/cases/` counts. Paper: sec:evaluation:qualitative. Reading: R46."""
 
 from collections.abc import Iterable, Mapping
 
@@ -12,8 +12,8 @@ Counts = Mapping[tuple[str, str], tuple[int, int]]
 def beside(claims: Iterable[Row]) -> tuple[Row, ...]:
     """Return a row for each number of the paper: its words, ours in both readings, what was counted, and its class.
 
-    `claims` are rows of `case_claims` of the runs that the report is of; those of several seeds are taken together.
-    Empty where none of these runs is of the scenario of a case.
+    `claims` are the rows of `case_claims` for the runs of the report; those of several seeds are added up. Empty if
+    none of these runs is of the scenario of a case.
     """
     counts: dict[tuple[str, str], tuple[int, int]] = {}
     for claim in claims:

@@ -1,7 +1,7 @@
-"""Where the paper's printed numbers contradict its own definitions, with the arithmetic.
+"""Show where the paper's printed numbers contradict its own definitions, with the arithmetic.
 
-`facts()` gives, for each paragraph of `reports/contradictions.toml`, the numbers that its words quote; the
-`*_rows` functions give the tables that belong to them. All of it comes from the paper's printed numbers.
+`facts()` computes, for each paragraph of `reports/contradictions.toml`, the numbers that it quotes; the `*_rows`
+functions make its tables. Everything is computed from the paper's printed numbers.
 """
 
 import math
@@ -21,7 +21,7 @@ def _decimals(printed: str) -> int:
 
 
 def _results() -> dict[str, dict[str, dict[str, str]]]:
-    """The rows of the paper's results table by metric (name in the queries) and architecture."""
+    """Return the rows of the paper's results table by metric (name in the queries) and architecture."""
     named = {spec.printed.results: spec.name for spec in published_metrics()}
     found: dict[str, dict[str, dict[str, str]]] = {}
     for row in specs.paper_table("results"):
@@ -30,7 +30,7 @@ def _results() -> dict[str, dict[str, dict[str, str]]]:
 
 
 def _effects() -> dict[str, dict[frozenset[str], float]]:
-    """The paper's Cohen's d by metric (name in the queries) and pair of architectures."""
+    """Return the paper's Cohen's d by metric (name in the queries) and pair of architectures."""
     named = {spec.printed.significance: spec.name for spec in published_metrics()}
     found: dict[str, dict[frozenset[str], float]] = {}
     for row in specs.paper_table("significance"):
@@ -39,14 +39,14 @@ def _effects() -> dict[str, dict[frozenset[str], float]]:
 
 
 def _design() -> tuple[int, int, int]:
-    """Scenarios, runs of each, and runs of an architecture."""
+    """Return the number of scenarios, of runs of each, and of runs of an architecture."""
     design = specs.quotes()["design"]
     scenarios, runs = int(design["scenarios"].value), int(design["runs_per_scenario"].value)
     return scenarios, runs, scenarios * runs
 
 
 def variances() -> list[Variances]:
-    """The variances that the published pairwise d imply, by metric."""
+    """Return the variances that the published pairwise d imply, by metric."""
     results, effects = _results(), _effects()
     found = []
     for spec in published_metrics():
@@ -63,7 +63,7 @@ def variances() -> list[Variances]:
 def variance_rows() -> list[Row]:
     """Return the table of implied variances: a row per metric, in squared printed units.
 
-    `possible` says what rounding leaves.
+    `possible` says whether rounding leaves room for a variance of FSAR.
     """
     rows: list[Row] = []
     for one in variances():
@@ -77,13 +77,13 @@ def variance_rows() -> list[Row]:
 
 
 def _pooled_of_intervals(rows: tuple[dict[str, str], ...], n: int, slack: float) -> float:
-    """The pooled SD that printed half widths mean, each widened by `slack` units in its last printed place."""
+    """Return the pooled SD implied by half widths, each widened by `slack` units of its last printed place."""
     halves = [float(row["printed_ci95"]) + slack * 10.0 ** -_decimals(row["printed_ci95"]) for row in rows]
     return math.sqrt(sum(arithmetic.sd_of_half_width(half, n) ** 2 for half in halves) / len(halves))
 
 
 def interval_rows() -> list[Row]:
-    """The table of printed intervals: per metric and pair, the pooled SD that the +- mean and the one that d means."""
+    """Return, per metric and pair, the pooled SD implied by the printed intervals and the one implied by d."""
     results, effects = _results(), _effects()
     _, _, n = _design()
     rows: list[Row] = []
@@ -307,5 +307,5 @@ TABLES: Mapping[str, Callable[[], list[Row]]] = {"implied-variances": variance_r
 
 
 def facts() -> dict[str, Facts]:
-    """The computed numbers of every contradiction, by its id."""
+    """Return the computed numbers of every contradiction, by its id."""
     return {name: check() for name, check in CHECKS.items()}

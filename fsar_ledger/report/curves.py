@@ -1,6 +1,6 @@
-"""The figures of the tables "Ablation" and "Scaling".
+"""Draw the figures of "Ablation" and "Scaling".
 
-Bars beside the printed numbers, and curves over what the paper leaves open.
+They are bars beside the printed numbers, and curves over what the paper leaves open.
 """
 
 import math
@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 from fsar_ledger.metrics.definitions import Metric, metric_named
-from fsar_ledger.metrics.printed import printed
+from fsar_ledger.metrics.paper_numbers import printed
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.figures import COLOURS, DIAMOND, HEADROOM, Row, canvas, rendered
 
@@ -27,21 +27,21 @@ SCENARIO_STYLES = {
     "door-relay": ("#0072B2", "--", "s"),
     "collaborative-delivery": ("#D55E00", ":", "^"),
 }
-MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^"}  # told apart in grey, too
+MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^"}  # distinguishable in grey, too
 LARGEST = 16
 """Robots of the paper's largest fleet."""
 
 
 def _say_no_value(panel: Any, at: float) -> None:
-    """Write upright, in the place of a bar, that there is none."""
+    """Write upright in the place of a bar that there is none."""
     upright = {"rotation": 90, "ha": "center", "va": "bottom", "color": "#777777"}
     panel.annotate("no value", (at, 0), (0, 3), textcoords="offset points", **upright)
 
 
 def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Without one mechanism": six panels, five configurations, the paper's values marked.
+    """Draw "Without one mechanism": six panels, five configurations, the paper's values marked.
 
-    Rows: cells of the ablation table.
+    `rows` are the cells of the ablation table.
     """
     from matplotlib.lines import Line2D
 
@@ -94,9 +94,9 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 
 def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") -> bytes:
-    """Draw "Success without a registry": over how often robots meet.
+    """Draw "Success without a registry": success over how often robots meet.
 
-    A diamond stands where a curve has the paper's value.
+    A diamond marks where a curve has the paper's value.
     """
     with canvas(specs.figure("encounters"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
@@ -123,9 +123,9 @@ def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") 
 
 
 def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
-    """Draw "Larger fleets": each metric over the number of robots, all teams working and one, and the paper's points.
+    """Draw "Larger fleets": each metric over the number of robots, with all teams working and with one.
 
-    The paper has none beyond 16.
+    The paper's points are marked; it has none beyond 16 robots.
     """
     with canvas(specs.figure("scaling"), 2, 3) as (figure, axes):
         largest = max(row["fleet_size"] for row in curve)
@@ -158,9 +158,9 @@ def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> by
 
 
 def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
-    """Draw "How much there is to do": each metric over the teams that work, at the paper's largest fleet.
+    """Draw "How much there is to do": each metric over the number of working teams, at the paper's largest fleet.
 
-    A diamond stands where a curve has the paper's value.
+    A diamond marks where a curve has the paper's value.
     """
     with canvas(specs.figure("loads"), 2, 3) as (figure, axes):
         at_size = [row for row in curve if row["fleet_size"] == LARGEST]
@@ -183,7 +183,7 @@ def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> byte
 
 
 def points_of(curve: Sequence[Row], dial: str, **same: Any) -> list[tuple[float, Row]]:
-    """The defined points of a curve over a dial, those rows that have these values; one a place on the dial."""
+    """Return the defined points of a curve over a dial: the rows with these values, one for each position."""
     found = {
         row[dial]: row
         for row in curve
@@ -193,7 +193,7 @@ def points_of(curve: Sequence[Row], dial: str, **same: Any) -> list[tuple[float,
 
 
 def crossings(points: Sequence[tuple[float, Row]], value: float) -> list[float]:
-    """Where on the dial a curve has this value, by straight lines over the logarithm of the dial."""
+    """Return where on the dial a curve has this value, by linear interpolation over the logarithm of the dial."""
     found = []
     for (left, first), (right, second) in pairwise(points):
         low, high = first["mean"] - value, second["mean"] - value
@@ -238,7 +238,7 @@ def _titled(panel: Any, spec: Metric, dial: str) -> None:
 
 
 def _legend(panel: Any, styles: Sequence[tuple[Any, str]]) -> None:
-    """The last panel of six names the lines of the other five."""
+    """Name the lines of the other five panels in the last one."""
     from matplotlib.lines import Line2D
 
     panel.axis("off")

@@ -1,4 +1,4 @@
-"""Findings become the document: tables, figures, passages and numbers for the sentences, as JSON for the template."""
+"""Lay out the findings as a document for the template: tables, figures, passages and numbers, as JSON."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -13,8 +13,8 @@ from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.registration import registration
 from fsar_ledger.report import (
+    all_readings,
     contradictions,
-    everyway,
     figures,
     mechanisms,
     numbers,
@@ -24,7 +24,7 @@ from fsar_ledger.report import (
     provenance,
     sections,
     sequence,
-    specification,
+    specification_curves,
     specs,
 )
 from fsar_ledger.report.calibration import Record
@@ -34,14 +34,14 @@ from fsar_ledger.report.reproduction import versions
 from fsar_ledger.report.sensitivity import Section
 
 POOLED = tuple(one.name for one in published_metrics() if one.is_pooled)  # a run without failures does not define them
-MAX_DIFFERING = 2_000  # characters of what is said of a pair's worlds
+MAX_DIFFERING = 2_000  # characters of the sentence on a pair's worlds
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
 
 def _source(findings: Findings, query: str | None) -> str:
-    """Return the file of the query that a table's numbers come from; "" where none is named.
+    """Return the file of the query behind a table's numbers; "" if it has none.
 
-    Its SHA-256 stands in the appendix.
+    The appendix lists the SHA-256 of that file.
     """
     return f"queries/{query}.sql" if any(one.name == query for one in findings.sources) else ""
 
@@ -51,7 +51,7 @@ def _table(findings: Findings, name: str, rows: Sequence[Row]) -> Table:
 
 
 def _constants(items: Mapping[str, str]) -> list[Row]:
-    """The constants in two columns, each with where its value is from."""
+    """Return the constants in two columns, each with where its value is from."""
     words, ours = provenance.origins(), dict(flat("", msgspec.json.decode(write_constants(Constants()))))
     said = [
         (name, value, words.get(name, provenance.GIVEN) if ours.get(name) == value else provenance.GIVEN)
@@ -101,7 +101,7 @@ def _workflow_tables(findings: Findings) -> dict[str, Table]:
 
 
 def _workflows(findings: Findings) -> dict[str, Any] | None:
-    """The head of the ledger of workflows and why cells differ, for the sentences; None without such a ledger."""
+    """Return the head of the ledger of workflows, and why cells differ; None without such a ledger."""
     found = findings.workflows
     if found is None:
         return None
@@ -169,7 +169,7 @@ def _contradictions() -> list[dict[str, Any]]:
 def _changed(findings: Findings, record: Record | None) -> str | None:
     """Say that the record of the fit is of another model than these runs.
 
-    None where it is of theirs, or there is nothing to say it of.
+    None if it is of theirs, or if either is missing.
     """
     versions = (
         [findings.model_version]
@@ -202,15 +202,15 @@ def _fit(findings: Findings, record: Record | None) -> dict[str, Any] | None:
         "identified": sum(one.identified for one in record.directions),
         "directions": len(record.directions),
         "changed": _changed(findings, record),
-        "trial": record.model_version
-        == registration().model_version,  # a fit of this registration came after the trial that it tells of
+        # A fit under this registration came after the trial that the registration describes.
+        "trial": record.model_version == registration().model_version,
     }
 
 
 def _background(findings: Findings) -> list[dict[str, str]]:
-    """Return how much of each architecture's decisions and records is routine, and of its losses absence, in percent.
+    """Return what share of each architecture's decisions and records is routine, and of its losses absence, in percent.
 
-    Only where there is anything to share.
+    Architectures without decisions or records are left out.
     """
     shares = {
         "decisions": "routine_share_of_decisions",
@@ -227,9 +227,9 @@ def _background(findings: Findings) -> list[dict[str, str]]:
 
 
 def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
-    """Return the cells whose printed number this model does not give, farthest first.
+    """Return the cells whose printed number this model does not give, the farthest first.
 
-    Each with the reason on record, if that is one for this model.
+    Each has the reason on record, if the record is of this model.
     """
     reasons = {} if _changed(findings, record) else {passage.id: passage.text for passage in specs.passages("reasons")}
     missing = sorted((row for row in findings.cells if row["gives"] == "no"), key=lambda row: -abs(row["distance"]))
@@ -244,15 +244,15 @@ def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
 
 
 def counted(findings: Findings, record: Record | None) -> tuple[Row, ...]:
-    """Return every printed number with its class and what became of it.
+    """Return every printed number with its class and outcome.
 
-    None counts as fitted where the fit was of another model.
+    None counts as fitted if the fit was of another model.
     """
     return numbers.numbers(findings, is_fitted=not _changed(findings, record))
 
 
 def _heads(findings: Findings) -> list[dict[str, str]]:
-    """The heads of the other ledgers, for the appendix."""
+    """Return the heads of the other ledgers, for the appendix."""
     parts = {"Ablation": findings.ablation, "Scaling": findings.scaling, "Mechanisms": findings.mechanisms}
     held = {name: part and part.told for name, part in parts.items()} | {"Workflows": findings.workflows}
     return [
@@ -263,14 +263,16 @@ def _heads(findings: Findings) -> list[dict[str, str]]:
 
 
 def data(findings: Findings, record: Record | None, effects: Section | None = None) -> dict[str, Any]:
-    """All that the template prints; tables keep each value beside its print."""
+    """Return everything that the template prints; tables keep each value beside its printed form."""
 
     def sourced(query: str | None) -> str:
         return _source(findings, query)
 
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
     tables |= (
-        sections.tables(findings, sourced) | mechanisms.tables(findings, sourced) | everyway.tables(findings.multiverse)
+        sections.tables(findings, sourced)
+        | mechanisms.tables(findings, sourced)
+        | all_readings.tables(findings.multiverse)
     )
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
     rows, foretold = counted(findings, record), predictions.outcomes(findings)
@@ -291,7 +293,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
         "differing": [printing.words(one, MAX_DIFFERING) for one in findings.differing],
         "answer": _sayable(answer(findings)),
         "said": numbers.said(rows),
-        "every_way": everyway.said(findings.multiverse),
+        "every_way": all_readings.said(findings.multiverse),
         "tables": tables,
         "figures": {name: _figure(findings, name) for name in _drawers(findings)}
         | ({"sensitivity": _figure(findings, "sensitivity") | {"source": ""}} if effects and effects.figure else {}),
@@ -312,14 +314,14 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
 
 
 def _sayable(numbers: Row) -> Row:
-    """The answer with undefined cells named as the tables name them."""
+    """Return the answer with undefined cells named as in the tables."""
     undefined = [f"{metric_named(name).title} of {architecture.upper()}" for name, architecture in numbers["undefined"]]
     share = numbers["table_share"]
     return numbers | {"undefined": undefined, "table_share": None if share is None else printing.probability(share)}
 
 
 def _drawers(findings: Findings) -> dict[str, sections.Drawer]:
-    """How the figures that these findings have are drawn, by name."""
+    """Return how to draw each figure that these findings have, by name."""
     found: dict[str, sections.Drawer] = {
         "overview": lambda: overview.overview(numbers.numbers(findings)),
         "evaluation-results": partial(figures.evaluation_results, findings.cells),
@@ -331,12 +333,12 @@ def _drawers(findings: Findings) -> dict[str, sections.Drawer]:
     if flows is not None and flows.recovery:
         found["workflow-layered-recovery"] = partial(sequence.ladder, flows.recovery)
     if findings.multiverse is not None:
-        found["specification-curves"] = partial(specification.curves, findings.multiverse)
+        found["specification-curves"] = partial(specification_curves.curves, findings.multiverse)
     return found | sections.drawers(findings)
 
 
 def drawings(findings: Findings, effects: Section | None = None) -> dict[str, bytes]:
-    """The figures as SVG, by file name."""
+    """Return the figures as SVG, by file name."""
     drawn = {name: draw() for name, draw in _drawers(findings).items()} | (
         {"sensitivity": effects.figure} if effects and effects.figure else {}
     )
@@ -344,5 +346,5 @@ def drawings(findings: Findings, effects: Section | None = None) -> dict[str, by
 
 
 def encoded(document: Mapping[str, Any]) -> bytes:
-    """The document as JSON, the same bytes for the same findings."""
+    """Return the document as JSON; the same findings give the same bytes."""
     return msgspec.json.encode(document, order="deterministic")

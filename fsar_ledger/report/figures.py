@@ -1,4 +1,4 @@
-"""The figures, as SVG, PNG and PDF, with the same bytes for the same rows: no date, fixed ids, glyphs as paths."""
+"""Draw figures as SVG, PNG or PDF. The same rows give the same bytes: no date, fixed ids, glyphs as paths."""
 
 import io
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,7 +13,7 @@ from fsar_ledger.report import specs
 
 Row = Mapping[str, Any]
 
-COLOURS = {"fsar": "#0072B2", "cfc": "#D55E00", "dhma": "#009E73"}  # Okabe and Ito: told apart by colour-blind readers
+COLOURS = {"fsar": "#0072B2", "cfc": "#D55E00", "dhma": "#009E73"}  # Okabe and Ito: safe for colour-blind readers
 STYLE: dict[str, Any] = {
     "svg.hashsalt": "fsar-ledger",
     "svg.fonttype": "path",
@@ -36,16 +36,16 @@ DIAMOND: dict[str, Any] = {
     "linestyle": "none",
 }
 COMPARED = {"fsar-cfc": ("o", "#0072B2"), "fsar-dhma": ("s", "#009E73"), "cfc-dhma": ("^", "#D55E00")}
-"""Marker and colour of each comparison: in grey the marker tells."""
+"""Marker and colour of each comparison; in grey the marker tells them apart."""
 
 HEADROOM = 1.1  # height of a panel, as a multiple of its highest value
 
 
 @contextmanager
 def canvas(spec: specs.FigureSpec, rows: int, columns: int, **grid: Any) -> Iterator[tuple[Any, Any]]:
-    """A figure of the spec's size and its panels, with what matplotlib calls the ratios of rows and columns.
+    """Yield a figure of the spec's size and its panels, drawn by Agg with these settings alone.
 
-    Only Agg draws, with these settings.
+    `grid` holds matplotlib's ratios of rows and columns.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -60,9 +60,9 @@ def canvas(spec: specs.FigureSpec, rows: int, columns: int, **grid: Any) -> Iter
 
 @contextmanager
 def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]:
-    """A figure and its one panel: no axes, one unit is an inch, the origin is at the upper left.
+    """Yield a figure and its one panel without axes, in inches from the upper left corner.
 
-    Only Agg draws, with these settings and no others.
+    It is drawn by Agg with these settings alone.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -82,7 +82,7 @@ def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]
 def label(text: str, most: int) -> str:
     """Return the text as a figure shows it, cut after `most` characters.
 
-    Escaped is what the font has no picture of, and what a reader would not see.
+    Characters that the font cannot draw, or that a reader would not see, are escaped.
     """
     glyphs = _glyphs()
     return "".join(
@@ -93,17 +93,14 @@ def label(text: str, most: int) -> str:
 
 @lru_cache(maxsize=1)
 def _glyphs() -> frozenset[int]:
-    """The characters that the font of the figures can draw."""
+    """Return the characters that the font of the figures can draw."""
     from matplotlib.font_manager import findfont, get_font
 
     return frozenset(get_font(findfont(STYLE["font.family"])).get_charmap())
 
 
 def rendered(figure: Any, kind: str) -> bytes:
-    """The figure as a file of this kind (svg, png, pdf), without date or maker.
-
-    To be called while its canvas is open.
-    """
+    """Return the open figure as a file of this kind (svg, png, pdf), without date or creator."""
     buffer = io.BytesIO()
     if kind == "pdf":
         figure.savefig(buffer, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
@@ -115,7 +112,7 @@ def rendered(figure: Any, kind: str) -> bytes:
 
 
 def _panel(axes: Any, spec: Metric, rows: Sequence[Row]) -> None:
-    """One metric: a bar with its 95 % interval for each architecture, the paper's value as a diamond."""
+    """Draw one metric: a bar with its 95 % interval for each architecture, the paper's value as a diamond."""
     for position, (architecture, colour) in enumerate(COLOURS.items()):
         found = [row for row in rows if (row["metric"], row["architecture"]) == (spec.name, architecture)]
         for row in found:
@@ -135,7 +132,7 @@ def _panel(axes: Any, spec: Metric, rows: Sequence[Row]) -> None:
             axes.bar(position - 0.08, row["mean"] * spec.factor, width=0.5, color=colour, alpha=0.75, zorder=2)
             if row["ci_low"] is not None:
                 low, high = row["ci_low"] * spec.factor, row["ci_high"] * spec.factor
-                # Around its own middle: at a share of 0 a Wilson interval may begin a rounding error above the mean.
+                # Drawn around its own centre: at a share of 0 rounding may lift a Wilson interval above the mean.
                 axes.errorbar(
                     position - 0.08,
                     (low + high) / 2,
@@ -163,7 +160,7 @@ def _panel(axes: Any, spec: Metric, rows: Sequence[Row]) -> None:
 
 
 def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Evaluation results": eight panels, three architectures, the paper's values marked. Paper: fig:eval.
+    """Draw the figure "Evaluation results": eight panels, three architectures, the paper's values. Paper: fig:eval.
 
     Each row holds metric, architecture, mean, ci_low, ci_high (None: no value) and paper, all in stored units.
     """
@@ -190,12 +187,12 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 
 def _first_less_second(comparison: str) -> str:
-    """Return a comparison as a difference: FSAR − CFC."""
+    """Write a comparison as a difference: FSAR − CFC."""
     return " − ".join(comparison.upper().split("-"))
 
 
 def _effect_legend(figure: Any) -> None:
-    """Name the comparisons, and the diamond of the paper, below the panel."""
+    """Draw the legend below the panel: the comparisons, and the diamond of the paper."""
     from matplotlib.lines import Line2D
 
     compared = [
@@ -208,13 +205,10 @@ def _effect_legend(figure: Any) -> None:
 
 
 def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """Draw "Effect sizes": Cohen's d of each pairwise test with its 95 % interval, and the paper's.
+    """Draw "Effect sizes": Cohen's d of each pairwise test with its 95 % interval. Paper: tab:significance.
 
-    Paper: tab:significance.
-
-    The paper's have the sign of its t.
-
-    Each row holds metric, comparison, cohens_d, d_ci_low, d_ci_high (None: no effect), paper_d and paper_t.
+    The paper's d are drawn with the sign of its t. Each row holds metric, comparison, cohens_d, d_ci_low, d_ci_high
+    (None: no effect), paper_d and paper_t.
     """
     with canvas(specs.figure("effects"), 1, 1) as (figure, axes):
         panel = axes[0, 0]

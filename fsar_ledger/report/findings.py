@@ -1,4 +1,4 @@
-"""What the report prints, as plain rows in stored units, before anything is printed or drawn."""
+"""Define what the report prints, as plain rows in stored units, before formatting and drawing."""
 
 from typing import Any, TypeAlias
 
@@ -23,19 +23,19 @@ SCENARIOS: tuple[Scenario, ...] = (
 
 
 class Source(msgspec.Struct, frozen=True):
-    """One packaged query: its name and the SHA-256 of its text, in hex."""
+    """One packaged query: its name, and the SHA-256 of its text in hex."""
 
     name: str
     sha256: str
 
 
 class Workflows(msgspec.Struct, frozen=True):
-    """What one head of a ledger of the paper's workflows has to say.
+    """What one head of a ledger of the paper's workflows shows.
 
     coverage: one row per mechanism: its cell in the paper and ours for each workflow, and the verdict; None where
     nothing exercises it.
-    others: runs of workflows that were made otherwise than most (seed, constants, model), and have no part in this.
-    story: the steps of the first request of the door relay; recovery: those of the first failure of the layered
+    others: runs of workflows under another setting than most (seed, constants, model), which are left out.
+    story: the timeline of the first request of the door relay; recovery: that of the first failure of the layered
     recovery; empty without such a run.
     """
 
@@ -50,7 +50,7 @@ class Workflows(msgspec.Struct, frozen=True):
 
 
 class Told(msgspec.Struct, frozen=True):
-    """Say which head it is: commits, events, root, runs in all, whether all planned is there, the model."""
+    """The head of a ledger (commits, events, root), its number of runs, whether it is complete, and its model."""
 
     commits: int
     size: int
@@ -61,11 +61,11 @@ class Told(msgspec.Struct, frozen=True):
 
 
 class Ablation(msgspec.Struct, frozen=True):
-    """What one head says of FSAR without some of its mechanisms; Paper: tab:ablation, sec:evaluation:ablation.
+    """FSAR without some of its mechanisms, from one head. Paper: tab:ablation, sec:evaluation:ablation.
 
-    cells: the 30 cells of the table, text: the eight numbers of the text, in the paper's order; curve: means of the
-    configuration without a shared registry for each metric, for each scenario and all of them, by `encounter_mean_s`;
-    rates: one row for each of these, with a column per metric.
+    cells: the 30 cells of the table; text: the eight numbers of the text; both in the paper's order. curve: means of
+    the configuration without a shared registry for each metric, by scenario and over all, by `encounter_mean_s`; rates:
+    one row for each `encounter_mean_s`, with a column per metric.
     """
 
     told: Told
@@ -77,10 +77,10 @@ class Ablation(msgspec.Struct, frozen=True):
 
 
 class Scaling(msgspec.Struct, frozen=True):
-    """What one head says of larger fleets; Paper: tab:scaling.
+    """Larger fleets, from one head. Paper: tab:scaling.
 
     cells: the 45 cells of the table, with our means where all teams work and where one does; curve: our means for each
-    metric, architecture, fleet size and count of teams working.
+    metric, architecture, fleet size and number of working teams.
     """
 
     told: Told
@@ -89,12 +89,12 @@ class Scaling(msgspec.Struct, frozen=True):
 
 
 class Mechanisms(msgspec.Struct, frozen=True):
-    """What one head says of every architecture in full and without one mechanism, on the same worlds.
+    """Every architecture in full and without one mechanism on the same worlds, from one head.
 
-    rows: one per architecture, mechanism and metric, as `statistics/mechanism_differences` has it, with interval,
-    is_marked (it excludes 0) and stands (p adjusted over all these tests is below 0.05).
-    parameters_sha256: the SHA-256 of the constants as these runs record them, mostly one: runs whose constants have the
-    same values stand together.
+    rows: one per architecture, mechanism and metric, as in `statistics/mechanism_differences`, with interval, is_marked
+    (it excludes 0) and stands (p adjusted over all these tests is below 0.05).
+    parameters_sha256: the SHA-256 of the constants as these runs record them; more than one if runs write the same
+    values differently.
     """
 
     told: Told
@@ -103,41 +103,41 @@ class Mechanisms(msgspec.Struct, frozen=True):
 
 
 class Findings(msgspec.Struct, frozen=True):
-    """All that one head of a ledger has to say.
+    """Everything that the report shows of one head of a ledger.
 
     cells: 24 rows metric x architecture: paper (stored units), paper_printed, mean, sd, n, ci_low, ci_high,
         denominator, published_convention_mean, interval, difference (its 90 % interval), distance (in margins), gives,
         power, share and could (`verdicts.Comparison`); None where the ledger has no runs.
     tests: 24 rows metric x comparison: t, p, cohens_d, p_holm, wilcoxon_p, n and paper_t, paper_p, paper_d,
-        paper_level; None likewise; effect and effect_interval (d unsigned, its interval turned likewise), pooled_* and
+        paper_level; None likewise; effect and effect_interval (d unsigned, its interval flipped likewise), pooled_* and
         pooled_interval where the metric is pooled.
     scenarios: 24 rows metric x architecture with one mean per scenario and one over all of them.
-    rule: one row per metric: margin (stored units), and for each architecture the chance to find a number equivalent
-    that is exactly the printed one.
-    table_share: how many of the experiments that are drawn from the runs print a table as far out as the paper's, None
-    where none are drawn.
-    others: means of the runs that were made otherwise (configuration, fleet size, seed, kind, model, constants), one
-    column per metric.
+    rule: one row per metric: margin (stored units) and, for each architecture, the chance that a model which gives
+        exactly the printed number is found equivalent.
+    table_share: the share of experiments drawn from the runs that print a table as far out as the paper's; None if none
+        are drawn.
+    others: means of runs under other settings (configuration, fleet size, seed, kind, model, constants), one column per
+        metric.
     runs: one row per architecture, configuration and fleet size: runs, scenarios, seeds, run_low, run_high.
-    parameters: the constants of the runs in the tables by dotted name, and their SHA-256 as the runs record it
-    (`models` counts all sets of the ledger).
-    features: one row per architectural feature: the paper's grade and ours for each architecture, its grades of the
-    systems that were not run, the verdict.
-    evidence: one row per feature and architecture: grade and what it rests on.
-    background: one row per architecture: how much of what is counted is routine, how much of what is not attributable
-    is a supervisor off shift.
-    cases: one row per number of the paper's four cases: its words and number, ours in both readings; empty where no run
-    is of their scenarios.
-    completeness: whether all that was planned is there, as a clause.
-    workflows, ablation, scaling, mechanisms: what another ledger, or this one, says of the paper's workflows, of FSAR
-        without a mechanism, of larger fleets, and of what each mechanism of any architecture carries; None without one.
-    multiverse: the cells under every reading of the text; None where that was not asked for, or the runs are not those
-    of the paper's tables.
-    model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their
-    configuration and fleet size.
-    unjudged: in words, which numbers no verdict compares with the printed tables, since they are over other runs, and
-    which these are; None where none are.
-    differing: in words, the pairs of runs that are left out since they met different worlds.
+    parameters: the constants of the runs in the tables by dotted name; parameters_sha256: their SHA-256 as recorded
+        (`models` counts all sets of the ledger).
+    features: one row per architectural feature: the paper's grade and ours for each architecture, the paper's grades of
+        the systems that were not run, and the verdict.
+    evidence: one row per feature and architecture: the grade and what it rests on.
+    background: one row per architecture: the share of routine in what is counted, and the share of supervisors off
+        shift in what is not attributable.
+    cases: one row per number of the paper's four cases: its words and number, ours in both readings; empty without runs
+        of their scenarios.
+    completeness: whether all planned runs are there, as a clause.
+    workflows, ablation, scaling, mechanisms: sections from this or another ledger: the paper's workflows, FSAR without
+        a mechanism, larger fleets, and what each mechanism of any architecture carries; None without such runs.
+    multiverse: the cells under every reading of the text; None if not asked for, or if the runs do not have the shape
+        of the paper's tables.
+    model_version: that of the runs in the tables; shown: which runs these are, if the ledger holds others of the same
+        configuration and fleet size.
+    unjudged: which numbers are not compared with the printed tables because their runs have another shape, in words;
+        None if all are.
+    differing: the pairs of runs that are left out because they met different worlds, in words.
     """
 
     commits: int
@@ -175,14 +175,14 @@ LEVELS = ((0.001, "p<.001"), (0.01, "p<.01"), (0.05, "p<.05"))
 
 
 def significance_level(p: float) -> str:
-    """The level that the paper prints for this p value: p<.001, p<.01, p<.05 or n.s."""
+    """Return the level that the paper prints for this p value: p<.001, p<.01, p<.05 or n.s."""
     return next((name for bound, name in LEVELS if p < bound), "n.s.")
 
 
 def with_agreement(test: Row, *, is_judged: bool = True) -> Row:
     """Return the test with `sign_agrees`, `level` and `level_agrees` against the paper's row.
 
-    None where the ledger has no test, or none that is judged.
+    All None if the ledger has no such test, or it is not judged.
     """
     if test["t"] is None or test["p"] is None or not is_judged:
         return test | {"sign_agrees": None, "level": None, "level_agrees": None}
@@ -192,7 +192,7 @@ def with_agreement(test: Row, *, is_judged: bool = True) -> Row:
 
 
 def answer(findings: Findings) -> Row:
-    """How the 24 cells and the 24 tests came out, and what is missing for the rest."""
+    """Count how the 24 cells and the 24 tests came out, and name what is missing for the rest."""
     judged = [row for row in findings.cells if row["gives"] is not None]
     given, could = [row["gives"] for row in judged], [row["could"] for row in judged if row["could"] is not None]
     tests = [row for row in findings.tests if row["sign_agrees"] is not None]
@@ -218,5 +218,5 @@ def answer(findings: Findings) -> Row:
 
 
 def _names(findings: Findings) -> list[tuple[str, str]]:
-    """Metric and architecture of the cells without a value."""
+    """Return metric and architecture of the cells without a value."""
     return [(row["metric"], row["architecture"]) for row in findings.cells if row["mean"] is None]

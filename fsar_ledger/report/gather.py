@@ -1,7 +1,6 @@
-"""Findings are read from one head of a ledger: the only file of the report that asks queries.
+"""Read the findings from one head of a ledger. No other module of the report asks queries about the results.
 
-All numbers come from packaged queries through `fsar_ledger.metrics`; here they are only laid side by side
-with the paper's.
+All numbers come from packaged queries through `fsar_ledger.metrics`; here they are only laid beside the paper's.
 """
 
 from collections import Counter
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from fsar_ledger.metrics import verdicts
-from fsar_ledger.metrics.comparing import differing_worlds
+from fsar_ledger.metrics.comparability import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.models import models
@@ -19,7 +18,7 @@ from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import cases, everyway, grades, printing, whole
+from fsar_ledger.report import all_readings, cases, grades, printing, run_shape
 from fsar_ledger.report.findings import (
     MAIN_CONFIGURATION,
     MAIN_FLEET_SIZE,
@@ -27,8 +26,8 @@ from fsar_ledger.report.findings import (
     Row,
     Source,
 )
-from fsar_ledger.report.others import held, others
-from fsar_ledger.report.rows import cells_of, rule_of, scenarios_of, tests_of
+from fsar_ledger.report.other_ledgers import read_database, read_ledgers
+from fsar_ledger.report.result_rows import cells_of, rule_of, scenarios_of, tests_of
 
 QUERIES = (
     "metrics/metric_summary",
@@ -42,21 +41,21 @@ QUERIES = (
     "audit/unplanned_runs",
     "tables/architecture_features",
     "cases/case_claims",
-)  # what the report reads; the rest is what these read
+)  # read directly; these read others
 
 Setting: TypeAlias = tuple[str | None, int | None, int | None, str, str | None, str | None, str | None]
-"""What runs that were made alike have in common.
+"""The setting that runs of one table share.
 
 Configuration, fleet size, seed (None: all seeds), kind, source, model version and differing constants.
 """
 
 SETTING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
-"""Its names in `CHOSEN_SQL`."""
+"""The names of its parts in `CHOSEN_SQL`."""
 
 METRICS = tuple(spec.name for spec in published_metrics())
 
 MAX_SPANS = 20
-"""Ranges of seeds that a cell of a table lists."""
+"""How many ranges of seeds a cell of a table lists."""
 
 PAPER_RUNS = 20
 """Runs of each scenario in the paper's experiment."""
@@ -121,14 +120,14 @@ RUNS_SQL = """
 
 
 def _setting(row: MetricRow | StatisticRow) -> Setting:
-    """What the rows of one table have in common; the runs of two settings are never in one table."""
+    """Return the setting of a row; runs of two settings never share a table."""
     return row.configuration, row.fleet_size, row.seed, row.kind, row.source, row.model_version, row.constants
 
 
 def _main(rows: Iterable[MetricRow]) -> Setting | None:
     """Return the setting of the report's tables: the full configuration with four robots.
 
-    Of several such the one with most runs, the first of equals.
+    Among several, the one with the most runs; among equals, the first.
     """
     runs: Counter[Setting] = Counter()
     for row in rows:
@@ -138,7 +137,7 @@ def _main(rows: Iterable[MetricRow]) -> Setting | None:
 
 
 def _otherwise(setting: Setting, main: Setting | None) -> str | None:
-    """Say in what other rows differ from the tables beside configuration and fleet size; None where in nothing."""
+    """Say in what these runs differ from the main ones beside configuration and fleet size; None if in nothing."""
     _, _, seed, kind, source, model_version, constants = setting
     said = (
         f"seed {seed}",
@@ -156,9 +155,9 @@ def _otherwise(setting: Setting, main: Setting | None) -> str | None:
 def _odds(
     database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]
 ) -> Odds[Cell] | None:
-    """Return how likely the printed table is among experiments that are drawn from the main runs.
+    """Return how likely the printed table is among experiments drawn from the main runs.
 
-    None where they are fewer than one such experiment.
+    None if these are fewer than one such experiment.
     """
     if main is None or any(count < PAPER_RUNS for held in runs_held.values() for count in held.values()):
         return None
@@ -169,14 +168,14 @@ def _odds(
 
 
 def _background(rows: Iterable[Row]) -> tuple[Row, ...]:
-    """How much of the main runs' numbers is routine, for each architecture."""
+    """Return, for each architecture, how much of the main runs' numbers is routine."""
     return tuple(
         row for row in rows if (row["configuration"], row["fleet_size"]) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE)
     )
 
 
 def _of_setting(rows: Iterable[Row], main: Setting | None) -> list[Row]:
-    """Those of the runs that the tables are of, of every seed where the tables are of all."""
+    """Keep the rows of the main setting; of every seed, if the tables are over all seeds."""
     if main is None:
         return []
     wanted = {name: value for name, value in zip(SETTING, main, strict=True) if name != "seed" or value is not None}
@@ -184,7 +183,7 @@ def _of_setting(rows: Iterable[Row], main: Setting | None) -> list[Row]:
 
 
 def _others(rows: Iterable[MetricRow], main: Setting | None) -> tuple[Row, ...]:
-    """One row per other setting and architecture, with a column per metric."""
+    """Return one row for each other setting and architecture, with a column per metric."""
     found: dict[tuple[Setting, str | None], Row] = {}
     for row in rows:
         setting = _setting(row)
@@ -205,7 +204,7 @@ def _runs(database: Database) -> tuple[Row, ...]:
 
 
 def _ranges(numbers: Iterable[int]) -> str:
-    """Whole numbers as text, consecutive ones as a range: 1 to 3, 7."""
+    """Write integers as text, consecutive ones as a range: 1 to 3, 7."""
     spans: list[list[int]] = []
     for one in numbers:
         if spans and one == spans[-1][1] + 1:
@@ -219,14 +218,14 @@ def _ranges(numbers: Iterable[int]) -> str:
 
 
 def _span(low: int, high: int) -> str:
-    """All whole numbers from one to the other, as text, however many."""
+    """Write the range of integers from `low` to `high`."""
     return str(low) if low == high else f"{low} to {high}"
 
 
 def _models(database: Database, main: Setting | None) -> tuple[tuple[Row, ...], dict[str, str], str | None]:
     """Return the sets of constants in the ledger, that of the main runs by dotted name, and its SHA-256.
 
-    Without main runs, that of the first run that says some.
+    Without main runs, the constants are those of the first run that records some.
     """
     found = models(database)
     ours = [one for one in found if main is not None and (one.source, one.model_version, one.constants) == main[4:]]
@@ -245,12 +244,12 @@ def _models(database: Database, main: Setting | None) -> tuple[tuple[Row, ...], 
 
 
 def _is_file(query: str) -> bool:
-    """Whether the query is a packaged file; views of single event types are generated."""
+    """Tell whether the query is a packaged file; views of single event types are generated."""
     return files("fsar_ledger.queries").joinpath(f"{query}.sql").is_file()
 
 
 def _sources(database: Database, more: Iterable[str]) -> tuple[Source, ...]:
-    """Return the packaged queries that the report reads, and `more`, with all that they read, by name."""
+    """Return the packaged queries that the report reads, and `more`, with everything that they read, by name."""
     needed = database.library.needs(database.library.find(name).relation for name in (*QUERIES, *more))
     ordered = sorted(needed, key=lambda query: query.name)
     return tuple(Source(name=query.name, sha256=query.sha256) for query in ordered if _is_file(query.name))
@@ -265,20 +264,18 @@ def gather(
     pools_seeds: bool = False,
     reads_every_way: bool = False,
 ) -> Findings:
-    """All that the ledger's present head has to say, and those of the ledgers beside it, that of workflows among them.
+    """Return the findings of the ledger's present head and of the ledgers beside it.
 
-    The tables are of one setting: configuration, fleet size, kind, model, constants and seed; of all seeds if they are
-    asked for together. Where a newest record is demanded, of no other head; `beside` says which of each other ledger,
-    None: any. `reads_every_way` asks for the multiverse of readings, too, which costs as much as all the rest of the
-    results.
+    The tables are of one setting: configuration, fleet size, kind, model, constants and seed (all seeds with
+    `pools_seeds`). With `demanded`, the head must have that newest record; `beside` says the same of each other ledger
+    (None: any). `reads_every_way` adds the multiverse of readings, which costs as much as all other results together.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict,
-            too.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `fsar_ledger.metrics.database.connect`.
         QueryFailed: A packaged query fails on this ledger's data.
     """
     named = {**({} if workflows is None else {workflows: None}), **(beside or {})}
-    told = others(named, workflows, pools_seeds=pools_seeds)  # first: some may be mistakes
+    told = read_ledgers(named, workflows, pools_seeds=pools_seeds)  # first: a mistaken path fails at once
     with connect(ledger, demanded=demanded) as database:
         head = database.head
         every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
@@ -286,11 +283,11 @@ def gather(
         overall, by_scenario = ([row for row in rows if _setting(row) == main] for rows in (every, every_by_scenario))
         tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if _setting(row) == main]
         held_here = _held(database, main)
-        apart = whole.apart(*held_here)
+        unjudged = run_shape.unjudged(*held_here)
         drawn = _odds(database, main, held_here[0])
-        cells = cells_of(overall, apart, drawn)
+        cells = cells_of(overall, unjudged, drawn)
         kinds, parameters, digest = _models(database, main)
-        told = told.over(held(database, pools_seeds=pools_seeds))
+        told = told.or_else(read_database(database, pools_seeds=pools_seeds))
         otherwise, runs = _others(every, main), _runs(database)
         graded, background = _of_main(ledger, demanded, database, main, alone=not otherwise)
         return Findings(
@@ -299,17 +296,17 @@ def gather(
             root=head.root if head else "",
             run_count=sum(row["runs"] for row in runs),
             cells=cells,
-            tests=tests_of(tests, apart),
+            tests=tests_of(tests, unjudged),
             scenarios=scenarios_of(overall, by_scenario),
             rule=rule_of(cells),
-            table_share=drawn.table if drawn is not None and not apart else None,
+            table_share=drawn.table if drawn is not None and not unjudged else None,
             others=otherwise,
             runs=runs,
             models=kinds,
             parameters=parameters,
             parameters_sha256=digest,
-            sources=_sources(database, (*told.queries(), *(everyway.queries() if reads_every_way else ()))),
-            features=grades.features(graded, apart),
+            sources=_sources(database, (*told.queries(), *(all_readings.queries() if reads_every_way else ()))),
+            features=grades.features(graded, unjudged),
             evidence=tuple(graded),
             background=background,
             cases=cases.beside(_of_setting(database.rows(CASES_SQL), main)),
@@ -317,28 +314,28 @@ def gather(
             workflows=told.workflows,
             ablation=told.ablation,
             scaling=told.scaling,
-            multiverse=_read(database, main, pools_seeds=pools_seeds) if reads_every_way and not apart else None,
+            multiverse=_read(database, main, pools_seeds=pools_seeds) if reads_every_way and not unjudged else None,
             mechanisms=told.mechanisms,
             model_version=main[5] if main else None,
             shown=_shown(main, otherwise),
-            unjudged=whole.why_apart(*held_here),
+            unjudged=run_shape.why_unjudged(*held_here),
             differing=tuple(map(str, differing_worlds(database))),
         )
 
 
 def _read(database: Database, main: Setting | None, *, pools_seeds: bool) -> Multiverse | None:
-    """The cells under every reading of the text, of the runs that the tables are of."""
+    """Return the multiverse of the runs that the tables are of."""
     return (
         None
         if main is None
-        else everyway.every_way(database, dict(zip(SETTING, main, strict=True)), pools_seeds=pools_seeds)
+        else all_readings.multiverse_of(database, dict(zip(SETTING, main, strict=True)), pools_seeds=pools_seeds)
     )
 
 
 def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:
-    """Say which runs the tables are of, where the ledger holds others of the same configuration and size.
+    """Say which runs the tables are of, if the ledger holds others of the same configuration and fleet size.
 
-    None where they are of all such.
+    None if it does not.
     """
     if main is None or not any((row["configuration"], row["fleet_size"]) == main[:2] for row in others):
         return None
@@ -358,11 +355,11 @@ def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:
 def _held(
     database: Database, main: Setting | None
 ) -> tuple[dict[str, dict[str | None, int]], dict[str, dict[str | None, int]]]:
-    """The runs that the tables are of, by architecture and scenario, and their pairs, by comparison and scenario."""
+    """Count the main runs by architecture and scenario, and their pairs by comparison and scenario."""
     if main is None:
         return {}, {}
     chosen = dict(zip(SETTING, main, strict=True))
-    return whole.held(database.rows(OF_MAIN_SQL, chosen), "architecture"), whole.held(
+    return run_shape.run_counts(database.rows(OF_MAIN_SQL, chosen), "architecture"), run_shape.run_counts(
         database.rows(PAIRS_OF_MAIN_SQL, chosen), "comparison"
     )
 
@@ -370,9 +367,9 @@ def _held(
 def _of_main(
     ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool
 ) -> tuple[list[Row], tuple[Row, ...]]:
-    """Return the grades and the background of the tables' runs; of no tables there are none.
+    """Return the grades and the background of the main runs; empty if there are none.
 
-    What else the ledger holds has no part in them.
+    Other runs of the ledger do not count.
     """
     if main is None:
         return [], ()
@@ -382,7 +379,7 @@ def _of_main(
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
         narrowed.prepare("SELECT * FROM run_started")
-        seed = "* REPLACE (NULL::BIGINT AS seed)" if main[2] is None else "*"  # all seeds are asked for together
+        seed = "* REPLACE (NULL::BIGINT AS seed)" if main[2] is None else "*"  # all seeds together
         narrowed.define(
             "runs",
             f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM "

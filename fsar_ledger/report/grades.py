@@ -1,6 +1,6 @@
-"""The paper's two tables of grades, beside what the ledgers show: features of architectures, mechanisms of workflows.
+"""Lay the paper's two tables of grades beside ours: features of architectures and mechanisms of workflows.
 
-Grades and cells come from `queries/tables/`; here they are only laid beside the printed ones.
+Grades and cells come from `queries/tables/`.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -16,7 +16,7 @@ QUERIES = (
     "audit/requests",
     "audit/request_story",
     "audit/failure_story",
-)  # what is read of a ledger of workflows
+)  # what is read from a ledger of workflows
 NOT_RUN = ("RoboOS", "JADE", "ALLIANCE")  # systems of the paper's table that no ledger holds
 WORKFLOWS = {
     "workflow-door-relay": "workflow_1_door_relay",
@@ -62,10 +62,10 @@ def graded(database: Database) -> list[Row]:
     ]
 
 
-def features(grades: Sequence[Row], apart: Collection[str] = ()) -> tuple[Row, ...]:
-    """The table "Architectural comparison" with our grades beside the paper's, no verdict on architectures apart.
+def features(grades: Sequence[Row], unjudged: Collection[str] = ()) -> tuple[Row, ...]:
+    """Return the table "Architectural comparison" with our grades beside the paper's. Paper: tab:baseline_context.
 
-    Paper: tab:baseline_context.
+    Architectures in `unjudged` have no part in the verdicts.
     """
     ours = {(row["feature"], row["architecture"]): row["grade"] for row in grades}
     rows = []
@@ -73,7 +73,7 @@ def features(grades: Sequence[Row], apart: Collection[str] = ()) -> tuple[Row, .
         pairs = {name: (printed[name.upper()], ours.get((printed["feature"], name))) for name in ARCHITECTURES}
         row: Row = {
             "feature": printed["feature"],
-            "verdict": verdict({name.upper(): pair for name, pair in pairs.items() if name not in apart}),
+            "verdict": verdict({name.upper(): pair for name, pair in pairs.items() if name not in unjudged}),
         }
         for name, (paper, grade) in pairs.items():
             row |= {f"{name}_paper": paper, f"{name}_ours": grade}
@@ -82,7 +82,7 @@ def features(grades: Sequence[Row], apart: Collection[str] = ()) -> tuple[Row, .
 
 
 def verdict(pairs: Mapping[str, tuple[str | None, str | None]]) -> str | None:
-    """Whether ours agrees with the paper wherever there is one, and where not; None when there is none at all."""
+    """Say whether ours agrees with the paper, or where it differs; None if we have nothing to compare."""
     compared = {name: pair for name, pair in pairs.items() if pair[1] is not None}
     if not compared:
         return None
@@ -91,11 +91,11 @@ def verdict(pairs: Mapping[str, tuple[str | None, str | None]]) -> str | None:
 
 
 def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
-    """Return what a ledger of workflows says: coverage, the door relay's story, the layered recovery's recovery.
+    """Return what a ledger of workflows shows: mechanisms, the door relay's timeline, the recovery's timeline.
 
     Raises:
-        UsageError: it holds no run of a workflow.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: as `connect`.
+        UsageError: The ledger holds no run of a workflow.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
     """
     with connect(ledger, demanded=demanded) as database:
         groups = database.rows(GROUPS, {"names": list(WORKFLOWS)})
@@ -118,9 +118,9 @@ def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
 
 
 def _coverage(database: Database, main: str) -> tuple[Row, ...]:
-    """The table "FSAR mechanisms exercised by each workflow" with the cells of runs made alike beside the paper's.
+    """Return the table "FSAR mechanisms exercised by each workflow", ours beside the paper's. Paper: tab:coverage.
 
-    Paper: tab:coverage.
+    Only runs of the setting `main` count.
     """
     found = plain_rows(database.query("tables/mechanism_coverage"))
     ours = {(row["mechanism"], row["workflow"]): row["cell"] for row in found if row["made_alike"] == main}
@@ -154,7 +154,7 @@ def _coverage(database: Database, main: str) -> tuple[Row, ...]:
 
 
 def _first(database: Database, query: str, run: str | None, kind: str) -> tuple[Row, ...]:
-    """The story of the first action of the run that has an event of this type; empty without a run or such an event."""
+    """Return the timeline of the first action of the run with an event of this type; empty if there is none."""
     if run is None:
         return ()
     found = database.rows(

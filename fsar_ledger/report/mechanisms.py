@@ -1,6 +1,6 @@
-"""Which mechanism carries which number.
+"""Find out which mechanism carries which number.
 
-Each architecture in full beside itself without one mechanism, on the same worlds, metric by metric.
+Each architecture is compared in full and without one mechanism, on the same worlds, metric by metric.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,7 +18,7 @@ from fsar_ledger.report.sections import Sourced
 
 QUERY = "statistics/mechanism_differences"
 QUERIES = (QUERY,)
-LEVEL = 0.05  # of what carries a number, adjusted over all tests of the table
+LEVEL = 0.05  # a mechanism carries a number below this p, adjusted over all tests of the table
 MAX_OTHERS = 2  # mechanisms named beside the one that carries most
 
 HELD_SQL = """
@@ -42,9 +42,9 @@ DIGESTS_SQL = """
 
 
 def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanisms | None:
-    """Return what each mechanism adds to each metric, in the setting with most of them.
+    """Return what each mechanism adds to each metric, in the setting that has the most of them.
 
-    None where the ledger holds no architecture without one.
+    None if the ledger holds no architecture without a mechanism.
     """
     chosen: dict[str, Any] = {
         "fleet_size": MAIN_FLEET_SIZE,
@@ -67,9 +67,9 @@ def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanism
 
 
 def _named(row: Row) -> Row:
-    """Return the row with its mechanism, its interval as one, whether that excludes 0, whether it stands.
+    """Return the row with its mechanism and its interval as a pair.
 
-    It stands if it does beside all others that are tested.
+    `is_marked`: the interval excludes 0. `stands`: the difference is significant after adjustment over all tests.
     """
     [mechanism] = lacks(row["configuration"])
     interval = None if row["ci_low"] is None or row["ci_high"] is None else (row["ci_low"], row["ci_high"])
@@ -79,16 +79,16 @@ def _named(row: Row) -> Row:
 
 
 def _place(row: Row) -> tuple[int, int, int]:
-    """The order of the table: the paper's architectures, the mechanisms in their order, the metrics in theirs."""
+    """Return the sort key of the table: the paper's architectures, their mechanisms and metrics in order."""
     names = list(MECHANISMS_OF[row["architecture"]])
     return ARCHITECTURES.index(row["architecture"]), names.index(row["mechanism"]), row["position"]
 
 
 def carried(found: Mechanisms) -> list[Row]:
-    """Return a row for each cell of the results table: what carries most of it, the further ones, how many were asked.
+    """Return a row for each cell of the results table: what carries most of it, what else, and how many were tested.
 
-    `mean` and `n` are of the pairs of that mechanism, or of the one with most pairs; a further one that is of another
-    number of pairs says so.
+    `mean` and `n` are over the pairs of that mechanism; if none stands, over those of the one with most pairs. Another
+    mechanism with another number of pairs says so.
     """
     cells = []
     for spec in published_metrics():
@@ -112,7 +112,7 @@ def carried(found: Mechanisms) -> list[Row]:
 
 
 def _others(rows: Sequence[Row], pairs: int | None) -> str | None:
-    """Name the next mechanisms, with what they add, and over how many pairs where not over as many as the first."""
+    """Name the next mechanisms with what they add, and their number of pairs if it differs from the first."""
     told = []
     for row in rows[:MAX_OTHERS]:
         of = "" if row["n"] == pairs else f" (of {printing.integer(row['n'])} pairs)"
@@ -126,13 +126,13 @@ def _words(mechanism: str) -> str:
 
 
 def signed(metric: str, value: float) -> str:
-    """A difference in the metric's printed unit, with its sign."""
+    """Format a difference in the metric's printed unit, with its sign."""
     printed = printing.in_metric(metric, value)
     return printed if value <= 0 or not any(digit in "123456789" for digit in printed) else f"+{printed}"
 
 
 def tables(findings: Findings, sourced: Sourced) -> dict[str, printing.Table]:
-    """The table mechanism by metric, and that of the cells; none where no ledger has runs without a mechanism."""
+    """Return the tables of differences and of what carries each cell; none if no ledger has such runs."""
     found = findings.mechanisms
     if found is None:
         return {}
@@ -146,9 +146,9 @@ def tables(findings: Findings, sourced: Sourced) -> dict[str, printing.Table]:
 
 
 def _wide(rows: Iterable[Row], source: str) -> printing.Table:
-    """Return a row for each mechanism, with a column for each metric: what it adds, and below it the interval.
+    """Return a row for each mechanism and a column for each metric: what it adds, and below it the interval.
 
-    In bold where the interval excludes 0.
+    Bold where the interval excludes 0.
     """
     lines: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows:
@@ -164,7 +164,7 @@ def _wide(rows: Iterable[Row], source: str) -> printing.Table:
 
 
 def _difference(cell: printing.Cell) -> printing.Cell:
-    """The cell of a metric: 0 alone where no pair of runs differs, no interval where too few do."""
+    """Format the cell of a metric: a lone 0 if no pair of runs differs, no interval if too few do."""
     if not isinstance(cell.value, dict):
         return cell
     row = cell.value
@@ -184,14 +184,14 @@ def _difference(cell: printing.Cell) -> printing.Cell:
 
 
 def _other_constants(found: Mechanisms, expected: str | None) -> str | None:
-    """What names the constants of these runs, where those of the results (None: none are known) are others."""
+    """Name the constants of these runs if those of the results (None: unknown) differ from them."""
     if expected is None or expected in found.parameters_sha256:
         return None
     return printing.words(", ".join(digest[:12] for digest in found.parameters_sha256) or "not on record")
 
 
 def sentences(findings: Findings) -> dict[str, Any] | None:
-    """What the sentences say: whose runs, how many tests stand, and what each mechanism is; None without such runs."""
+    """Return what the sentences say: the runs, how many tests stand, what each mechanism is. None without runs."""
     found = findings.mechanisms
     if found is None:
         return None

@@ -1,8 +1,8 @@
-"""Every number that the paper's result tables print, with its class and what became of it, for the first page.
+"""List every number that the paper's result tables print, with its class and outcome, for the first page.
 
-Nothing is judged here: the answers are those of the tables (`gives`, the signs and levels of the tests), by the rules
-that were registered. A number that the paper's own text excludes does not stand, whatever the runs say; one that hangs
-on a dial that the text leaves open is not judged, but has the range that the dial gives.
+Nothing is judged here: the answers are those of the tables (`gives`, the signs and levels of the tests), by the
+registered rules. A number that the paper's own text excludes does not stand, whatever the runs show. A number that
+depends on a dial which the text leaves open is not judged; it gets the range over that dial.
 """
 
 from collections import Counter
@@ -24,7 +24,7 @@ TABLES: Mapping[str, str] = {
     "significance": "Significance",
     "scaling": "Scaling",
 }
-"""The tables in the paper's order, as the first page calls them."""
+"""The tables in the paper's order, as the first page names them."""
 
 FITTED, INFORMED, EXCLUDED, UNSPECIFIED = "fitted", "informed", "cannot follow", "unspecified"
 BY_CONSTRUCTION = "by construction"
@@ -33,12 +33,12 @@ ALL = "all"
 
 
 def numbers(findings: Findings, *, is_fitted: bool = True) -> tuple[Row, ...]:
-    """One row for each printed number of the tables whose runs are there, in the paper's order.
+    """Return one row for each printed number of the tables that we have runs for, in the paper's order.
 
-    Columns: table, metric, architecture, configuration, fleet_size, scenario, comparison, case (None where they tell
-    nothing), class, printed (as the paper has it), paper, ours, n, interval, difference (90 %), margin, distance and
-    reach (the 90 % interval, or what an open dial gives; both in margins), gives, share, could, outcome. `is_fitted`
-    False: the fit was of another model, so no number counts as fitted.
+    Columns: table, metric, architecture, configuration, fleet_size, scenario, comparison, case (None where they do not
+    apply), class, printed (as in the paper), paper, ours, n, interval, difference (90 %), margin, distance and reach
+    (the 90 % interval, or the range over an open dial; both in margins), gives, share, could, outcome. With `is_fitted`
+    False the fit was of another model, and no number counts as fitted.
     """
     rows = [
         _row("results", row, _class(row, is_fitted=is_fitted))
@@ -71,9 +71,9 @@ def _class(row: Row, *, is_fitted: bool) -> str:
 
 
 def _dialled(row: Row, curve: Iterable[Row], *further: str) -> list[float | None]:
-    """Return our means of this number at every place of the dial that the text leaves open.
+    """Return our means of this number at every position of the dial that the text leaves open.
 
-    `further` names what is the same all over the dial, beside the usual.
+    `further` names columns that must match in addition to the usual ones.
     """
     same = ("metric", "architecture", "configuration", "scenario", *further)
     return [point["mean"] for point in curve if all(point[name] == row[name] for name in same)]
@@ -105,9 +105,9 @@ def _outcome(kind: str, gives: str | None) -> str:
 
 
 def _case(row: Row) -> Row:
-    """Return a number of a case: decided where a mechanism restates it, so that no chance is in it.
+    """Return a number of a case. It is decided if a mechanism restates it, since no chance is involved then.
 
-    For the others no margin was registered.
+    No margin was registered for the others.
     """
     paper, ours = 1.0 if row["paper"] == ALL else float(row["paper"]), row["value"]
     is_exact = row["class"] == BY_CONSTRUCTION and ours is not None
@@ -120,7 +120,7 @@ def _case(row: Row) -> Row:
 
 
 def _test(row: Row) -> Row:
-    """A pairwise test: it stands where the sign of t and the level of significance come out as printed."""
+    """Return a pairwise test: it stands if the sign of t and the level of significance are as printed."""
     is_made, agrees = row["sign_agrees"] is not None, row["sign_agrees"] and row["level_agrees"]
     return _blank("significance") | {
         **{name: row[name] for name in ("metric", "comparison", "n")},
@@ -154,13 +154,13 @@ def _blank(table: str) -> Row:
 
 
 def missing(rows: Iterable[Row]) -> list[str]:
-    """The tables of which no run is there, as the first page calls them."""
+    """Name the tables that no run is of."""
     held = {row["table"] for row in rows}
     return [title for name, title in TABLES.items() if name not in held]
 
 
 def tally(rows: Sequence[Row]) -> list[Row]:
-    """Return a row for each table and class, then one for all: how many numbers there are, what became of them."""
+    """Return how many numbers each table and class has and what became of them, then a row for all."""
     counts: dict[tuple[str, str], Counter[str]] = {}
     for table in TABLES:
         for row in rows:
@@ -177,9 +177,9 @@ def _counted(counts: Mapping[str, int]) -> Row:
 
 
 def said(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return what the three sentences of the first page count.
+    """Return the counts for the three sentences of the first page, and the tables that are missing.
 
-    What stands, what does not, what cannot be decided, by class; and what is not there.
+    The sentences say what stands, what does not, and what cannot be decided.
     """
     of = {outcome: [row for row in rows if row["outcome"] == outcome] for outcome in OUTCOMES}
     outside = [row for row in of[OPEN] if row["reach"] is not None and (row["reach"][0] > 1 or row["reach"][1] < -1)]
@@ -206,7 +206,7 @@ def said(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _by_class(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """How many of each class, the most first."""
+    """Count the rows of each class, the largest class first."""
     return [
         {"class": kind, "count": count}
         for kind, count in sorted(Counter(row["class"] for row in rows).items(), key=lambda item: (-item[1], item[0]))

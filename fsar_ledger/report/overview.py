@@ -1,6 +1,6 @@
-"""The figure of the first page: every printed number that has a margin, at its distance from ours.
+"""Draw the figure of the first page: every printed number that has a margin, at its distance from ours.
 
-Same rows, same bytes.
+The same rows give the same bytes.
 """
 
 import math
@@ -18,25 +18,23 @@ PANELS: dict[str, tuple[str, ...]] = {
     "Ablation": ("ablation", "ablation_text"),
     "Scaling": ("scaling",),
 }
-"""The panels, from left to right, and the tables of each."""
+"""The panels from left to right, and the tables of each."""
 
 REACH = 80.0
-"""Margins up to which the axes go; what is farther out ends at the edge, with an arrow."""
+"""Margins up to which the axes go; a number farther out is drawn near the edge, with an arrow."""
 TICKS = (-30, -5, -1, 0, 1, 5, 30)
 INSIDE = 0.8
-"""Of the axis: where the point of a number farther out stands, so that one sees its arrow."""
+"""Where on the axis (as a part of it) a number farther out stands, so that its arrow is visible."""
 CARETLEFTBASE, CARETRIGHTBASE = 8, 9
-"""Matplotlib's arrowheads that stand on the edge and point outwards; its names for them would load it."""
+"""Matplotlib's arrowheads that stand on the edge and point outwards; naming them would import it."""
 SPREAD = 0.76
 """The part of a metric's line over which its numbers are spread."""
 
 
 def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """Draw a panel for each table that is there: a point for each number, in margins of its metric.
+    """Draw a panel for each table that has runs: a point for each number, in margins of its metric.
 
-    With its 90 % interval, or the range of an open dial.
-
-    Rows: those of `numbers.numbers`.
+    Each has its 90 % interval, or the range of an open dial. `rows` are those of `numbers.numbers`.
     """
     shown = {
         title: [
@@ -71,7 +69,7 @@ def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 
 def _grounds(panel: Any, lines: int) -> None:
-    """The band of one margin, and a line between each two metrics."""
+    """Draw the band of one margin, and a line between neighbouring metrics."""
     panel.axvspan(-1.0, 1.0, color="#e4e4e4", linewidth=0, zorder=0)
     panel.axvline(0, color="#999999", linewidth=0.6, zorder=1)
     for at in range(1, lines):
@@ -79,9 +77,9 @@ def _grounds(panel: Any, lines: int) -> None:
 
 
 def _number(panel: Any, row: Row, height: float) -> None:
-    """A point and its interval; what an open dial gives is a range without a point.
+    """Draw a point and its interval; an open dial gives a range without a point.
 
-    An arrow at the edge: the number, or its range, goes farther.
+    An arrow at the edge shows that the number, or its range, goes farther.
     """
     colour = figures.COLOURS[row["architecture"]]
     ends = [*(row["reach"] or ()), *([] if row["outcome"] == OPEN else [row["distance"]])]
@@ -118,10 +116,7 @@ def _number(panel: Any, row: Row, height: float) -> None:
 
 
 def _look(outcome: str, colour: str) -> dict[str, Any]:
-    """Return the style: filled where the number stands, hollow where it does not, grey where it is undecided.
-
-    They are told apart without colour.
-    """
+    """Return the style: filled if the number stands, hollow if not, grey if undecided; distinct without colour."""
     fill = {STANDS: colour, UNDECIDED: "#bbbbbb"}.get(outcome, "white")
     return {
         "markersize": 4.4,

@@ -1,6 +1,6 @@
-"""What became of the predictions that were registered before they were run.
+"""Report what became of the predictions that were registered before they were run.
 
-That is `reports/comparison.json`, where it is of the report's model.
+They are read from `reports/comparison.json`, if that is of the report's model.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from fsar_ledger.report.printing import flat
 
 
 class Record(msgspec.Struct, frozen=True):
-    """The model that predictions were judged with, and what became of each, in the order of the registration."""
+    """The model with which the predictions were judged, and the outcome of each in the order of registration."""
 
     model_version: str
     parameters: str
@@ -26,9 +26,9 @@ class Record(msgspec.Struct, frozen=True):
 def outcomes(findings: Findings, folder: Traversable | None = None) -> list[Row]:
     """Return a row for each prediction.
 
-    None where the record in this folder (default: the packaged one) is absent, or of another model or constants.
+    Empty if the record in this folder (default: the packaged one) is absent, or of another model or constants.
 
-    Raises: FsarLedgerError when the file is there and is not such a record.
+    Raises: FsarLedgerError if the file is not such a record.
     """
     path = (folder or files("fsar_ledger.reports")).joinpath("comparison.json")
     if not path.is_file():
@@ -50,7 +50,7 @@ def outcomes(findings: Findings, folder: Traversable | None = None) -> list[Row]
 
 
 def said(rows: Sequence[Row]) -> Row | None:
-    """Say for the first page which hold, which do not, and of which it cannot be told; None without predictions."""
+    """Say which predictions hold, which do not, and which cannot be decided; None without predictions."""
     if not rows:
         return None
     kept, failed, open_ones = (

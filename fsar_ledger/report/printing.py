@@ -1,6 +1,6 @@
-"""How a value becomes a printed one: scale, decimals, signs and spaces, the same everywhere in the report.
+"""Format values for the report: scale, decimals, signs and spaces are the same everywhere.
 
-A cell keeps the value beside its print, so that a test (or a reader of the data) can compare the two.
+A cell keeps the value beside its printed form, so that tests and readers of the data can compare the two.
 """
 
 import math
@@ -17,14 +17,14 @@ NOTHING = "–"
 MINUS = "\u2212"
 THIN_SPACE = "\u2009"
 GRADES = {"full": "\u25cf", "partial": "\u25cb", "none": "\u2014"}  # as in the paper: present, partial, absent
-MAX_ROWS, MAX_WORDS = 200, 400  # of a table, and characters of a cell; those over are counted
+MAX_ROWS, MAX_WORDS = 200, 400  # rows of a table, characters of a cell; what exceeds them is counted
 SMALLEST_P = 0.0001  # smaller p are printed as "<.0001", as the paper does
 
 Row = Mapping[str, Any]
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """One cell: the value in stored units, how it is printed, and the tone in which it is set."""
+    """One cell: the value in stored units, its printed form, and the tone in which it is set."""
 
     value: Any
     printed: str
@@ -32,7 +32,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 class Table(msgspec.Struct, frozen=True):
-    """One table ready to be set: spec, headings, alignment, rows of cells, and which rows begin a group."""
+    """One table ready to be typeset: spec, headings, alignment, rows of cells, and the rows that begin a group."""
 
     name: str
     title: str
@@ -46,7 +46,7 @@ class Table(msgspec.Struct, frozen=True):
 
 
 def number(value: float, decimals: int) -> str:
-    """The value with this many decimals, a real minus sign, and never a negative zero."""
+    """Format the value with this many decimals, a real minus sign, and never a negative zero."""
     printed = f"{value:.{decimals}f}"
     if float(printed) == 0:
         printed = printed.lstrip("-")
@@ -54,7 +54,7 @@ def number(value: float, decimals: int) -> str:
 
 
 def significant(value: float, digits: int) -> str:
-    """The value with about this many significant digits, never in exponent form."""
+    """Format the value with about this many significant digits, never in exponent form."""
     if value == 0:
         return "0"
     magnitude = math.floor(math.log10(abs(value))) + 1
@@ -62,18 +62,18 @@ def significant(value: float, digits: int) -> str:
 
 
 def integer(value: float) -> str:
-    """The whole number with a thin space between thousands, from five digits on."""
+    """Format the integer with a thin space between thousands, from five digits on."""
     grouped = f"{int(value):,}" if abs(value) >= 10_000 else str(int(value))
     return grouped.replace(",", THIN_SPACE).replace("-", MINUS)
 
 
 def probability(value: float) -> str:
-    """The p value with four decimals, or that it is smaller than the smallest printed one."""
+    """Format the p value with four decimals, or as smaller than the smallest printed one."""
     return "<.0001" if value < SMALLEST_P else number(value, 4)
 
 
 def in_metric(name: str, value: float) -> str:
-    """The value of a metric in its printed unit."""
+    """Format the value of a metric in its printed unit."""
     spec = metric_named(name)
     return number(value * spec.factor, spec.decimals)
 
@@ -91,7 +91,7 @@ def _counted(value: float, name: str) -> str:
 def words(value: object, most: int = MAX_WORDS) -> str:
     """Return the text as a page shows it.
 
-    Escaped but for the thin spaces of our numbers, and cut where it is longer than any of ours.
+    Everything is escaped except the thin spaces of our numbers, and the text is cut after `most` characters.
     """
     text = str(value)
     cut = text if len(text) <= most else f"{text[:most]}... ({len(text) - most:,} more)"
@@ -99,7 +99,7 @@ def words(value: object, most: int = MAX_WORDS) -> str:
 
 
 def configuration(name: str) -> str:
-    """A configuration as the paper's table names it: full, or what is taken out after a minus sign."""
+    """Name a configuration as the paper's table does: "full", or what is taken out after a minus sign."""
     return f"{MINUS} {name.removeprefix('without-').replace('-', ' ')}" if name.startswith("without-") else name
 
 
@@ -146,9 +146,9 @@ def _tone(column: specs.Column, value: Any) -> str:
 
 
 def cell(column: specs.Column, row: Row) -> Cell:
-    """The cell of a row under a column; a missing value is printed as a dash.
+    """Return the cell of a row under a column; a missing value is printed as a dash.
 
-    Raises: KeyError when the row lacks the column's key or the spec names an unknown format.
+    Raises: KeyError if the row lacks the column's key or the spec names an unknown format.
     """
     value = row[column.key]
     if value is None:
@@ -157,7 +157,7 @@ def cell(column: specs.Column, row: Row) -> Cell:
 
 
 def table(name: str, rows: Sequence[Row], source: str = "") -> Table:
-    """The table of this spec filled with these rows. Raises: KeyError as `cell` does."""
+    """Return the table of this spec filled with these rows. Raises: KeyError as `cell` does."""
     spec = specs.table(name)
     filled, begins = [], []
     before: Row = {}
@@ -187,7 +187,7 @@ def table(name: str, rows: Sequence[Row], source: str = "") -> Table:
 
 
 def flat(name: str, value: object) -> Iterator[tuple[str, str]]:
-    """Nested constants as dotted names and printed values, sorted by name within each level.
+    """Yield nested constants as dotted names and printed values, sorted by name within each level.
 
     A mapping of low_s and high_s is a range of seconds; a list of [name, value] pairs is read as a mapping.
     """
@@ -208,7 +208,7 @@ def flat(name: str, value: object) -> Iterator[tuple[str, str]]:
 
 
 def _plain(value: object) -> str:
-    """A constant as it is printed: whole numbers in groups of three, others with the digits they have."""
+    """Format a constant: integers in groups of three, other numbers with the digits they have."""
     if isinstance(value, int) and not isinstance(value, bool):
         return integer(value)
     return f"{value:g}".replace("-", MINUS) if isinstance(value, float) else str(value)

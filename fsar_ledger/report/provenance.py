@@ -1,4 +1,4 @@
-"""Where the value of each constant is from, in one word, as its type in `constants.py` says it."""
+"""Say in one word where the value of each constant is from, as its type in `constants.py` does."""
 
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -17,13 +17,13 @@ WORDS = {
 """What each word means."""
 
 GIVEN = "given"
-"""The word for a value that is not this release's own."""
+"""The word for a value that is not this release's default."""
 
 
 def origins() -> dict[str, str]:
     """Return the word for each constant by dotted name, in the order of the file.
 
-    "" where its type says none, or more than one.
+    "" if its type says nothing, or more than one thing.
     """
     found: dict[str, str] = {}
     groups = {name: kind for name, kind in _hints(constants.Constants).items() if name not in constants.DESIGNS}
@@ -46,7 +46,7 @@ def _word(hint: Any) -> str:
 
 
 def _split(name: str, word: str) -> dict[str, str]:
-    """Durations are one constant for each capability, and some of them are the paper's."""
+    """Return the words of durations: one constant for each capability, some of them the paper's."""
     if name != "world.durations":
         return {name: word}
     return {

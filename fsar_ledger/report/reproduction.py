@@ -1,6 +1,6 @@
-"""Everything that the report says in numbers, for programs: `reproduction.json` beside the PDF.
+"""Write everything that the report says in numbers, for programs: `reproduction.json` beside the PDF.
 
-Same heads and versions, same bytes.
+The same heads and versions give the same bytes.
 """
 
 import platform
@@ -18,7 +18,7 @@ PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typ
 
 
 def versions() -> dict[str, str]:
-    """What made it, by name."""
+    """Return the versions of the software that made the report, by name."""
     ours = {"fsar-ledger": fsar_ledger.__version__, "Python": platform.python_version()}
     return ours | {name: version(name) for name in PACKAGES}
 
@@ -26,10 +26,9 @@ def versions() -> dict[str, str]:
 def reproduction(findings: Findings, counted: Sequence[Row]) -> bytes:
     """Return the text of the file.
 
-    Heads, model, all printed numbers beside ours (`numbers.numbers`), the tests, the multiverse, the digests of the
-    queries.
-
-    Values are in the units of the queries, shares in [0, 1]; null is what is undefined, not judged or not drawn.
+    It holds heads, model, all printed numbers beside ours (`numbers.numbers`), the tests, the multiverse and the
+    digests of the queries. Values are in the units of the queries, shares in [0, 1]; null is what is undefined, not
+    judged or not drawn.
     """
     read = findings.multiverse
     parts = {"ablation": findings.ablation, "scaling": findings.scaling, "mechanisms": findings.mechanisms}
@@ -55,5 +54,5 @@ def reproduction(findings: Findings, counted: Sequence[Row]) -> bytes:
 
 
 def _head(one: Findings | Told | Workflows) -> Mapping[str, str | int]:
-    """Of which newest record of a ledger the numbers are."""
+    """Return the head of the ledger that the numbers are from."""
     return {"commits": one.commits, "events": one.size, "root": one.root, "runs": one.run_count}

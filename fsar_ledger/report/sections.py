@@ -1,4 +1,4 @@
-"""The sections "Ablation" and "Scaling": their tables, figures and numbers for the sentences."""
+"""Make the sections "Ablation" and "Scaling": their tables, figures and the numbers of their sentences."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -11,14 +11,14 @@ from fsar_ledger.report.findings import ARCHITECTURES, Findings, Row, Told
 from fsar_ledger.report.printing import Table
 
 Sourced = Callable[[str | None], str]
-"""Where numbers come from, in words: of this query."""
+"""Maps the name of a query to the source line of a table."""
 
 Drawer = Callable[[], bytes]
-"""Draws a figure, as SVG."""
+"""Draws a figure as SVG."""
 
 
 def tables(findings: Findings, sourced: Sourced) -> dict[str, Table]:
-    """The tables of both sections, by name; none of a section that no ledger holds."""
+    """Return the tables of both sections by name; none for a section that no ledger provides."""
     found: dict[str, Table] = {}
     for name, rows in _rows(findings).items():
         if rows:
@@ -42,7 +42,7 @@ def _rows(findings: Findings) -> dict[str, Sequence[Row]]:
 
 
 def _beyond(curve: Sequence[Row]) -> list[Row]:
-    """One row for each larger fleet than the paper's, load and architecture, with a column for each metric."""
+    """Return one row for each fleet beyond the paper's, load and architecture, with a column for each metric."""
     found: dict[tuple[int, int, str], Row] = {}
     for row in curve:
         if row["fleet_size"] > curves.LARGEST:
@@ -59,7 +59,7 @@ def _beyond(curve: Sequence[Row]) -> list[Row]:
 
 
 def drawers(findings: Findings) -> dict[str, Drawer]:
-    """How the figures of both sections are drawn, by name; none over a dial of which the ledger has one place alone."""
+    """Return how to draw the figures of both sections, by name; a dial with a single position has no figure."""
     found: dict[str, Drawer] = {}
     if (ablation := findings.ablation) is not None:
         found["ablation"] = partial(curves.ablation, ablation.cells)
@@ -73,7 +73,7 @@ def drawers(findings: Findings) -> dict[str, Drawer]:
 
 
 def _dialled(findings: Findings) -> list[Row]:
-    """The printed successes without a shared registry: of all scenarios, and of those that the text names."""
+    """Return the printed success without a shared registry, over all scenarios and for those that the text names."""
     ablation = findings.ablation
     every = () if ablation is None else (*ablation.cells, *ablation.text)
     return [
@@ -84,9 +84,9 @@ def _dialled(findings: Findings) -> list[Row]:
 
 
 def ablation(findings: Findings) -> dict[str, Any] | None:
-    """Return what the sentences on the ablations say.
+    """Return the numbers of the sentences on the ablations; None without any.
 
-    Counts of answers, where the dial gives the printed numbers, what cannot follow and why.
+    They count the answers, say where on the dial the printed numbers lie, and what cannot follow and why.
     """
     found = findings.ablation
     if found is None:
@@ -118,9 +118,9 @@ def ablation(findings: Findings) -> dict[str, Any] | None:
 
 
 def scaling(findings: Findings) -> dict[str, Any] | None:
-    """Return what the sentences on larger fleets say.
+    """Return the numbers of the sentences on larger fleets; None without any.
 
-    Counts of answers, where the printed numbers lie between the ends of the load, and which load they need.
+    They count the answers, say where the printed numbers lie between the ends of the load, and which load they need.
     """
     found = findings.scaling
     if found is None:
@@ -145,7 +145,7 @@ def scaling(findings: Findings) -> dict[str, Any] | None:
 
 
 def _told(findings: Findings, told: Told) -> dict[str, Any]:
-    """The head that it is of, and its model where the results are of another."""
+    """Return the head of the ledger, and the model of its runs if the results are of another."""
     another = (
         told.model_version
         if findings.model_version is not None and told.model_version != findings.model_version
@@ -172,7 +172,7 @@ def _answers(rows: Sequence[Row]) -> dict[str, int]:
 
 
 def _named(row: Row) -> dict[str, str]:
-    """A cell in words: its metric, configuration and scenario, and the printed number."""
+    """Describe a cell: its metric, configuration and scenario, and the printed number."""
     where = "" if row["scenario"] is None else f", {row['scenario'].replace('-', ' ')}"
     return {
         "title": f"{metric_named(row['metric']).title}, {printing.configuration(row['configuration'])}{where}",

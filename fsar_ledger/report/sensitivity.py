@@ -1,8 +1,7 @@
-"""The file that `fsar-ledger sensitivity` writes: its rows, which model it is of, the figure and the table of it."""
+"""Read, check and show the file that `fsar-ledger sensitivity` writes."""
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from hashlib import sha256
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +19,19 @@ METADATA = b"fsar-ledger-sensitivity"
 MADE_BY = "fsar-ledger sensitivity --out FILE.parquet"
 ARCHITECTURES = ("fsar", "cfc", "dhma")
 BOUNDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of a cell of the heat map, in margins
-SHOWN_FROM = 0.5  # margins: a factor that moves no cell by so much is only counted
-MAX_SHOWN = 46  # factors: a page
-MAX_NAMED = 5  # constants that differ, in a message
+SHOWN_FROM = 0.5  # margins: a factor that moves no cell this far is only counted
+MAX_SHOWN = 46  # factors that fit on a page
+MAX_NAMED = 5  # differing constants that a message names
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True):
-    """What one factor does to one cell over its whole range, `low` to `high`; a switch, from one setting to the other.
+    """What one factor does to one cell over its whole range, `low` to `high`; for a switch, between its settings.
 
     `mu`, `mu_star`, `sigma` and `mu_star_conf` (half of the 95 % interval of `mu_star`) are in the metric's unit, over
-    `effects` moves; `by_chance` is what `mu_star` would be at most if nothing but chance moved the cell; the same
-    divided by the metric's margin in the columns `_margins`. `sobol_first` and `sobol_total` are parts of the cell's
-    variance while the factors that matter most vary together, `emulator_r2` says how well the polynomial that they come
-    from predicts points it has not seen. None: the cell was undefined there, or the factor is none of those.
+    `effects` moves; `by_chance` is the most that `mu_star` could be if only chance moved the cell. The columns
+    `_margins` are the same divided by the metric's margin. `sobol_first` and `sobol_total` are parts of the cell's
+    variance while the factors that matter most vary together; `emulator_r2` says how well the polynomial behind them
+    predicts points it has not seen. None: the cell was undefined, or the factor is not among those.
     """
 
     metric: str
@@ -61,7 +60,7 @@ class Effect(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
-    """Of which model the effects are, around which constants, and from how many evaluations of how many runs each."""
+    """The model, the base constants, and the number of evaluations and runs that the effects come from."""
 
     model_version: str
     parameters: str
@@ -78,14 +77,14 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Sensitivity(msgspec.Struct, frozen=True):
-    """A file as it was read."""
+    """The content of a file."""
 
     about: About
     effects: tuple[Effect, ...]
 
 
 class Section(msgspec.Struct, frozen=True):
-    """What the report has to say: a sentence, the heat map of its effects (SVG) and the table of the dozen."""
+    """What the report shows: a sentence, the heat map of the effects (SVG) and the table of the dozen."""
 
     sentence: str
     figure: bytes | None = None
@@ -99,36 +98,15 @@ SCHEMA = pa.schema(
 
 
 def table_of(found: Sensitivity) -> pa.Table:
-    """The rows as they are stored, with what they are about in the metadata."""
+    """Return the rows as they are stored, with `about` in the metadata."""
     schema = SCHEMA.with_metadata({METADATA: msgspec.json.encode(found.about)})
     return pa.Table.from_pylist([msgspec.structs.asdict(effect) for effect in found.effects], schema=schema)
 
 
-def read_sensitivity(path: Path, model_version: str, parameters: str) -> Sensitivity:
-    """Read the effects in the file, of this model around these constants (as `RunStarted.parameters` holds them).
+def section(found: Sensitivity | None, model_version: str | None, parameters: Mapping[str, str]) -> Section:
+    """Return what a report about runs of this model says about the effects.
 
-    Raises:
-        UsageError: The file cannot be read, is another file, or of another model or other constants.
-    """
-    found = open_effects(path)
-    if found.about.model_version != model_version:
-        raise UsageError(f"{path}: {_of_another_model(found.about, model_version)}")
-    if found.about.parameters != parameters:
-        differing = list(_differing("", *(read_parameters(text) for text in (found.about.parameters, parameters))))
-        named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + (
-            f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
-        )
-        raise UsageError(
-            f"{path}: found effects around other constants ({named}), expected those of these runs; make them again: "
-            f"{MADE_BY}"
-        )
-    return found
-
-
-def section(found: Sensitivity | None, model_version: str | None, digests: Collection[str]) -> Section:
-    """Return what a report about runs of this model has to say of how much hangs on what.
-
-    Their constants have one of these SHA-256, as a ledger records them.
+    `parameters` are the constants of these runs by dotted name, as `Findings` has them.
     """
     if found is None:
         return Section(
@@ -138,10 +116,14 @@ def section(found: Sensitivity | None, model_version: str | None, digests: Colle
     about, still = found.about, sum(furthest == 0 for furthest in reach(found).values())
     if about.model_version != model_version:
         return Section(f"The effects that were given are not of these runs: {_of_another_model(about, model_version)}.")
-    if sha256(about.parameters.encode()).hexdigest() not in digests:
+    theirs = dict(printing.flat("", read_parameters(about.parameters)))
+    differing = [name for name in {**theirs, **parameters} if theirs.get(name) != parameters.get(name)]
+    if differing:
+        more = f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
+        named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + more
         return Section(
-            "The effects that were given are not of these runs: found effects around other constants; make them "
-            f"again: {MADE_BY}."
+            f"The effects that were given are not of these runs: found effects around other constants ({named}); make "
+            f"them again: {MADE_BY}."
         )
     sentence = (
         f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were "
@@ -153,7 +135,7 @@ def section(found: Sensitivity | None, model_version: str | None, digests: Colle
 
 
 def open_effects(path: Path) -> Sensitivity:
-    """The effects in the file, whatever they are of. Raises: UsageError if it cannot be read or is another file."""
+    """Return the effects in the file. Raises: UsageError if it cannot be read or is another kind of file."""
     if not path.is_file():
         raise UsageError(f"{path}: found no such file, expected one of `{MADE_BY}`")
     try:
@@ -187,16 +169,6 @@ def open_effects(path: Path) -> Sensitivity:
     return Sensitivity(about, effects)
 
 
-def _differing(above: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[str]:
-    """The dotted names of the constants that the two have otherwise, also those that only one of them has."""
-    for name in dict.fromkeys((*one, *other)):
-        ours, theirs = one.get(name), other.get(name)
-        if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
-            yield from _differing(f"{above}{name}.", ours, theirs)
-        elif (name in one, ours) != (name in other, theirs):
-            yield f"{above}{name}"
-
-
 def _of_another_model(about: About, expected: str | None) -> str:
     found, wanted = (printable.value(one or "unknown") for one in (about.model_version, expected))
     return f"found effects of model {found}, expected those of model {wanted}; make them again: {MADE_BY}"
@@ -205,7 +177,7 @@ def _of_another_model(about: About, expected: str | None) -> str:
 def reach(found: Sensitivity) -> dict[str, float]:
     """Return how far each factor moves the cell that it moves furthest, in margins, the largest first.
 
-    Where they are alike, in the order of the file.
+    Equal ones keep the order of the file.
     """
     furthest = dict.fromkeys(found.about.factors, 0.0)
     for effect in found.effects:
@@ -214,11 +186,10 @@ def reach(found: Sensitivity) -> dict[str, float]:
 
 
 def that_matter(found: Sensitivity, most: int) -> tuple[str, ...]:
-    """Return so many factors: the one that moves each metric furthest, then those that move any furthest.
+    """Return the `most` factors that matter most, the one with the longest reach first.
 
-    They stand by their reach, the furthest first.
-
-    Else a metric with a narrow margin would fill the list, and of the others nothing would be known.
+    They are the one that moves each metric furthest, then those that move any cell furthest. By reach alone, a metric
+    with a narrow margin would fill the list.
     """
     furthest: dict[str, tuple[float, str]] = {}
     for effect in found.effects:
@@ -230,7 +201,7 @@ def that_matter(found: Sensitivity, most: int) -> tuple[str, ...]:
 
 
 def dozen(found: Sensitivity) -> list[dict[str, Any]]:
-    """Return a row for each factor that matters most: which cell it moves furthest, how far, its variance."""
+    """Return a row for each factor that matters most: the cell it moves furthest, how far, its part of the variance."""
     rows: list[dict[str, Any]] = []
     for name in found.about.dozen:
         of_factor = [effect for effect in found.effects if effect.factor == name]
@@ -256,11 +227,9 @@ def dozen(found: Sensitivity) -> list[dict[str, Any]]:
 
 
 def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
-    """The figure cell x factor: how far the factor moves the cell, in margins; dark is far, also in grey.
+    """Draw the figure cell x factor: how far the factor moves the cell, in margins; dark is far, also in grey.
 
-    A dot: no further than chance may.
-
-    A cell that was undefined is crossed out.
+    A dot marks an effect within chance, a cross a cell that was undefined.
     """
     shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or list(
         found.about.factors[:1]
@@ -286,7 +255,7 @@ def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
 
 
 def _cells(figure: Any, panel: Any, rows: Sequence[Sequence[Effect | None]]) -> None:
-    """The squares and their scale."""
+    """Draw the squares and their scale."""
     import matplotlib as mpl
     from matplotlib.colors import BoundaryNorm
 

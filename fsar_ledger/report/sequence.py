@@ -1,8 +1,8 @@
-"""The story of a request and the recovery of a failure, drawn from the rows of their queries. Same rows, same bytes.
+"""Draw the timeline of a request and of the recovery of a failure. The same rows give the same bytes.
 
-What a ledger says is drawn escaped and cut (`figures.label`), and so much of it that a figure stays below a megabyte;
-the rest is counted. `sequence` draws life lines and messages (`queries/audit/request_story.sql`), `ladder` the levels
-of recovery (`queries/audit/failure_story.sql`). Lengths are in inches; the figure grows with what it has to show.
+Texts from a ledger are escaped and cut (`figures.label`), and only as many steps are drawn as keep a figure below a
+megabyte; the rest is counted. `sequence` draws life lines and messages (`queries/audit/request_story.sql`), `ladder`
+the levels of recovery (`queries/audit/failure_story.sql`). Lengths are in inches; a figure grows with its rows.
 """
 
 import textwrap
@@ -16,12 +16,12 @@ from fsar_ledger.report import figures
 Row = Mapping[str, Any]
 
 FONT = 7.5  # points
-LETTER = 0.056  # width of a letter of that size, inches, a little more than the mean
+LETTER = 0.056  # width of a letter of that size in inches, slightly above the mean
 LINE = 0.135  # height of a line of text
 TIME = 0.75  # left column, for the times
 LANE = 1.55  # between two life lines
-AGENT_LANE = 1.15  # the same where a figure has many
-DEED = 2.4  # the widest that a deed is written
+AGENT_LANE = 1.15  # the same in a figure with many
+DEED = 2.4  # the widest text of a deed
 HEAD = 0.45
 TEXT: dict[str, Any] = {"fontsize": FONT, "parse_math": False}
 FILLS = {
@@ -36,18 +36,14 @@ LEVEL_FILLS = {"local": "#dff0df", "peer": "#fbf6cf", "fleet": "#fbe7c9", "human
 GOOD, BAD, QUIET = "#2e7d32", "#b23b3b", "#666666"
 GOOD_RESULTS = ("success", "resolved", "helped")
 MAX_STEPS, MAX_LANES, MAX_LETTERS = 120, 12, 8_000  # a letter takes some 90 bytes of SVG
-MAX_NAME, MAX_WORDS, MAX_LINE = (
-    40,
-    240,
-    80,
-)  # characters of a principal, of what a step says, and of one line of that in a box
+MAX_NAME, MAX_WORDS, MAX_LINE = 40, 240, 80  # characters of a principal, of a step's text, of a line of it in a box
 NAMES = ("sender", "receiver", "decided_by", "level", "to_level")
 
 
 def drawable(rows: Sequence[Row]) -> tuple[list[dict[str, Any]], str]:
-    """Return the steps that are drawn, with their texts as a figure shows them, and a line that counts the others.
+    """Return the steps to draw, with their texts as a figure shows them, and a line that counts the others.
 
-    Empty if there are none.
+    The line is empty if there are no others.
     """
     drawn: list[dict[str, Any]] = []
     letters = 0
@@ -66,7 +62,7 @@ def drawable(rows: Sequence[Row]) -> tuple[list[dict[str, Any]], str]:
 
 
 def _in_lanes(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows with the principals that get no lane of their own in one lane together."""
+    """Return the rows with all principals beyond the last lane merged into one."""
     names = lanes(rows)
     if len(names) <= MAX_LANES:
         return rows
@@ -76,7 +72,7 @@ def _in_lanes(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def lanes(rows: Sequence[Row]) -> list[str]:
-    """The principals of the story in order of appearance; one lane for what the record leaves open."""
+    """Return the principals in order of appearance; one lane stands for all that the record leaves open."""
     named = [
         row[side] or NOBODY
         for row in rows
@@ -86,11 +82,10 @@ def lanes(rows: Sequence[Row]) -> list[str]:
 
 
 def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """Draw the story as a sequence diagram. Paper: fig:wf1.
+    """Draw the timeline as a sequence diagram. Paper: fig:wf1.
 
-    A life line for each principal, an arrow for each message, a box for each evaluation.
-
-    Each row holds sender, receiver, kind, message, note, time_s, is_tied; at least one row.
+    Each principal has a life line, each message an arrow and each evaluation a box. Each row holds sender, receiver,
+    kind, message, note, time_s, is_tied; at least one row.
     """
     with drawn_sequence(rows) as figure:
         return figures.rendered(figure, kind)
@@ -98,7 +93,7 @@ def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 @contextmanager
 def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
-    """The figure of `sequence`, with its settings in force, so that it can be rendered or measured."""
+    """Yield the figure of `sequence` with its settings in force, to be rendered or measured."""
     drawn, more = drawable(rows)
     rows = _in_lanes(drawn)
     names = lanes(rows)
@@ -150,7 +145,7 @@ def _words(row: Row) -> str:
 
 
 def _lines(row: Row, at: Mapping[str, float]) -> list[str]:
-    """What the row says, wrapped to the room that it has."""
+    """Wrap the text of the row to the room that it has."""
     if row["kind"] == "evaluation":
         said = [row["message"], *(row["note"].split("; ") if row["note"] else ())]
         return [part for one in said for part in (textwrap.wrap(one, MAX_LINE) if len(one) > MAX_LINE else [one])]
@@ -165,7 +160,7 @@ def _height(row: Row, lines: Sequence[str]) -> float:
 
 
 def _step(axes: Any, row: Row, lines: Sequence[str], at: Mapping[str, float], top: float, room: float) -> None:
-    """One message, evaluation or deed."""
+    """Draw one message, evaluation or deed."""
     here = at[row["sender"] or NOBODY]
     words = "\n".join(lines)
     style = "--" if not row["is_tied"] else "-"
@@ -246,7 +241,7 @@ def _box(
 
 
 def rungs(rows: Sequence[Row]) -> list[Row]:
-    """The rows that a ladder shows: without a resolution that only repeats the result of the step before it."""
+    """Return the rows that a ladder shows, without resolutions that only repeat the result of the step before."""
     return [
         row
         for before, row in zip([None, *rows], rows, strict=False)
@@ -255,9 +250,7 @@ def rungs(rows: Sequence[Row]) -> list[Row]:
 
 
 def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The recovery of the failures of one action, level below level: steps, results, times, why each level was left.
-
-    Paper: fig:wf3.
+    """Draw the recovery of the failures of one action, level below level, with why each level was left. Paper: fig:wf3.
 
     Each row holds failure, level_number, level, to_level, spent_s, time_s, until_s, what, result, achieved, budget_s,
     decided_by; at least one row.
@@ -268,7 +261,7 @@ def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 @contextmanager
 def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
-    """The figure of `ladder`, with its settings in force, so that it can be rendered or measured."""
+    """Yield the figure of `ladder` with its settings in force, to be rendered or measured."""
     rows, more = drawable(rows)
     shown = rungs(rows)
     box, tall, left, middle = 2.9, 0.3, 1.35, 1.35 + 0.95 + 1.45
@@ -309,7 +302,7 @@ def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
 
 
 def _levels(axes: Any, shown: Sequence[Row], heights: Sequence[float], left: float, tall: float) -> None:
-    """The name of each level beside its steps, and how long recovery stayed there."""
+    """Draw the name of each level beside its steps, and how long recovery stayed there."""
     placed = list(zip(shown, heights, strict=True))
     for (failure, number, level), group in groupby(
         placed, key=lambda one: (one[0]["failure"], one[0]["level_number"], one[0]["level"])
@@ -325,7 +318,7 @@ def _levels(axes: Any, shown: Sequence[Row], heights: Sequence[float], left: flo
 
 
 def _rung(row: Row, rows: Sequence[Row]) -> str:
-    """Who took which step; for a level that is left, why."""
+    """Say who took which step; for a level that is left, why."""
     if row["to_level"] is None:
         return f"{row['decided_by']}: {row['what']}" if row["decided_by"] else str(row["what"])
     mates = [

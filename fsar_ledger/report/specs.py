@@ -1,7 +1,7 @@
-"""The packaged files of `reports/`: what the report says, and the numbers that the paper prints.
+"""Read the packaged files of `reports/`: what the report says, and the numbers that the paper prints.
 
-Words and layout are data, so that a table can be reworded without touching code; numbers never are. The
-only numbers under `reports/` are the paper's own (`paper/*.csv`, `quotes.toml`) and the record of the fit.
+Words and layout are data, so that a table can be reworded without touching code. The only numbers under `reports/` are
+the paper's own (`paper/*.csv`, `quotes.toml`) and the record of the fit.
 """
 
 import csv
@@ -16,9 +16,9 @@ T = TypeVar("T")
 
 
 class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One column of a table: which value it shows, under which heading, printed how.
+    """One column of a table: which value it shows, under which heading, in which format.
 
-    `digits` counts decimals; `group` True prints a value only where it differs from the row above.
+    `digits` counts decimals; with `group` a value is printed only where it differs from the row above.
     """
 
     key: str
@@ -41,7 +41,7 @@ class TableSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FigureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One figure: caption, alternative text, size in inches, and the packaged query that its numbers come from."""
+    """One figure: caption, alternative text, size in inches, and the packaged query behind its numbers."""
 
     title: str
     caption: str
@@ -53,7 +53,7 @@ class FigureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Passage(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One titled paragraph in Typst markup; `id` names it, `paper` is the label of the place that it speaks about."""
+    """One titled paragraph in Typst markup; `id` names it, `paper` is the label of the place it refers to."""
 
     id: str
     title: str
@@ -62,7 +62,7 @@ class Passage(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Contradiction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One contradiction: what the paper says, and the arithmetic, with `{name}` where a computed number goes."""
+    """One contradiction: what the paper says, and the arithmetic, with `{name}` for each computed number."""
 
     id: str
     title: str
@@ -73,7 +73,7 @@ class Contradiction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Quote(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One number of the paper's running text, where it stands, and in which words."""
+    """One number of the paper's running text: where it stands, and in which words."""
 
     value: float
     where: str
@@ -83,7 +83,7 @@ class Quote(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class CaseCell(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
     """One number of the paper's four cases: which claim of `queries/cases` it is, in which words, counted over what.
 
-    `other` is the claim in its other reading, `of` the claim that says of how many, `kind` the class of the cell.
+    `other` is the claim in its other reading, `of` the words for its denominator, `kind` the class of the cell.
     """
 
     case: int
@@ -97,7 +97,7 @@ class CaseCell(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={
 
 
 def text(*path: str) -> str:
-    """The text of a packaged file of `reports/`."""
+    """Return the text of a packaged file of `reports/`."""
     return files("fsar_ledger.reports").joinpath(*path).read_text(encoding="utf-8")
 
 
@@ -106,44 +106,41 @@ def _toml(cls: type[T], *path: str) -> T:
 
 
 def table(name: str) -> TableSpec:
-    """The spec of one table."""
+    """Return the spec of one table."""
     return _toml(TableSpec, "tables", f"{name}.toml")
 
 
 def figure(name: str) -> FigureSpec:
-    """The spec of one figure."""
+    """Return the spec of one figure."""
     return _toml(FigureSpec, "figures", f"{name}.toml")
 
 
 def passages(name: str) -> tuple[Passage, ...]:
-    """The paragraphs of one packaged file, in its order."""
+    """Return the paragraphs of one packaged file, in its order."""
     return tuple(_toml(dict[str, list[Passage]], f"{name}.toml")["passage"])
 
 
 @cache
 def labels(kind: str) -> dict[str, str]:
-    """Return what features, mechanisms and workflows are called in the report, and why some cells differ.
-
-    By the names of the queries.
-    """
+    """Return the labels of one kind (feature, mechanism, workflow, difference) by the names of the queries."""
     return _toml(dict[str, dict[str, str]], "labels.toml")[kind]
 
 
 def contradictions() -> tuple[Contradiction, ...]:
-    """The contradictions in the paper, in the order in which the report prints them."""
+    """Return the contradictions in the paper, in the order in which the report prints them."""
     return tuple(_toml(dict[str, list[Contradiction]], "contradictions.toml")["contradiction"])
 
 
 def quotes() -> dict[str, dict[str, Quote]]:
-    """The numbers of the paper's running text, by topic and name."""
+    """Return the numbers of the paper's running text, by topic and name."""
     return _toml(dict[str, dict[str, Quote]], "quotes.toml")
 
 
 def cases() -> tuple[CaseCell, ...]:
-    """The numbers of the paper's four cases, in its order."""
+    """Return the numbers of the paper's four cases, in its order."""
     return tuple(_toml(dict[str, list[CaseCell]], "cases.toml")["cell"])
 
 
 def paper_table(name: str) -> tuple[dict[str, str], ...]:
-    """The rows of one of the paper's tables, as printed."""
+    """Return the rows of one of the paper's tables, as printed."""
     return tuple(csv.DictReader(text("paper", f"{name}.csv").splitlines()))

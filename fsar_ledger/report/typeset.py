@@ -1,4 +1,4 @@
-"""Data and figures become a PDF, with the same bytes for the same input.
+"""Typeset data and figures as a PDF, with the same bytes for the same input.
 
 Data reaches the template as JSON and is never read as markup; only the packaged texts of `reports/` are.
 """
@@ -13,9 +13,9 @@ from fsar_ledger.report import specs
 
 
 def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:
-    """The report as a PDF. `data` is JSON, `figures` are SVG by file name. Same input, same bytes.
+    """Return the report as a PDF. `data` is JSON, `figures` are SVG by file name.
 
-    Raises: WriteFailed when the folder for temporary files takes no more.
+    Raises: WriteFailed if the folder for temporary files is full.
     """
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -33,7 +33,7 @@ def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:
 
 
 def _compiled(root: Path) -> bytes:
-    """The PDF of `report.typ` in this folder; it can read nothing outside, and no fonts but Typst's own."""
+    """Compile `report.typ` in this folder; it can read nothing outside, and only Typst's own fonts."""
     import typst
 
     compiled: bytes = typst.compile(
@@ -43,7 +43,7 @@ def _compiled(root: Path) -> bytes:
 
 
 def require_place(path: Path) -> None:
-    """Raises: WriteFailed where it can be told, before the work is done, that the file cannot be written."""
+    """Check, before any work is done, that the file can be written. Raises: WriteFailed if that is known to fail."""
     try:
         _require_file(path)
         above = next(folder for folder in path.absolute().parents if folder.exists())
@@ -68,9 +68,9 @@ def _unwritten(path: Path, error: OSError) -> WriteFailed:
 
 
 def publish(path: Path, content: bytes) -> None:
-    """The file has this content, or is as it was: written beside it, made durable, renamed.
+    """Replace the file by this content atomically: written beside it, made durable, renamed.
 
-    Raises: WriteFailed when the disk refuses (no such folder can be made, read-only, full) or the path is a folder.
+    Raises: WriteFailed if the disk refuses (no such folder can be made, read-only, full) or the path is a folder.
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
@@ -88,6 +88,6 @@ def publish(path: Path, content: bytes) -> None:
 
 
 def _discard(partial: Path) -> None:
-    """The partial file is gone, wherever the folder lets it be removed."""
+    """Remove the partial file if the folder allows it."""
     with suppress(OSError):
         partial.unlink()

@@ -12,7 +12,7 @@ from itertools import combinations
 import msgspec
 
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.metrics.naming import unlike_ours
+from fsar_ledger.metrics.constant_names import unlike_ours
 from fsar_ledger.printable import NAMED, some
 
 KINDS = {

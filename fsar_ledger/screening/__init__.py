@@ -1,4 +1,4 @@
-"""How much of each cell hangs on each constant.
+"""Measure how much each cell depends on each constant.
 
-Morris screening over all of them, then Sobol indices for the dozen that move the cells most.
+Morris screening covers all constants; Sobol indices follow for the dozen that move the cells most.
 """

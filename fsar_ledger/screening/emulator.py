@@ -1,10 +1,9 @@
-"""Sobol indices of a few factors, from a polynomial that stands for the simulator.
+"""Compute Sobol indices of a few factors from a polynomial that emulates the simulator.
 
 The polynomial is of degree three in each factor and has the product of each two. Its terms are orthonormal under the
-law of the design (each factor uniform over its range or its settings, independent of the others), so the squares of its
-coefficients are parts of the variance, and
-the indices are sums of them: nothing more is drawn. How well it stands for the simulator is told by predicting each
-point from all others.
+distribution of the design (each factor uniform over its range or settings, independent of the others), so the squares
+of its coefficients are parts of the variance, and the indices are sums of them; nothing more is drawn. How well it
+emulates the simulator is measured by predicting each point from all others.
 """
 
 from collections.abc import Sequence
@@ -18,19 +17,17 @@ from .factors import Factor
 from .morris import Matrix, Vector
 
 DEGREE = 3
-GRID = 840  # positions that stand for the law of a factor; settings of 2 to 8 take equal parts of it
+GRID = 840  # positions that sample a factor evenly; 2 to 8 settings divide it equally
 PENALTIES = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 LEAST_R2 = 0.8
-"""Below this the polynomial says too little of the simulator, and no index is given."""
+"""Below this the polynomial says too little about the simulator, and no index is given."""
 
 
 class Indices(msgspec.Struct, frozen=True):
-    """What each factor has of the variance of one cell: alone, and with others.
+    """What each factor contributes to the variance of one cell: alone, and with others.
 
-    `r2` is of points that the polynomial had not seen.
-
-    None where the cell does not vary, is undefined at a point, or there are fewer points than terms; the indices also
-    where R2 is below 0.8.
+    `r2` is of points that the polynomial had not seen. None if the cell does not vary, is undefined at a point, or
+    there are fewer points than terms; the indices also if R2 is below 0.8.
     """
 
     r2: float | None
@@ -39,14 +36,14 @@ class Indices(msgspec.Struct, frozen=True):
 
 
 class Terms(msgspec.Struct, frozen=True):
-    """The polynomial at each point of a design: a column for each term, and the factors that it is of."""
+    """The polynomial at each point of a design: a column for each term, and the factors of each."""
 
     values: Matrix
     of: tuple[tuple[int, ...], ...]
 
 
 def design(points: int, names: Sequence[str]) -> Matrix:
-    """Return so many points of the unit cube, one position a factor: a Sobol sequence, shifted by hashes of names."""
+    """Return so many points of the unit cube, one coordinate a factor: a Sobol sequence, shifted by hashed names."""
     from scipy.stats import qmc
 
     if not points:
@@ -59,7 +56,7 @@ def design(points: int, names: Sequence[str]) -> Matrix:
 
 
 def terms(factors: Sequence[Factor], positions: Matrix) -> Terms:
-    """The terms of the polynomial of these factors, without the constant."""
+    """Return the terms of the polynomial of these factors, without the constant."""
     columns: list[Vector] = []
     of: list[tuple[int, ...]] = []
     linear: dict[int, Vector] = {}
@@ -75,9 +72,9 @@ def terms(factors: Sequence[Factor], positions: Matrix) -> Terms:
 
 
 def _orthonormal(factor: Factor, positions: Vector) -> list[Vector]:
-    """Return polynomials of the factor at these positions, with mean 0, variance 1 and no covariance under its law.
+    """Return polynomials of the factor at these positions, orthonormal and with mean 0 under its distribution.
 
-    As many as its settings tell apart.
+    There are as many as its settings can tell apart.
     """
     grid = _coordinates(factor, (np.arange(GRID) + 0.5) / GRID)
     here = _coordinates(factor, positions)
@@ -89,7 +86,7 @@ def _orthonormal(factor: Factor, positions: Vector) -> list[Vector]:
 
 
 def _coordinates(factor: Factor, positions: Vector) -> Vector:
-    """Where on a line from -1 to 1 the factor is: at its position, or at the number of its setting."""
+    """Map the factor to a line from -1 to 1: by its position, or by the number of its setting."""
     count = len(factor.settings)
     return np.asarray(
         2 * np.minimum(np.floor(positions * count), count - 1) / (count - 1) - 1 if count else 2 * positions - 1
@@ -97,7 +94,7 @@ def _coordinates(factor: Factor, positions: Vector) -> Vector:
 
 
 def indices(found: Terms, outputs: Vector, factor_count: int) -> Indices:
-    """The indices of one cell, whose values at the points of the design these are."""
+    """Return the indices of one cell from its values at the points of the design."""
     if np.isnan(outputs).any() or len(outputs) <= len(found.of) + 1 or np.ptp(outputs) == 0:
         return Indices(None, None, None)
     r2, coefficients = _fitted(found.values, outputs)
@@ -117,7 +114,7 @@ def indices(found: Terms, outputs: Vector, factor_count: int) -> Indices:
 
 
 def _fitted(values: Matrix, outputs: Vector) -> tuple[float, Vector]:
-    """R2 of each point predicted from all others, and the coefficients, under the penalty that predicts best."""
+    """Return R2 of each point predicted from all others, and the coefficients, under the best predicting penalty."""
     centre, mean = values.mean(axis=0), float(outputs.mean())
     left, singular, right = np.linalg.svd(values - centre, full_matrices=False)
     centred = outputs - mean

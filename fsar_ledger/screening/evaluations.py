@@ -1,8 +1,7 @@
-"""What the simulator answers at a setting, and the file that keeps the answers until the study is finished.
+"""Evaluate the simulator at a setting, and keep the answers in a file until the study is finished.
 
-FILE.partial has a line for each evaluation that is finished, in whatever order they were. So an interrupted study loses
-what was under way and nothing else, and since the answers are looked up by what was asked, a finished one has the same
-bytes however often it was interrupted.
+FILE.partial has a line for each finished evaluation, in any order. An interrupted study loses only what was running;
+and since answers are looked up by their question, a finished study has the same bytes however often it was interrupted.
 """
 
 import os
@@ -44,7 +43,7 @@ class Question(msgspec.Struct, frozen=True):
 
     @property
     def key(self) -> str:
-        """A digest of all that the answer depends on, but for the program."""
+        """Return a digest of everything that the answer depends on, except the program."""
         parts = (write_constants(self.setting.constants), self.setting.fleet_size, self.seed, self.runs)
         return sha256(msgspec.json.encode(parts)).hexdigest()[:32]
 
@@ -53,7 +52,7 @@ Evaluate = Callable[[Question], Answer]
 
 
 def evaluate(question: Question) -> Answer:
-    """The mean of each cell, judged by SQL; None where it is undefined."""
+    """Return the mean of each cell, measured by SQL; None where it is undefined."""
     setting, seed = question.setting, question.seed
     records = [
         simulate_run(RunSpec(seed, architecture, "full", scenario, setting.fleet_size, run), setting.constants)
@@ -76,7 +75,7 @@ class _Header(msgspec.Struct, frozen=True):
 
 @cache
 def _program() -> str:
-    """Return a digest of all code and queries: an answer of yesterday's is none of today's while the model changes."""
+    """Return a digest of all code and queries: an answer of another program does not count."""
     digest = sha256()
     for package, kind in (("fsar_ledger", "py"), ("fsar_ledger.queries", "sql")):
         root = Path(str(files(package)))
@@ -96,11 +95,11 @@ class Answers:
     """All answers so far, and the file that keeps them."""
 
     def __init__(self, path: Path) -> None:
-        """What the file holds is known, without a last line that an interruption cut.
+        """Load the answers in the file, without a last line that an interruption cut.
 
         Raises:
-            UsageError: another version wrote the file, or it is something else.
-            WriteFailed: it cannot be read or written.
+            UsageError: Another version wrote the file, or it is something else.
+            WriteFailed: It cannot be read or written.
         """
         self._path = path
         self.found: dict[str, Answer] = {}
@@ -140,7 +139,7 @@ class Answers:
         self._file.flush()
 
     def add(self, key: str, values: Answer) -> None:
-        """One answer more is known and kept. Raises: WriteFailed."""
+        """Add an answer and write it. Raises: WriteFailed."""
         try:
             self._write(_Line(key, values))
         except OSError as error:
@@ -151,7 +150,7 @@ class Answers:
         self.found[key] = values
 
     def finish(self) -> None:
-        """The file is gone: its answers are in the result. Raises: WriteFailed."""
+        """Delete the file: its answers are in the result. Raises: WriteFailed."""
         self.close()
         try:
             os.unlink(self._path)
@@ -161,14 +160,14 @@ class Answers:
             ) from error
 
     def close(self) -> None:
-        """Nothing more is kept."""
+        """Close the file; nothing more is written."""
         self._file.close()
 
 
 def answer_all(
     questions: Mapping[str, Question], answers: Answers, ask: Evaluate, workers: int, told: Callable[[], None]
 ) -> None:
-    """Each question, by its key, has an answer; `told` hears of each that was not known before.
+    """Answer each question that has no answer yet; `told` is called for each new one.
 
     Raises: WriteFailed, WorkerDied.
     """

@@ -1,11 +1,11 @@
-"""What is varied, and how far: every number of the world and the structure, the load, and the size of the fleet.
+"""Define what is varied, and how far: every number of the world and the structure, the load, and the fleet size.
 
-One rule for all, whether the paper prints a constant, the fit found it or we chose it: a length, a rate or a range is
-halved to doubled, a share or a probability has its odds halved to doubled, so that it stays between 0 and 1, and a
-count takes every whole number from half to double. Load and fleet size have two settings each, the first of which is
-the base.
+One rule holds for all, whether the paper prints a constant, the fit found it or we chose it: a length, a rate or a
+range is halved to doubled; a share or a probability has its odds halved to doubled, so that it stays between 0 and 1; a
+count takes every integer from half to double. Load and fleet size have two settings each, the first of which is the
+base.
 
-Outages are no factors: their rates are 0 by default, and twice nothing is nothing.
+Outages are not factors: their rates are 0 by default, and twice nothing is nothing.
 """
 
 from collections.abc import Iterable, Mapping
@@ -38,7 +38,7 @@ COUNTS = (
 )
 
 SETTINGS: dict[str, tuple[Any, Any]] = {"load.teams_working": (None, 1), "load.task_sets": (1, 2), "fleet.size": (4, 8)}
-"""Return the factors with two settings.
+"""The factors with two settings.
 
 All teams work, or one; each team has its tasks once, or twice; the fleet is of one team, or of two.
 """
@@ -60,18 +60,18 @@ class Factor(msgspec.Struct, frozen=True):
 
     @property
     def settings(self) -> tuple[Any, ...]:
-        """All values that the factor can have, in their order; empty where it has a whole range of them."""
+        """Return all values that the factor can have, in order; empty if it has a continuous range."""
         if self.kind == "settings":
             return SETTINGS[self.name]
         return tuple(range((self.value + 1) // 2, 2 * self.value + 1)) if self.kind == "count" else ()
 
     @property
     def is_switch(self) -> bool:
-        """Whether there are two settings and nothing between them."""
+        """Tell whether there are two settings and nothing between them."""
         return len(self.settings) == 2
 
     def at(self, position: float) -> Any:
-        """The value at a position from 0 (lowest) to 1 (highest); settings take equal parts of it."""
+        """Return the value at a position from 0 (lowest) to 1 (highest); settings take equal parts of it."""
         if settings := self.settings:
             return settings[min(int(position * len(settings)), len(settings) - 1)]
         factor = 2.0 ** (2 * position - 1)
@@ -84,7 +84,7 @@ class Factor(msgspec.Struct, frozen=True):
         return _like(self.value, self.value * factor)
 
     def shown(self, position: float | None = None) -> str:
-        """The base, or the value at a position, as text."""
+        """Return the base, or the value at a position, as text."""
         value = self.value if position is None else self.at(position)
         if isinstance(value, Range):
             return f"{value.low_s:g} to {value.high_s:g}"
@@ -92,16 +92,16 @@ class Factor(msgspec.Struct, frozen=True):
 
 
 class Setting(msgspec.Struct, frozen=True):
-    """What one evaluation is of: constants, and a fleet of so many robots."""
+    """What one evaluation runs: constants, and a fleet of so many robots."""
 
     constants: Constants
     fleet_size: int
 
 
 def _like(base: float, value: float) -> Any:
-    """Round to six significant digits, and to a whole number where the base is one.
+    """Round to six significant digits, and to an integer if the base is one.
 
-    No last bit of an exponential is then in a ledger's parameters.
+    This keeps the last bits of an exponential out of the parameters in a ledger.
     """
     return round(value) if isinstance(base, int) else float(f"{value:.6g}")
 
@@ -130,7 +130,7 @@ def _kind(name: str) -> Kind:
 
 
 def setting(all_factors: Iterable[Factor], positions: Mapping[str, float]) -> Setting:
-    """The setting with these factors at these positions, and all else as it is in this package."""
+    """Return the setting with these factors at these positions, and everything else as in this package."""
     fleet_size, base = 4, Constants()
     durations = dict(base.world.durations)
     groups: dict[str, dict[str, Any]] = {"world": {}, "structure": {}, "load": {}}
@@ -155,9 +155,9 @@ def setting(all_factors: Iterable[Factor], positions: Mapping[str, float]) -> Se
 
 
 def _without_unused(constants: Constants, fleet_size: int) -> Constants:
-    """Return the same world in its one form.
+    """Return the canonical form of the same world.
 
-    No load where one team has its tasks once, no interval where there is but one set.
+    It has no load if one team has its tasks once, and no interval if there is only one set.
     """
     load = constants.load
     assert load is not None

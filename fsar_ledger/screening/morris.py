@@ -1,9 +1,9 @@
-"""Morris screening: trajectories through the unit cube on which one factor moves at a time, and what that does.
+"""Screen by Morris' method: trajectories through the unit cube on which one factor moves at a time, and the effects.
 
-The definitions are those of Morris (1991) with the mean of absolute effects of Campolongo et al. (2007), as SALib has
-them; a test compares the numbers with SALib's. Two things are ours. Where a cell is not defined at a point, the two
-effects that touch the point are unknown, and the others stand. And the design is drawn from hashes: trajectory 5 is the
-same whatever the number of trajectories or the version of numpy.
+The definitions are those of Morris (1991) with the mean of absolute effects of Campolongo et al. (2007), as in SALib; a
+test compares the numbers with SALib's. Two things are ours. Where a cell is undefined at a point, only the two effects
+that touch the point are unknown. And the design is drawn from hashes: trajectory 5 is the same whatever the number of
+trajectories or the version of numpy.
 """
 
 import math
@@ -14,20 +14,18 @@ import msgspec
 import numpy as np
 
 LEVELS = 4
-DELTA = LEVELS / (2 * (LEVELS - 1))  # of the unit interval: the step of every move
+DELTA = LEVELS / (2 * (LEVELS - 1))  # step of every move, as a part of the unit interval
 Z_95 = 1.959963984540054
-LEAST_EFFECTS = 2  # fewer have no spread
+LEAST_EFFECTS = 2  # with fewer there is no spread
 
 Vector = np.ndarray[tuple[int], np.dtype[np.float64]]
 Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 
 
 class Effects(msgspec.Struct, frozen=True):
-    """What moving one factor does to one cell.
+    """The effects of moving one factor on one cell, over `count` known effects; None if those are fewer than two.
 
-    Mean, mean size, standard deviation, half-width of the 95 % interval of the mean size.
-
-    `count` effects are known; None where those are fewer than two.
+    They are mean, mean size, standard deviation and half-width of the 95 % interval of the mean size.
     """
 
     count: int
@@ -38,14 +36,14 @@ class Effects(msgspec.Struct, frozen=True):
 
 
 class Trajectory(msgspec.Struct, frozen=True):
-    """A row of points, each with a position for every factor; `moved` says which factor each step moves."""
+    """A sequence of points, each with a position for every factor; `moved` names the factor that each step moves."""
 
     points: Matrix
     moved: tuple[int, ...]
 
 
 def trajectory(number: int, names: Sequence[str]) -> Trajectory:
-    """The trajectory of this number: a random point of the grid, and then each factor moved once, in random order."""
+    """Return the trajectory of this number: a random point of the grid, then each factor moved once in random order."""
     digests = [_digest(f"{number}/{name}") for name in names]
     levels = np.array([digest % LEVELS for digest in digests])
     rows = [levels]
@@ -62,10 +60,9 @@ def _digest(text: str) -> int:
 
 
 def elementary_effects(path: Trajectory, outputs: Vector, is_switch: Sequence[bool]) -> Vector:
-    """What moving each factor did on this trajectory, NaN where the cell is undefined before or after.
+    """Return the effect of moving each factor on this trajectory, NaN if the cell is undefined before or after.
 
-    Per whole range of the factor, as if the effect went on beyond the step; of a switch, which has nothing beyond, per
-    change.
+    It is per whole range of the factor, as if the effect continued beyond the step; for a switch, per change.
     """
     effects = np.full(len(path.moved), math.nan)
     for step, factor in enumerate(path.moved):
@@ -76,10 +73,9 @@ def elementary_effects(path: Trajectory, outputs: Vector, is_switch: Sequence[bo
 
 
 def summary(effects: Vector) -> Effects:
-    """The effects of one factor on one cell over all trajectories; NaN is unknown.
+    """Summarise the effects of one factor on one cell over all trajectories; NaN is unknown.
 
-    The interval is what SALib finds by drawing trajectories again and again, without drawing: 1.96 times the standard
-    error that they have.
+    The interval is what SALib finds by resampling trajectories, computed directly: 1.96 times their standard error.
     """
     known = effects[~np.isnan(effects)]
     if len(known) < LEAST_EFFECTS:
@@ -90,9 +86,7 @@ def summary(effects: Vector) -> Effects:
 
 
 def by_chance(deviation: float, *, is_switch: bool) -> float:
-    """Return the mean size of effects if nothing but chance moved the cell.
-
-    That of two independent means with this standard deviation.
+    """Return the mean size of effects if only chance moved the cell: of two independent means with this SD.
 
     An upper bound: points of a trajectory meet the same worlds, and much of the chance is common to them.
     """

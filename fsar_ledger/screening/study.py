@@ -1,8 +1,7 @@
-"""The study: screen all factors, take the dozen that matter most, tell their parts of the variance, write it down.
+"""Run the study: screen all factors, take the dozen that matter most, and attribute the variance to them.
 
-Every trajectory meets worlds of its own seed, the same at all its points, so what an effect owes to the worlds it was
-found in shows in the spread between trajectories. The polynomial is of one seed; all factors but the dozen are at their
-base there.
+Every trajectory meets worlds of its own seed, the same at all its points, so the influence of the worlds on an effect
+shows in the spread between trajectories. The polynomial uses one seed; all other factors are at their base there.
 """
 
 import math
@@ -25,18 +24,18 @@ from .evaluations import CELLS, Answers, Evaluate, Question, answer_all, evaluat
 from .factors import Factor, factors, setting
 from .morris import Matrix, Vector, by_chance, elementary_effects, summary, trajectory
 
-SEED = 20_270_001  # of the first trajectory, the next has the next; never used for a published number or a fit
-BASE_SEED = SEED + 10_000  # of the repeats of the base, and its next ones
+SEED = 20_270_001  # of the first trajectory, counting up; never used for a published number or a fit
+BASE_SEED = SEED + 10_000  # of the repeats of the base, counting up
 EMULATOR_SEED = SEED + 20_000
-REPEATS = 10  # of the base, in other worlds: what chance alone does
+REPEATS = 10  # of the base in other worlds: they show what chance alone does
 DOZEN = 12
-DIGITS = 6  # of what is written: the last bits of a sum are not the same on every machine
+DIGITS = 6  # written: the last bits of a sum differ between machines
 
 Progress = Callable[[int, int], None]
 
 
 class Size(msgspec.Struct, frozen=True):
-    """How much is done: trajectories, runs of each scenario and architecture at each point, points for the polynomial.
+    """The size of a study: trajectories, runs per scenario and architecture at each point, points for the polynomial.
 
     With 0 points there are no Sobol indices.
     """
@@ -52,7 +51,7 @@ class Size(msgspec.Struct, frozen=True):
 
 
 class _Study:
-    """What is asked, and what is known of it."""
+    """The questions of a study, and the answers so far."""
 
     def __init__(self, size: Size, subject: tuple[Factor, ...]) -> None:
         self.size, self.factors = size, subject
@@ -69,16 +68,16 @@ class _Study:
         return Question(setting(self.factors, at), seed, self.size.runs)
 
     def screening(self) -> dict[str, Question]:
-        """All that is asked before the dozen are known; what is the same setting is asked once."""
+        """Return all questions before the dozen are known; equal settings are asked once."""
         return {question.key: question for question in (*self.bases, *(one for path in self.points for one in path))}
 
     def of_dozen(self, dozen: Sequence[str]) -> tuple[Matrix, list[Question]]:
-        """The design of the polynomial, and what is asked there."""
+        """Return the design of the polynomial, and its questions."""
         positions = design(self.size.points, dozen)
         return positions, [self._question(dozen, point, EMULATOR_SEED) for point in positions]
 
     def effects(self, found: Mapping[str, tuple[float | None, ...]]) -> list[Effect]:
-        """The effect of each factor on each cell, cells in their order, without Sobol indices."""
+        """Return the effect of each factor on each cell, in the order of the cells, without Sobol indices."""
         outputs = [_matrix(found, path) for path in self.points]
         bases = _matrix(found, self.bases)
         return [
@@ -137,22 +136,22 @@ def sensitivity(
     ask: Evaluate = evaluate,
     subject: tuple[Factor, ...] | None = None,
 ) -> Sensitivity:
-    """The effects are in the file, which is replaced if it exists, and returned.
+    """Write the effects to the file, replacing it, and return them.
 
-    Takes long; what is finished is kept in FILE.partial meanwhile.
+    This takes long; finished evaluations are kept in FILE.partial meanwhile.
 
     Args:
         out: The Parquet file.
-        size: How much is done.
+        size: The size of the study.
         workers: Processes that evaluate.
-        progress: Told of evaluations made, of those that were still to make.
-        ask: What answers a question, in another process unless `workers` is 1.
-        subject: What is varied; None: everything.
+        progress: Called with the number of evaluations made, and the number that there were to make.
+        ask: Answers a question, in another process unless `workers` is 1.
+        subject: The factors to vary; None: all.
 
     Raises:
         UsageError: The file does not end in .parquet, lies inside a ledger, or FILE.partial is of another version.
         WriteFailed: One of the files cannot be written.
-        WorkerDied: A process was ended.
+        WorkerDied: A process was killed.
     """
     if out.suffix != ".parquet":
         raise UsageError(f"--out {out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .parquet")
@@ -171,7 +170,8 @@ def sensitivity(
 def _studied(study: _Study, answers: Answers, ask: Evaluate, workers: int, progress: Progress | None) -> Sensitivity:
     screening = study.screening()
     open_ones = [key for key in screening if key not in answers.found]
-    kept = len(answers.found) - (len(screening) - len(open_ones))  # of the polynomial's points, if it came so far
+    # What is kept beyond the screening are points of the polynomial, if an earlier study got that far.
+    kept = len(answers.found) - (len(screening) - len(open_ones))
     total, made = len(open_ones) + max(0, study.size.points - kept), 0
 
     def told() -> None:
@@ -228,7 +228,7 @@ def _with_indices(effect: Effect, parts: Indices, dozen: tuple[str, ...]) -> Eff
 
 
 def _matrix(found: Mapping[str, tuple[float | None, ...]], questions: Sequence[Question]) -> Matrix:
-    """A row for each question, a column for each cell, NaN where it is undefined."""
+    """Return a row for each question, a column for each cell, NaN where it is undefined."""
     rows = [[math.nan if value is None else value for value in found[question.key]] for question in questions]
     return np.array(rows, dtype=np.float64).reshape(len(questions), len(CELLS))
 
@@ -238,7 +238,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _require_place(out: Path) -> None:
-    """An hour of work should not end in a refusal."""
+    """Check early that the file can be written: an hour of work should not end in a refusal."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

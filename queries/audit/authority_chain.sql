@@ -2,7 +2,7 @@
 --   closed
 -- Paper: eq:auth, sec:model:request
 -- Grain: one row per event of the action in which somebody asks, decides or acts; and per grant or revocation that
---   concerned its request by then
+--   concerned its request
 -- Key: run_id, action_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; recovery is also

@@ -52,8 +52,8 @@ trusted AS (
 ),
 
 admissible AS (
-    -- Those who may ask at all: what a request states more (version, contract, context), and policy, may still refuse
-    -- them.
+    -- Those who may ask at all: policy, or what else a request states (version, contract, context), may still rule
+    -- them out.
     SELECT
         trusted.run_id, trusted.robot, trusted.capability,
         list(trusted.peer ORDER BY trusted.peer) AS may_ask

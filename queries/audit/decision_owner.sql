@@ -1,6 +1,6 @@
 -- Title: The owner of the decision that led to an event: the nearest decision on the way back through its causes
 -- Paper: sec:evaluation:metrics (governance locality)
--- Grain: one row per event of this number: one for a run, at most one for each run of the ledger
+-- Grain: one row per run that has an event of this number
 -- Key: run_id
 -- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run
 --   time
@@ -23,7 +23,7 @@ way_back AS (
         causes.run_id, causes.seq, causes.caused_by,
         way_back.steps + 1 AS steps
     FROM way_back
-    -- A cause comes before what it causes; a forged record that says otherwise ends the way.
+    -- A cause comes before what it causes; a forged record that says otherwise ends the search.
     INNER JOIN causes
         ON way_back.run_id = causes.run_id AND way_back.caused_by = causes.seq AND way_back.seq > causes.seq
 ),

@@ -1,4 +1,4 @@
--- Title: Chains of delegations, link by link: what each executor made of its own link, and whether the chain is
+-- Title: Chains of delegations, link by link: how each executor judged its own link, and whether the chain is
 --   well-formed
 -- Paper: eq:nontransitive
 -- Grain: one row per request that was asked in the service of another, or served by one, within each chain that it

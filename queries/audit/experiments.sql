@@ -7,8 +7,8 @@
 -- NULL: never
 -- Example: fsar-ledger query audit/experiments LEDGER
 --   answers plan.n4.s42.x0020-...: 300 planned, 300 there, 0 missing, part of 0 larger plans
--- A plan of which a larger one came later was enlarged: the ledger has the runs of one that was planned so large at
--- once, not its root.
+-- A plan that a larger one follows was enlarged. The ledger then holds the same runs as if the larger one had been
+-- planned at once, under another root.
 WITH there AS (
     SELECT
         plan,

@@ -1,15 +1,14 @@
--- Title: Which runs that were planned are missing, each counted once, however many plans name it
+-- Title: Planned runs that are missing, each counted once, however many plans name it
 -- Paper: sec:evaluation:setup
--- Grain: one row per seed, fleet size, model version, constants, architecture, configuration and scenario that a plan
---   which lacks runs names
+-- Grain: one row per seed, fleet size, model version, constants, architecture, configuration and scenario of a plan
+--   that lacks runs
 -- Key: seed, fleet_size, model_version, parameters_sha256, architecture, configuration, scenario
 -- Units: planned_count, there_count, missing_count runs; parameters_sha256 the digest of all constants
 -- NULL: never
 -- Example: fsar-ledger query audit/missing_runs LEDGER
 --   answers no rows where all that was planned is there
--- Runs are numbered from 0, so what several plans ask for together is what the largest of them asks for. A plan that a
--- larger one contains adds nothing. A plan of more than 10,000 combinations of names, which no experiment has, is left
--- out.
+-- Runs are numbered from 0, so several plans together ask for what the largest of them asks for, and a plan within a
+-- larger one adds nothing. A plan of more than 10,000 combinations of names, which no experiment has, is left out.
 WITH lacking AS (
     SELECT *
     FROM experiments

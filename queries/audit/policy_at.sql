@@ -1,4 +1,4 @@
--- Title: The policy in force at a time, as it truly was
+-- Title: The policy that was truly in force at a time
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per run, robot and scope (its own policy, the fleet's for it)
 -- Key: run_id, robot, scope

@@ -1,4 +1,4 @@
--- Title: The policy at a time as its decider knew it, beside the policy as it truly was
+-- Title: The policy at a time as its decider knew it, beside the true one
 -- Paper: eq:policy, sec:evaluation:baselines
 -- Grain: one row per run, decider, robot and scope of which the decider had been told by then
 -- Key: run_id, known_by, robot, scope
@@ -8,7 +8,7 @@
 --   answers the coordinator takes the fleet's rule to allow, as of 25.305 s; truly it denies, so it is wrong
 -- Parameters: run = all, robot = all, at_us = 9007199254740991
 WITH copies AS (
-    -- A copy tells of every robot; one that it does not name is allowed.
+    -- A copy covers every robot; one that it does not name is allowed.
     SELECT
         copies.run_id, copies.seq,
         copies.time_us AS learned_us,
@@ -28,7 +28,7 @@ WITH copies AS (
 ),
 
 told AS (
-    -- Told are the windows of the world; rules are known at once to all, and stand in audit/policy_at.
+    -- Deciders are told of windows; rules are known to all at once, and audit/policy_at has them.
     SELECT
         run_id, seq,
         time_us AS learned_us,

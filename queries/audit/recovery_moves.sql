@@ -1,4 +1,4 @@
--- Title: The levels that each failure's recovery came to, in order
+-- Title: The levels that each failure's recovery reached, in order
 -- Paper: eq:recovery
 -- Grain: one row per failure and level that its recovery turned to; attempts that stay at the level are no new row
 -- Key: run_id, action_id, failure, seq

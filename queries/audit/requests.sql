@@ -1,7 +1,7 @@
 -- Title: Requests: who asked, who allowed, who executed, who supervised, and what came of it; and own steps that failed
 -- Paper: eq:request, eq:auth, sec:model:invariants (I5)
 -- Grain: one row per action that another robot was to do, per attempt of an outsider, per own action with a failure,
---   and per action that is named
+--   and per action that the call names
 -- Key: run_id, action_id
 -- Units: began_s, ended_s seconds of run time; failures count
 -- NULL: a principal that the record does not name; capability when the record of the action names none; ended_s when

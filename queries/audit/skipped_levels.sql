@@ -1,4 +1,4 @@
--- Title: Escalations that left out a level of recovery, or went back to an earlier one
+-- Title: Escalations that skipped a level of recovery, or went back to an earlier one
 -- Paper: eq:recovery, sec:model:invariants (I4)
 -- Grain: one row per move of recovery that is not to the next level outward
 -- Key: run_id, action_id, failure, seq

@@ -8,7 +8,7 @@
 -- Example: fsar-ledger query audit/undeclared_events LEDGER
 --   answers nothing for a ledger that verifies; else run, seq and concern of each event that its run says it does not
 --   observe
--- Whoever reads such a run is told that these things were not observed, and then meets some: either the declaration is
+-- A reader of such a run is told that these things were not observed, and then meets some: either the declaration is
 -- wrong or the events are.
 WITH named AS (
     SELECT

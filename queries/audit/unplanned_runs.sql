@@ -6,8 +6,8 @@
 -- NULL: never
 -- Example: fsar-ledger query audit/unplanned_runs LEDGER
 --   answers one row for each live run, and for each run from before plans were on record
--- Live runs are never planned; ledgers from before plans were recorded have none. Whether such runs are all that was
--- meant, nothing in a ledger says.
+-- Live runs are never planned, and ledgers from before plans were recorded have none. Nothing in a ledger says
+-- whether such runs are complete.
 SELECT
     runs.run_id, runs.kind, runs.seed, runs.fleet_size, runs.architecture, runs.configuration, runs.scenario, runs.run,
     runs.model_version, runs.parameters_sha256

@@ -6,7 +6,7 @@
 -- Units: counted 1 or 0; seq the injection, evidence the event that makes it count, positions in the run
 -- NULL: never; evidence is empty where it does not count
 -- Example: fsar-ledger query cases/case_1_evidence LEDGER
--- Who puts a request to somebody has found whom to ask, whatever the registry was asked.
+-- A requester that puts a request to somebody has found whom to ask, whatever the registry was asked.
 WITH injected AS (
     SELECT outsiders.run_id, outsiders.seq, outsiders.task_id AS action_id
     FROM outsider_request_injected AS outsiders

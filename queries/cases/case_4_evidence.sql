@@ -1,4 +1,4 @@
--- Title: Case 4, handoff by handoff: coordination events from the gap to the result, which of them no principal can be
+-- Title: Case 4, handoff by handoff: coordination events from the gap to the result, those that no principal can be
 --   named for, and internal messages
 -- Paper: sec:evaluation:qualitative (case 4), sec:evaluation:metrics (audit attributability)
 -- Grain: one row per claim and handoff of the scenario: an action that a robot of role A asks one of role D to do and

@@ -1,7 +1,7 @@
--- Title: What robots advertise, on which terms, from when to when
+-- Title: Capabilities that robots advertise: on which terms and during which periods
 -- Paper: eq:adv, sec:architecture:registry
--- Grain: one row per run, robot, capability and period in which its advertisement stood unchanged; none while it is not
---   advertised
+-- Grain: one row per run, robot, capability and period in which its advertisement stood unchanged; no row while it is
+--   not advertised
 -- Key: run_id, robot, capability, since_seq
 -- Units: since_us, until_us microseconds of run time, half-open; since_seq the event that began the period
 -- NULL: until_us and until_seq for what stands to the end of the run; successor unless a deprecation names one

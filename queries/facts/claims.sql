@@ -1,4 +1,4 @@
--- Title: Claims of authority, from when to when
+-- Title: Claims of authority and the intervals in which they hold
 -- Paper: eq:auth
 -- Grain: one row per AuthorityClaimed event
 -- Key: run_id, seq

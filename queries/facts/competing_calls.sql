@@ -1,4 +1,4 @@
--- Title: Calls to a supervisor to order two actions, and the answers, for the action that competes
+-- Title: Calls to a supervisor to order two actions, and the answers, as seen from the competing action
 -- Paper: sec:prototype:workflows (Workflow 3), eq:supervision
 -- Grain: one row per SupervisorCalled event that names a competing action, and per answer to it
 -- Key: run_id, seq, action_id

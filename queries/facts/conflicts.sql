@@ -1,4 +1,4 @@
--- Title: Authority conflicts: two or more principals hold one dimension of an action at once
+-- Title: Authority conflicts: two or more principals hold the same dimension of an action at once
 -- Paper: sec:evaluation:metrics (authority conflict)
 -- Grain: one row per run, action and dimension in which claims of distinct principals overlap, however many pairs
 -- Key: run_id, action_id, dimension
@@ -6,8 +6,8 @@
 -- NULL: never
 -- Example: fsar-ledger query facts/conflicts LEDGER
 WITH swept AS (
-    -- In order of beginning, each beside the claim before it that lasts longest: where that is the claimant's own, no
-    -- other can hold, or a conflict had begun before.
+    -- Ordered by beginning, each claim beside the earlier one that lasts longest. If that is the claimant's own,
+    -- either no other claim holds or a conflict has begun before.
     SELECT
         run_id, action_id, dimension, claimant, began_us,
         max(ended_us) OVER earlier AS held_until_us,

@@ -1,4 +1,4 @@
--- Title: Coordination events, and which principals each lets an auditor recover
+-- Title: Coordination events, and the principals that an auditor can recover from each
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event of a coordination type
 -- Key: run_id, seq

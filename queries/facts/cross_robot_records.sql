@@ -1,7 +1,7 @@
--- Title: Starts and ends of executions for another robot, and who had begun what ends
+-- Title: Starts and ends of executions for another robot, and who began what ends
 -- Paper: sec:architecture:invariants (A5), eq:request
--- Grain: one row per start for another robot, and per end of what was started for another robot or by another one than
---   ends it
+-- Grain: one row per start for another robot, and per end of an execution that was started for another robot, or by
+--   another one than ends it
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; next_seq position of the next step or end of its task
 -- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq of a
@@ -25,7 +25,7 @@ progress AS (
 ),
 
 ends AS (
-    -- What is no step of a task, such as a request of a robot's own accord, has no next step to wait for it.
+    -- What is not a step of a task, such as a request of a robot's own accord, has no next step that waits for it.
     SELECT
         finished.run_id, finished.seq, finished.time_us, finished.action_id, finished.requested_by,
         finished.executed_by, finished.supervised_by, finished.robot, finished.began_by, finished.on_behalf_of,

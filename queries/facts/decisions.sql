@@ -1,7 +1,7 @@
--- Title: Decisions, and whether one principal took each by itself
+-- Title: Decisions, and whether a single principal took each
 -- Paper: sec:evaluation:metrics (governance locality)
--- Grain: one row per event of a decision type whose path is not empty; a denial that only stands, looked at again as
---   time passed, is not decided again
+-- Grain: one row per event of a decision type whose path is not empty; a standing denial that is looked at again as
+--   time passes is not decided again
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: decided_by when the record names no decider; task_id, action_id when the record is not tied to one
@@ -17,8 +17,7 @@ WITH decided AS (
 ),
 
 followed AS (
-    -- Whoever asks again decides to ask, and whoever admits decides, too: then another decision of the task lies
-    -- between two denials.
+    -- To ask again and to admit are decisions, too: then another decision of the task lies between two denials.
     SELECT
         run_id, seq, time_us, type, decision_kind, task_id, action_id, decided_by, path, content,
         lag(content) OVER (PARTITION BY run_id, task_id ORDER BY seq) AS content_before

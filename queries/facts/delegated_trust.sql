@@ -3,7 +3,7 @@
 -- Grain: one row per ExecutionStarted event of a robot on behalf of another
 -- Key: run_id, seq
 -- Units: none
--- NULL: never; is_direct: the executor trusted the other robot by itself; is_chained: each link through the relay that
+-- NULL: never; is_direct: the executor itself trusted the other robot; is_chained: each link through the relay that
 --   passed the request on was trusted
 -- Example: fsar-ledger query facts/delegated_trust LEDGER
 WITH delegated AS (

@@ -1,4 +1,4 @@
--- Title: What executors (or a relay on the way) made of requests, with what was asked
+-- Title: How executors, or a relay on the way, answered requests, with what was asked
 -- Paper: eq:admissible, eq:auth
 -- Grain: one row per RequestAdmitted, RequestDenied or RequestCountered event of an action that was requested before
 -- Key: run_id, seq

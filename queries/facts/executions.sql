@@ -1,6 +1,6 @@
 -- Title: Executions of capabilities by robots
 -- Paper: sec:model:request (phase 5)
--- Grain: one row per ExecutionStarted event; an action that is executed again is another row
+-- Grain: one row per ExecutionStarted event; an action that is executed again has another row
 -- Key: run_id, seq
 -- Units: started_us, planned_end_us microseconds of run time
 -- NULL: never; robot and on_behalf_of are physical facts, not recorded principals

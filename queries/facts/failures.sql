@@ -34,8 +34,8 @@ SELECT
     detected.time_us AS detected_us,
     resolutions.resolved_us, resolutions.resolved_level, departures.left_us,
     coalesce(resolutions.resolved_level IN ('local', 'peer'), FALSE) AS is_contained,
-    -- Every reaction takes the clock a microsecond (R25): a level that the reaction to the failure left at once was
-    -- left at its detection.
+    -- Every reaction advances the clock by a microsecond (R25): a level that was left at once was left at the
+    -- detection.
     CASE
         WHEN resolutions.resolved_level = 'local' THEN resolutions.resolved_us
         WHEN departures.left_us = detected.time_us + 1 THEN detected.time_us

@@ -1,8 +1,8 @@
 -- Title: The members of each fleet
 -- Paper: eq:fleet, sec:discussion:heterogeneity
--- Grain: one row per run and robot that joined; of one that is recorded as joining again, as it did last
+-- Grain: one row per run and robot that joined; a robot recorded as joining again has its last entry
 -- Key: run_id, robot
--- Units: joined_us microseconds of run time, and joined_seq the event, when it first joined; team counts from 1
+-- Units: joined_us microseconds of run time, and joined_seq the event, of its first joining; team counts from 1
 -- NULL: supervisor for a robot without one of its own; domain where it joined the fleet's own; place where the fleet
 --   has one place
 -- Example: fsar-ledger query facts/fleet_members LEDGER

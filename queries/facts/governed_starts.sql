@@ -28,7 +28,7 @@ subjects AS (
 ),
 
 checks AS (
-    -- A window that closes at the start no longer counts; one that opens at it does. A rule counts where it is about
+    -- A window that closes at the start no longer counts; one that opens then does. A rule counts if it applies to
     -- this capability and context.
     SELECT
         subjects.run_id, subjects.seq,

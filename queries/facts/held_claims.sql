@@ -1,8 +1,8 @@
--- Title: Claims that were held: a claim that ends when it begins never was
+-- Title: Claims that were held for some time: one that ends when it begins is left out
 -- Paper: sec:evaluation:metrics (authority conflict)
 -- Grain: one row per claim (claims) that names its action, dimension and claimant
 -- Key: run_id, seq
--- Units: began_us, ended_us microseconds of run time, half-open; a claim that the record does not end lasts for ever,
+-- Units: began_us, ended_us microseconds of run time, half-open; a claim without a recorded end lasts until
 --   9223372036854775807
 -- NULL: never
 -- Example: fsar-ledger query facts/held_claims LEDGER

@@ -1,5 +1,5 @@
--- Title: What may end a hold: an approval, a window of the robot's that closes, a rule that comes into force for it,
---   word of the fleet's rule
+-- Title: What may end a hold: an approval, a closing window of the robot's, a new rule for it, news of the fleet's
+--   rule
 -- Paper: eq:policy, sec:architecture:fleet
 -- Grain: one row per such event; per robot, where a rule is about several
 -- Key: run_id, seq, robot?

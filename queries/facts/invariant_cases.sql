@@ -1,4 +1,4 @@
--- Title: How much each invariant looked at
+-- Title: How many cases each invariant checked
 -- Paper: sec:model:invariants, sec:architecture:invariants
 -- Grain: one row per run and invariant that found anything to judge
 -- Key: run_id, invariant
@@ -36,7 +36,7 @@ WITH judged AS (
                 THEN ['a4_thin_federation_interface']
         END)) AS invariant
     FROM event_principals
-    -- Each of these events has a robot or a path, if an empty one; to leave others out costs less than to judge them.
+    -- Each of these events has a robot or a path, which may be empty; leaving others out costs less than judging them.
     WHERE
         robot IS NOT NULL OR decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL
         OR supervised_by IS NOT NULL

@@ -3,8 +3,8 @@
 -- Grain: one row per event
 -- Key: run_id, seq
 -- Units: none
--- NULL: action_id when the record names no action, no failed action and no request, and no outsider's attempt is its
---   task
+-- NULL: action_id when the record names neither an action nor a failed action nor a request, and its task is no
+--   attempt of an outsider
 -- Example: fsar-ledger query facts/keyed_events LEDGER
 WITH outsiders AS (
     SELECT DISTINCT run_id, task_id

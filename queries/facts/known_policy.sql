@@ -17,7 +17,7 @@ WITH said AS (
 ),
 
 starts AS (
-    -- The last admission decides a delegated action (the acceptance, where nobody admits), its start any other.
+    -- The last admission (or acceptance, if nobody admits) decides a delegated action, its start any other.
     SELECT
         done.run_id, done.seq, done.time_us, done.type, done.task_id, done.action_id, done.robot, done.capability,
         coalesce(
@@ -72,7 +72,7 @@ SELECT
     END AS outcome,
     if(starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq), starts.denied_seq, NULL) AS denied_seq
 FROM starts
--- What a supervisor approves are the reviews that were known by then; a denial stands whatever was approved.
+-- A supervisor approves the reviews that were known by then; a denial stands whatever was approved.
 LEFT JOIN outcomes
     ON
         starts.run_id = outcomes.run_id AND starts.seq = outcomes.seq

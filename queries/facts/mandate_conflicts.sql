@@ -1,5 +1,5 @@
--- Title: Refusals and holds of what the fleet mandates and the executor's own policy denies, and whether each conflict
---   was escalated
+-- Title: Refusals and holds where the fleet mandates what the executor's own policy denies, and whether each was
+--   escalated
 -- Paper: sec:architecture:fleet, sec:architecture:invariants (A3)
 -- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event under the executor's own
 --   denial, at which rules of the fleet explicitly allow and the executor's own policy denies
@@ -8,7 +8,7 @@
 -- NULL: escalated_seq when nobody was told of the conflict
 -- Example: fsar-ledger query facts/mandate_conflicts LEDGER
 WITH mandated AS (
-    -- The fleet allows where every rule of it that applies does.
+    -- The fleet allows if each of its rules that apply does.
     SELECT
         stops.run_id, stops.seq, stops.time_us, stops.task_id, stops.action_id, stops.robot, stops.capability,
         stops.previous_seq,

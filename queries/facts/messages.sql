@@ -1,12 +1,12 @@
--- Title: Messages and deeds: who told whom what, with the facts that the record gives beside it
+-- Title: Messages and deeds: who told whom what, with the recorded details
 -- Paper: sec:model:request, fig:wf1
--- Grain: one row per event that belongs in the story of an action, two for a registry's answer (part 1 and 2)
+-- Grain: one row per event in the timeline of an action, two for a registry's answer (part 1 and 2)
 -- Key: run_id, seq, part
 -- Units: time_us microseconds of run time; part counts from 1
--- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is nothing
---   to add. A robot's own deed has the robot as sender and receiver, whatever principal the record names. Who calls a
---   supervisor is on no record: it is the coordinator that names a robot for a review, else the executor (for recovery:
---   the decider) that the action's record named last
+-- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is
+--   nothing to add. A robot's own deed has the robot as sender and receiver, whatever principal the record names. Who
+--   calls a supervisor is not recorded: for a review that names a robot it is the coordinator, else the executor (for
+--   recovery: the decider) that the action's record named last
 -- Example: fsar-ledger query facts/messages LEDGER
 WITH told AS (
     SELECT

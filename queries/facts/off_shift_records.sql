@@ -1,4 +1,4 @@
--- Title: Records that lack only a supervisor, who was off shift at that moment
+-- Title: Records that lack nothing but a supervisor who was off shift at that moment
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per coordination event
 -- Key: run_id, seq

@@ -5,7 +5,8 @@
 -- Units: none
 -- NULL: never
 -- Example: fsar-ledger query facts/planned_runs LEDGER
--- A run that no plan names is not here: one that was not simulated, or of a ledger from before plans were recorded.
+-- Runs that no plan names are left out: those that were not simulated, and those of ledgers from before plans were
+-- recorded.
 SELECT plans.plan, runs.run_id, runs.architecture, runs.configuration, runs.scenario, runs.run
 FROM plans
 INNER JOIN runs

@@ -4,8 +4,8 @@
 --   another
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: never; is_against_*: that policy had not allowed for a second (two messages) or longer; is_heeded: refused, put
---   to review or approved in one
+-- NULL: never; is_against_*: that policy had not allowed it for at least a second (two messages); is_heeded: it was
+--   refused, put to review, or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER
 -- Stored: the evidence of governance reads it twice
 WITH approvals AS (

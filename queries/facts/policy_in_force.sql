@@ -1,4 +1,4 @@
--- Title: The policy in force, by what it is about, from each moment at which it may have changed
+-- Title: The policy in force by robot, scope, capability and context, from each moment at which it may have changed
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per run, robot, scope, capability, context and moment at which a window or rule about them begins or
 --   ends; before the first, policy allows

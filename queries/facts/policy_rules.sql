@@ -1,7 +1,8 @@
--- Title: Policy that is set by rule, robot by robot, until another rule replaces it
+-- Title: Policy set by rules, for each robot, until another rule replaces it
 -- Paper: eq:policy, app:foundations
--- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for every
---   robot, or for a role, is one row for each member of the fleet that it is about, also for those that joined later
+-- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for
+--   every robot, or for a role, has one row for each member of the fleet that it applies to, also for those that
+--   joined later
 -- Key: run_id, seq, robot
 -- Units: set_us, until_us microseconds of run time, half-open; seq, until_seq positions in the run
 -- NULL: role, domain for a rule about no role (an empty domain is the whole fleet); capability, context when the rule
@@ -42,9 +43,9 @@ of_members AS (
 ),
 
 in_force AS (
-    -- A rule replaces the one of the same scope, capability and context: that of the very robot those of its role, that
-    -- of a smaller domain those of larger ones, and neither is replaced by them. What is ruled for every robot holds
-    -- beside the others.
+    -- A rule replaces those of the same scope, capability and context. One for the robot itself also replaces those
+    -- for its role, and one for a smaller domain those for larger ones, but not the reverse. Rules for every robot
+    -- hold beside the others.
     SELECT *
     FROM of_members
     QUALIFY

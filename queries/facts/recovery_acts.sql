@@ -1,4 +1,4 @@
--- Title: What recovery did about each failure, at which level, with the budget of the level then
+-- Title: What recovery did about each failure: at which level, and with which budget
 -- Paper: eq:recovery, app:foundations (Paper 3)
 -- Grain: one row per failure and attempt, question for help or its admission, reassignment decision, call or answer for
 --   recovery, escalation or resolution
@@ -46,8 +46,8 @@ SELECT
     allowed.t_max_us, allowed.n_max,
     records.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'SupervisorCalled.v1')
     OR (records.type = 'ReassignmentDecided.v1' AND records.helper IS NOT NULL) AS is_use,
-    -- What a failure can be resolved by at the level: an attempt that did not fail, help that was given to its end, a
-    -- takeover, a human.
+    -- What can resolve a failure at the level: an attempt that did not fail, help that was completed, a takeover, a
+    -- human.
     records.type = 'SupervisorResponded.v1'
     OR (records.type = 'RecoveryAttempted.v1' AND fruitless.run_id IS NULL)
     OR (records.type = 'AssistanceAdmitted.v1' AND helped.run_id IS NOT NULL)

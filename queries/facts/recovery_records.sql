@@ -1,4 +1,4 @@
--- Title: What is on record about the recovery from failures, and at which level it took place
+-- Title: Records of the recovery from failures, and the level at which each took place
 -- Paper: eq:recovery
 -- Grain: one row per event of the concern recovery, and per call or answer of a supervisor for recovery
 -- Key: run_id, seq

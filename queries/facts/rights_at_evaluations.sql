@@ -1,8 +1,8 @@
--- Title: The last word on who may ask, for each judgement of a request and each robot that stands behind the request
+-- Title: The last grant or revocation that bears on each evaluation of a request, for each robot behind the request
 -- Paper: eq:auth, sec:model:authority
 -- Grain: one row per evaluation and robot that asks: the requester and, where the request came through one, the relay
 -- Key: run_id, seq, asker
--- Units: time_us microseconds of run time; asked_seq, right_seq positions in the run
+-- Units: time_us microseconds of run time; right_seq position in the run
 -- NULL: action_id; conjunct unless denied; no row where nobody has granted or revoked anything that the request is
 --   about
 -- Example: fsar-ledger query facts/rights_at_evaluations LEDGER

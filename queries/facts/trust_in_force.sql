@@ -9,8 +9,7 @@
 --   entry is about all of them; until_us for the last row of an entry; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_in_force LEDGER
 WITH moments AS (
-    -- Of several about the same at one moment the last one holds; which of those about different things holds,
-    -- precedence says.
+    -- Of several about the same at one moment the last holds; among those about different things, precedence decides.
     SELECT
         run_id, robot, peer, role, peer_role, domain, capability, context,
         time_us AS since_us,

@@ -1,4 +1,4 @@
--- Title: The robots that each entry of trust is about, on either side
+-- Title: The robots on either side of each entry of trust
 -- Paper: eq:trust
 -- Grain: one row per TrustSet or RoleTrustSet event, side and robot; an entry about roles has one for each member, also
 --   for those that joined later
@@ -7,8 +7,8 @@
 --   joined
 -- NULL: never; is_trusting: the robot is one that trusts, else one that is trusted
 -- Example: fsar-ledger query facts/trust_parties LEDGER
--- An entry is about a pair when one robot is on its trusting side and the other on its trusted side: so no row is
--- needed for each pair.
+-- An entry applies to a pair when one robot is on its trusting side and the other on its trusted side, so pairs need
+-- no rows of their own.
 SELECT
     pairs.run_id, pairs.seq, pairs.is_trusting, pairs.robot,
     coalesce(members.joined_us, 0) AS joined_us

@@ -1,4 +1,4 @@
--- Title: Entries of trust, and which of those that apply holds
+-- Title: Entries of trust, and which of those that apply to a pair holds
 -- Paper: eq:trust
 -- Grain: one row per TrustSet or RoleTrustSet event
 -- Key: run_id, seq
@@ -6,10 +6,10 @@
 -- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair (an empty domain is the whole
 --   fleet); capability, context when the entry is about all of them; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_precedence LEDGER
--- Of the entries that apply to a pair (see trust_parties), a capability and a context, that of the greatest precedence
--- holds. One about the very pair goes before one about roles, of roles the smallest domain. Then one that names both
--- capability and context goes before the capability alone, that before the context alone, that before neither, and of
--- equals the last holds.
+-- Of the entries that apply to a pair (see trust_parties), a capability and a context, the one of the greatest
+-- precedence holds. An entry about the pair itself precedes those about roles; among roles, the smallest domain comes
+-- first. Then an entry that names both capability and context precedes one with the capability alone, that one with
+-- the context alone, and that one with neither; among equals, the last holds.
 WITH entries AS (
     SELECT
         run_id, seq, time_us, robot, peer, scope, capability, context, decided_by, reason,

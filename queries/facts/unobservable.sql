@@ -3,11 +3,11 @@
 -- Grain: one row per run and judge that rests on a concern that the run does not observe
 -- Key: run_id, judge
 -- Units: none
--- NULL: never; not_observed names the concerns, hides_offences is whether not even an offence could be told
+-- NULL: never; not_observed names the concerns, hides_offences tells whether not even an offence could be found
 -- Example: fsar-ledger query facts/unobservable LEDGER
 -- Stored: every metric, invariant and grade reads it
 WITH sources AS (
-    -- Few kinds of source, many runs.
+    -- There are few kinds of source and many runs.
     SELECT DISTINCT coalesce(observes, []) AS observes
     FROM runs
 ),

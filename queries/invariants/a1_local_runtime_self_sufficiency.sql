@@ -1,7 +1,7 @@
 -- Title: A1 broken: a robot needs somebody else for its own steps or routine
 -- Paper: sec:architecture:invariants (A1), eq:runtime
--- Grain: one row per own step, or routine, that another principal than the robot decided or was on the way to; and per
---   own execution nobody decided
+-- Grain: one row per own step or routine operation that another principal than the robot decided, or stands on the
+--   path of; and per own execution that nobody decided
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a routine, and where the record does not name it

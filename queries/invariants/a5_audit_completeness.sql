@@ -1,8 +1,8 @@
 -- Title: A5 broken: an execution for another robot is not fully on record
 -- Paper: sec:architecture:invariants (A5), eq:request
 -- Grain: one row per start or end of an execution for another robot whose own record lacks or misstates a principal,
---   without an earlier request and admission (or reassignment) and acceptance of its action in this order, ended by who
---   had not begun it, or not closed before its task goes on; and per help that was admitted without a principal
+--   without an earlier request, admission (or reassignment) and acceptance of its action in this order, that another
+--   than its beginner ended, or not closed before its task goes on; and per help admitted without a principal
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id where the record names none

@@ -1,4 +1,4 @@
--- Title: I2 broken: a delegated action is executed that its executor had not accepted itself, or admitted against a
+-- Title: I2 broken: a delegated action is executed that its executor had not accepted itself, or admitted despite a
 --   revocation
 -- Paper: sec:model:invariants (I2), eq:request
 -- Grain: one row per ExecutionStarted event for another robot without an earlier acceptance, by the executing robot, of

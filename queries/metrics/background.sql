@@ -1,11 +1,11 @@
--- Title: How much of what is counted is routine, and how much of what is not attributable only lacks a supervisor who
---   was off shift
+-- Title: How much of each count is routine, and how much of what is not attributable lacks only a supervisor who was
+--   off shift
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per architecture, configuration, seed and setting (kind, source, model version, constants, fleet size)
 -- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?
--- Units: counts, and shares of them: of decisions, of local decisions, of coordination events and of policy violations
---   those of routine operations; of coordination events that are not attributable those whose supervisor alone is
---   missing, during a recorded absence (R8)
+-- Units: counts, and shares of them: routine operations among decisions, local decisions, coordination events and
+--   policy violations; among coordination events that are not attributable, those that lack only a supervisor during
+--   a recorded absence (R8)
 -- NULL: seed, source, model version of runs that have none; constants where all runs of the kind and model have the
 --   same; a share of nothing; runs that do not observe decisions, records and policy are left out
 -- Example: fsar-ledger query metrics/background LEDGER

@@ -4,9 +4,9 @@
 --   scenario or all scenarios, and seed or all seeds (pools_seeds)
 -- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, pools_seeds,
 --   scenario?, metric
--- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit;
---   n runs of so many seeds; denominator: what the metric counts, summed over runs; runs_not_observed runs that do not
---   observe what it rests on, which nothing else counts. Containment and latency are pooled: mean is the sum of
+-- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's
+--   unit; n runs of so many seeds; denominator what the metric counts, summed over runs; runs_not_observed runs that
+--   do not observe what it rests on and count nowhere else. Containment and latency are pooled: mean is the sum of
 --   numerators over the sum of denominators. 95 % intervals keep within the scale: Wilson for human_intervention;
 --   Student's t on the logit of a share and on the logarithm of a count or time, with as many degrees of freedom as
 --   runs count anything; where all agree, exact bounds of a share of 0 or 1 and a count
@@ -16,7 +16,7 @@
 --   mean_without_routine of a metric that counts no routine operations
 -- Example: fsar-ledger query metrics/metric_summaries LEDGER
 WITH moments AS (
-    -- Sums of floats in a fixed order are the same bits on any number of threads.
+    -- Floats summed in a fixed order give the same bits on any number of threads.
     SELECT
         architecture, configuration, fleet_size, pools_seeds, seed, kind, source, model_version, constants, scenario,
         position, metric,

@@ -3,7 +3,7 @@
 -- Grain: one row per run and metric
 -- Key: run_id, metric
 -- Units: setting and constants as in run_settings; value share, count or seconds, as the metric says; numerator and
---   denominator as in the metric's own query value_without_routine the same without routine operations, where the
+--   denominator as in the metric's own query; value_without_routine the same without routine operations, where the
 --   metric counts them
 -- NULL: value where the metric is undefined for the run; published_convention_value then is what the paper counts
 --   (containment 1, latency 0 s), else NULL; value_without_routine where the metric counts no routine operations, and

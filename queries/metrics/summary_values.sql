@@ -1,5 +1,4 @@
--- Title: The number that each run contributes to a summary: of each scenario and of all together, of each seed and of
---   all together
+-- Title: What each run contributes to the summaries: of its scenario and of all, of its seed and of all
 -- Paper: tab:results
 -- Grain: one row per run, metric, scenario or all scenarios, and seed or all seeds (pools_seeds)
 -- Key: run_id, metric, pools_seeds, scenario?

@@ -1,4 +1,4 @@
--- Title: A failure that is resolved by a retry which another than the robot orders is resolved at fleet level
+-- Title: A failure that is resolved by a retry which somebody other than the robot orders is resolved at fleet level
 -- Paper: sec:evaluation:baselines
 -- Reading: R5
 -- Question: at which level an ordered retry is

@@ -1,14 +1,14 @@
--- Title: The dials that the paper leaves open, as each setting has them
+-- Title: The values of the dials that the paper leaves open, by setting
 -- Paper: tab:scaling
 -- Grain: one row per setting (kind, source, model version, constants, fleet size)
 -- Key: setting
--- Units: setting as in run_settings; encounter_mean_s in s; teams_working teams, all of the fleet's unless the runs say
---   otherwise; made_alike_but, the same text for settings of one kind, source and model that differ in fleet size and
---   these two dials alone
+-- Units: setting as in run_settings; encounter_mean_s in s; teams_working teams, all of the fleet's unless the runs
+--   say otherwise; made_alike_but, equal for settings of one kind, source and model that differ only in fleet size
+--   and these two dials
 -- NULL: source, model_version, constants and fleet_size as in run_groups; a dial of a source that records none and has
 --   no default
 -- Example: fsar-ledger query staging/dials LEDGER
--- What a simulated run does not record has its default, as far as this version knows it.
+-- A constant that a simulated run does not record has its default, if this version knows it.
 WITH settings AS (
     SELECT DISTINCT
         run_started.kind, run_started.source, run_started.model_version, run_started.fleet_size, run_settings.setting,

@@ -6,8 +6,8 @@
 --   more
 -- NULL: constants where all runs of the model have the same
 -- Example: fsar-ledger query staging/parameter_sets LEDGER
--- What a simulated run does not record has its default, as far as this version knows it; a set that only so would look
--- like another is told by its digest.
+-- A constant that a simulated run does not record has its default, if this version knows it. Sets that look alike
+-- only because of that are told apart by their digests.
 WITH varying AS (
     SELECT model, name
     FROM constants

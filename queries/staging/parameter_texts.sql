@@ -2,8 +2,8 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per kind, source and model version of runs (model, as JSON) and text of parameters
 -- Key: model, parameters
--- Units: parameter_set, the same text for the same constants by value, whatever their order, spaces, 1 or 1.0; a
---   constant that is null is absent
+-- Units: parameter_set, equal for constants of equal values, whatever their order or spaces, 1 or 1.0; a constant
+--   that is null is absent
 -- NULL: values_by_name where the text cannot be read as constants
 -- Example: fsar-ledger query staging/parameter_texts LEDGER
 -- Stored: no text is read twice

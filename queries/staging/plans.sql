@@ -1,4 +1,4 @@
--- Title: Plans: which runs an experiment was to have, on record before the first of them
+-- Title: Plans: the runs that an experiment was to have, recorded before the first of them
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan
 -- Key: plan

@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
 -- Key: run_id
--- Units: made_alike, the same text for runs of one architecture, configuration, seed and setting (kind, source, model
+-- Units: made_alike, equal for runs of one architecture, configuration, seed and setting (kind, source, model
 --   version, constants, fleet size); fleet_size robots; constants as in parameter_sets
 -- NULL: what the run does not have; constants where all runs of the kind and model have the same
 -- Example: fsar-ledger query staging/run_groups LEDGER

@@ -1,10 +1,10 @@
--- Title: Under what each run was made: kind, source, model, constants and fleet size
+-- Title: The setting of each run: kind, source, model, constants and fleet size
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
 -- Key: run_id
--- Units: kind of run, workflow for a simulated one of the paper's workflows, which is no run of a scenario; setting,
---   the same text for runs of the same kind, source, model version, constants by value and fleet size; parameter_set,
---   constants as in parameter_sets
+-- Units: kind of run, workflow for simulated runs of the paper's workflows, which are not runs of a scenario;
+--   setting, equal for runs of the same kind, source, model version, constants by value and fleet size;
+--   parameter_set, constants as in parameter_sets
 -- NULL: parameter_set of runs that record no parameters; constants where the runs of the same kind, source and model
 --   version have the same, or none
 -- Example: fsar-ledger query staging/run_settings LEDGER

@@ -1,4 +1,4 @@
--- Title: What there is to compare, for each comparison: runs of both sides, worlds that both met, pairs
+-- Title: What each comparison has to compare: runs of both sides, worlds that both met, pairs
 -- Paper: sec:evaluation:significance
 -- Grain: one row per comparison and configuration of which the ledger holds a run of either side
 -- Key: comparison, configuration

@@ -1,4 +1,4 @@
--- Title: Runs that have a seed, a scenario and a number, and so may have met the world of another run
+-- Title: Runs that have a seed, a scenario and a number, and so may share their world with another run
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
 -- Key: run_id

@@ -1,4 +1,4 @@
--- Title: Pairs of runs that are not compared, since they did not meet the same world, with what differs first
+-- Title: Pairs of runs that are not compared because they met different worlds, with the first difference
 -- Paper: sec:evaluation:significance
 -- Grain: one row per pair of runs (run_pairs) whose worlds differ, or may differ
 -- Key: comparison, configuration, first_run_id?, second_run_id?

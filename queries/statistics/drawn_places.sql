@@ -1,8 +1,6 @@
--- Title: Which runs of a scenario an experiment of the paper's size takes: 4,000 of them, drawn from as many runs as
---   there are
+-- Title: The runs of a scenario that each of 4,000 drawn experiments of the paper's size takes
 -- Paper: sec:evaluation:setup
--- Grain: one row per scenario, count of runs that are there of it, drawn experiment and place of a run among them, from
---   0
+-- Grain: one row per scenario, count of its runs, drawn experiment and place of a run among them, from 0
 -- Key: scenario, runs, draw, place
 -- Units: runs, times counts: 20 runs are drawn with replacement, so times add up to 20. Nothing is random: which runs a
 --   draw takes follows from an MD5 of its number

@@ -1,5 +1,4 @@
--- Title: What experiments of the paper's size would have printed of each scenario: 4,000 of them, drawn from the runs
---   that are here
+-- Title: What 4,000 experiments of the paper's size, drawn from these runs, would have printed for each scenario
 -- Paper: sec:evaluation:ablation
 -- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version,
 --   constants, fleet size), seed, scenario and metric

@@ -1,5 +1,4 @@
--- Title: What experiments of the paper's size, 4,000 of them drawn from the runs that are here, would have summed up in
---   each scenario
+-- Title: The sums over each scenario in 4,000 experiments of the paper's size, drawn from these runs
 -- Paper: sec:evaluation:setup
 -- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants,
 --   fleet size), seed, scenario and metric

@@ -1,5 +1,4 @@
--- Title: Which mechanism carries which number: an architecture in full beside itself without one mechanism, in pairs,
---   metric by metric
+-- Title: Which mechanism carries which number: an architecture in full and without one mechanism, in pairs, by metric
 -- Paper: sec:evaluation:ablation
 -- Grain: one row per architecture, configuration that lacks one mechanism, setting (kind, source, model version,
 --   constants, fleet size), metric, and seed or all seeds (pools_seeds)

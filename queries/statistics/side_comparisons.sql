@@ -1,5 +1,5 @@
--- Title: Which sides are compared: those of the paper's comparisons that were made under one setting; `compare` has the
---   two that it is asked for instead
+-- Title: The sides that are compared: those of the paper's comparisons under one setting; `compare` puts the two that
+--   it is asked for in their place
 -- Paper: tab:significance, tab:ablation
 -- Grain: one row per comparison, configuration and setting
 -- Key: comparison, configuration, setting

@@ -10,7 +10,7 @@
 --   contributions do not vary, and where one pair is all that a side counts
 -- Example: fsar-ledger query statistics/side_moments LEDGER
 WITH moments AS (
-    -- Sums of floats in a fixed order are the same bits on any number of threads.
+    -- Floats summed in a fixed order give the same bits on any number of threads.
     SELECT
         first_side, second_side, pools_seeds, seed, scenario, metric,
         count(*) AS n,

@@ -1,9 +1,9 @@
--- Title: Sides that can be compared: what runs have in common but for seed, scenario and number
+-- Title: Sides that can be compared: runs that differ only in seed, scenario and number
 -- Paper: sec:evaluation:significance
 -- Grain: one row per architecture, configuration and setting (kind, source, model version, constants, fleet size)
 -- Key: side
--- Units: side names the row in one text; made_as as kind in run_settings; run_count runs, named_count those with seed,
---   scenario and number, which a pair takes; seeds, scenarios that they have
+-- Units: side names the row in one text; made_as as kind in run_settings; run_count runs, named_count those with
+--   seed, scenario and number, which a pair needs; seeds, scenarios that they have
 -- NULL: what the runs do not have
 -- Example: fsar-ledger query statistics/sides LEDGER
 SELECT

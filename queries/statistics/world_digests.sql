@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run with at least one fact of the world
 -- Key: run_id
--- Units: world_sha256, the same text for the same facts at the same times, in whatever order facts of one time stand,
+-- Units: world_sha256, equal for the same facts at the same times, whatever the order of simultaneous facts and
 --   whatever else the run records
 -- NULL: never
 -- Example: fsar-ledger query statistics/world_digests LEDGER

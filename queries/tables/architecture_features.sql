@@ -1,5 +1,4 @@
--- Title: Architectural comparison: which of the eight features each architecture of the ledger shows, by what its
---   events say
+-- Title: Architectural comparison: which of the eight features the events of each architecture show
 -- Paper: tab:baseline_context
 -- Grain: one row per architecture, configuration, seed, setting (kind, source, model version, constants, fleet size)
 --   and feature
@@ -16,11 +15,11 @@ WITH alike AS (
     FROM run_groups
 )
 
--- One rule grades all eight, and never looks at the architecture's name. Each feature has parts, each a share of
+-- One rule grades all eight and never looks at the architecture's name. Each feature has parts, each a share of
 -- events; one part is essential. full: every part holds in at least 0.95 of its cases. none: the essential part holds
 -- in fewer than 0.70. partial: anything between. The thresholds are ours, as the paper gives none. 0.95: at most one
--- case in twenty escapes the mechanism. 0.70: the mechanism governs more than twice as many cases as it misses; with
--- less, it is what happens, not what rules.
+-- case in twenty escapes the mechanism. 0.70: the mechanism governs more than twice as many cases as it misses; below
+-- that, it occurs but does not govern.
 SELECT
     runs.architecture, runs.configuration, runs.fleet_size, runs.seed, runs.kind, runs.source, runs.model_version,
     runs.constants, parts.feature,

@@ -6,7 +6,7 @@
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it
 --   rests on
 -- Example: fsar-ledger query tables/evidence_of_governance LEDGER
--- Stored: in one plan with the other two, DuckDB plans longer than it computes
+-- Stored: planned together with the other two, DuckDB would take longer to plan than to compute
 WITH outsiders AS (
     SELECT attempts.run_id, count(done.seq) = 0 AS is_refused
     FROM outsider_request_injected AS attempts

@@ -7,7 +7,7 @@
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it
 --   rests on
 -- Example: fsar-ledger query tables/evidence_of_principals LEDGER
--- Stored: in one plan with the other two, DuckDB plans longer than it computes
+-- Stored: planned together with the other two, DuckDB would take longer to plan than to compute
 WITH named AS (
     SELECT DISTINCT
         run_id,
@@ -30,7 +30,7 @@ robots AS (
 ),
 
 assignments AS (
-    -- Who decides which robot does what for another: neither the robot, nor an agent in it, nor a human.
+    -- Decisions on which robot does what for another that neither the robot, nor an agent in it, nor a human takes.
     SELECT
         run_id,
         CASE WHEN regexp_matches(decided_by, '^(robot|agent|supervisor)/') THEN NULL ELSE decided_by END AS centre,

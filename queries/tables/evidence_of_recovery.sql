@@ -1,11 +1,11 @@
--- Title: What shows layered recovery: who begins it, which levels it comes to, and whether one is skipped
+-- Title: What shows layered recovery: who begins it, which levels it reaches, and whether one is skipped
 -- Paper: tab:baseline_context, eq:recovery
 -- Grain: one row per made_alike (as in run_groups) and part
 -- Key: made_alike, part
 -- Units: numerator, denominator counts; of the levels, those that any failure came to and all four
 -- NULL: never; no row for runs without failures, and none of runs that do not observe what a part rests on
 -- Example: fsar-ledger query tables/evidence_of_recovery LEDGER
--- Stored: in one plan with the other two, DuckDB plans longer than it computes
+-- Stored: planned together with the other two, DuckDB would take longer to plan than to compute
 WITH first_steps AS (
     SELECT
         run_id, action_id, failure,

@@ -24,11 +24,11 @@ from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify.verify import Asked, verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.library import staging_sql, view_name
-from fsar_ledger.metrics.untrusted import run_untrusted
 from tests.ledger.bomb_trial import cost_of
 from tests.ledger.bombs import base_ledger, commit, runs
 from tests.ledger.keep_release import COLUMNS, LEDGERS, Kept, keep, stored_types
 from tests.ledger.samples import append_all, made_up_batches
+from tests.untrusted import run_untrusted
 
 Types = Mapping[str, Mapping[str, str]]
 

@@ -10,8 +10,8 @@ from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA
 from fsar_ledger.metrics.database import Database, Value, connect, from_rows, from_table, plain_rows, table_of
 from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, staging_sql, view_name
-from fsar_ledger.metrics.untrusted import run_untrusted
 from tests.metrics.conftest import record
+from tests.untrusted import run_untrusted
 
 
 def test_events_are_the_committed_rows_with_all_columns(ledger: Path) -> None:

@@ -11,16 +11,17 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.metrics.locked import Limits
-from fsar_ledger.metrics.untrusted import ENVIRONMENT, cause_of_death, run_untrusted
+from fsar_ledger.metrics.sandbox import Limits
+from fsar_ledger.metrics.untrusted import ENVIRONMENT, cause_of_death
+from tests.untrusted import run_untrusted
 
 NEVER_ENDS = "SELECT sum(x % 7) FROM range(1000000000000) AS t(x)"
 IN_TIME = (
-    "from fsar_ledger.metrics.locked import GRACE_S, Limits, give_up; give_up(Limits(seconds=1 - GRACE_S)); "
+    "from fsar_ledger.metrics.sandbox import GRACE_S, Limits, give_up; give_up(Limits(seconds=1 - GRACE_S)); "
     "exec('while True: pass')"
 )
 NOT_ENOUGH = (
-    "from fsar_ledger.metrics.locked import Limits, give_up; give_up(Limits(memory_bytes=1 << 29)); 'x' * (1 << 30)"
+    "from fsar_ledger.metrics.sandbox import Limits, give_up; give_up(Limits(memory_bytes=1 << 29)); 'x' * (1 << 30)"
 )
 
 

@@ -16,8 +16,9 @@ import pytest
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.metrics.database import from_rows
-from fsar_ledger.metrics.locked import Limits
-from fsar_ledger.metrics.untrusted import ENVIRONMENT, NEEDED, run_untrusted
+from fsar_ledger.metrics.sandbox import Limits
+from fsar_ledger.metrics.untrusted import ENVIRONMENT, NEEDED
+from tests.untrusted import run_untrusted
 
 from .conftest import record
 

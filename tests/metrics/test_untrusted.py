@@ -9,8 +9,9 @@ import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed
 from fsar_ledger.metrics.definitions import metrics
-from fsar_ledger.metrics.locked import SLICE_BYTES, Limits, slices, weight
-from fsar_ledger.metrics.untrusted import run_untrusted, stream_untrusted
+from fsar_ledger.metrics.sandbox import SLICE_BYTES, Limits, slices, weight
+from fsar_ledger.metrics.untrusted import stream_untrusted
+from tests.untrusted import run_untrusted
 
 
 def test_a_select_over_events_views_and_metrics_is_answered_with_the_head(ledger: Path) -> None:

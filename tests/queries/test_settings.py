@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fsar_ledger.metrics.constant_names import MAX_PARAMETERS
 from fsar_ledger.metrics.database import Value
-from fsar_ledger.metrics.naming import MAX_PARAMETERS
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from tests.queries.histories import Row, answer, event, run
 from tests.recycled import from_rows

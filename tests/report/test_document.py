@@ -16,7 +16,7 @@ from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
-from fsar_ledger.report import document, specs, whole
+from fsar_ledger.report import document, run_shape, specs
 from fsar_ledger.report.findings import SCENARIOS, Findings, answer, significance_level, with_agreement
 from fsar_ledger.report.gather import gather
 
@@ -208,14 +208,14 @@ def test_only_the_architecture_of_another_shape_is_not_judged(
 
 
 def test_pairs_of_another_shape_than_the_papers_are_not_judged() -> None:
-    runs: whole.Held = dict.fromkeys(SCENARIOS, 2)
-    even: whole.Held = dict.fromkeys(SCENARIOS, 1)
+    runs: run_shape.RunCounts = dict.fromkeys(SCENARIOS, 2)
+    even: run_shape.RunCounts = dict.fromkeys(SCENARIOS, 1)
     held, pairs = {"fsar": runs, "cfc": runs}, {"fsar-cfc": {**even, "door-relay": 2}}
-    assert whole.apart(held, pairs) == {"fsar-cfc"}
-    said = whole.why_apart(held, pairs)
+    assert run_shape.unjudged(held, pairs) == {"fsar-cfc"}
+    said = run_shape.why_unjudged(held, pairs)
     assert said is not None
     assert "but of FSAR vs CFC this ledger has 1 pair of collaborative-delivery, 2 pairs of door-relay, " in said
-    assert whole.why_apart(held, {"fsar-cfc": even}) is None
+    assert run_shape.why_unjudged(held, {"fsar-cfc": even}) is None
 
 
 def test_single_run_has_values_and_no_verdict(make_ledger: Make) -> None:

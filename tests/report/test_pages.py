@@ -12,7 +12,7 @@ import pytest
 from fsar_ledger.report import document, specs
 from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.findings import Ablation, Findings, Row, Scaling, Told
-from tests.report.test_everyway import NAMES, multiverse
+from tests.report.test_all_readings import NAMES, multiverse
 
 MARGINS_MM = (21.0, 19.0)
 """What lies above and below the text of a page, of 297 mm; the line of the header is left out."""

@@ -13,7 +13,7 @@ from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.numbers import tally
 from fsar_ledger.report.reproduction import reproduction
-from tests.report.test_specification import found
+from tests.report.test_specification_curves import found
 
 
 @pytest.fixture(scope="module")

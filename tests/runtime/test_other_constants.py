@@ -24,7 +24,7 @@ from fsar_ledger.events.world import (
     PolicyWindowOpened,
     RoutineDue,
 )
-from fsar_ledger.metrics.naming import default_of, unlike_ours
+from fsar_ledger.metrics.constant_names import default_of, unlike_ours
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import (

@@ -6,12 +6,8 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.report.sensitivity import (
-    Sensitivity,
-    read_sensitivity,
-)
-from fsar_ledger.runtime.simulation import MODEL_VERSION
+from fsar_ledger.constants import Constants
+from fsar_ledger.report.sensitivity import Sensitivity, open_effects
 from fsar_ledger.screening.evaluations import CELLS, Answer, Question
 from fsar_ledger.screening.factors import factors
 from fsar_ledger.screening.study import Size, sensitivity
@@ -59,4 +55,4 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def found(file: Path) -> Sensitivity:
-    return read_sensitivity(file, MODEL_VERSION, write_constants(Constants()))
+    return open_effects(file)

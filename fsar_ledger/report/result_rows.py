@@ -1,4 +1,4 @@
-"""Rows of the results: cells, tests, scenarios and margins, laid beside what the paper prints."""
+"""Make the rows of the results: cells, tests, scenarios and margins beside what the paper prints."""
 
 from collections.abc import Collection, Iterable
 
@@ -16,13 +16,13 @@ def _blank(cls: type[msgspec.Struct]) -> Row:
     return dict.fromkeys(cls.__struct_fields__)
 
 
-def cells_of(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell] | None) -> tuple[Row, ...]:
-    """Return the cells of the results table: ours beside the paper's, with the verdict; `apart` are not judged."""
+def cells_of(rows: Iterable[MetricRow], unjudged: Collection[str], drawn: Odds[Cell] | None) -> tuple[Row, ...]:
+    """Return the cells of the results table beside the paper's; architectures in `unjudged` get no verdict."""
     found = {(row.metric, row.architecture): row for row in rows}
     judged = {
         (one.metric, one.architecture): one
         for one in verdicts.compare(found.values(), drawn)
-        if one.architecture not in apart
+        if one.architecture not in unjudged
     }
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
     cells = []
@@ -41,12 +41,12 @@ def cells_of(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell
 
 
 def _interval(row: Row, low: str = "ci_low", high: str = "ci_high") -> tuple[float, float] | None:
-    """The 95 % interval of a row, or None where it has none."""
+    """Return the 95 % interval of a row, or None if it has none."""
     return None if row[low] is None or row[high] is None else (row[low], row[high])
 
 
 def _judged(one: verdicts.Comparison | None) -> Row:
-    """Difference, distance and answers of a cell; all None where the ledger has no value to judge."""
+    """Return difference, distance and answers of a cell; all None where the ledger has no value to judge."""
     if one is None or one.ours is None:
         return dict.fromkeys(("difference", "distance", "gives", "power", "share", "could"))
     difference = None if one.low is None or one.high is None else (one.low, one.high)
@@ -60,8 +60,8 @@ def _judged(one: verdicts.Comparison | None) -> Row:
     }
 
 
-def tests_of(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, ...]:
-    """Return the pairwise tests beside those that the paper prints; comparisons `apart` are not judged."""
+def tests_of(rows: Iterable[StatisticRow], unjudged: Collection[str]) -> tuple[Row, ...]:
+    """Return the pairwise tests beside those that the paper prints; comparisons in `unjudged` get no verdict."""
     found = {(row.metric, row.comparison): row for row in rows}
     printed = {(row["metric"], row["comparison"]): row for row in specs.paper_table("significance")}
     tests = []
@@ -81,12 +81,12 @@ def tests_of(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row,
                 "comparison": comparison,
                 "pooled_interval": _interval(test, "pooled_ci_low", "pooled_ci_high"),
             }
-            tests.append(with_agreement(test | named | _effect(test) | beside, is_judged=comparison not in apart))
+            tests.append(with_agreement(test | named | _effect(test) | beside, is_judged=comparison not in unjudged))
     return tuple(tests)
 
 
 def _effect(test: Row) -> Row:
-    """Cohen's d without its sign, as the paper prints it, and its 95 % interval turned the same way round."""
+    """Return Cohen's d without its sign, as the paper prints it, with its 95 % interval flipped accordingly."""
     if test["cohens_d"] is None or test["d_ci_low"] is None:
         return {"effect": None, "effect_interval": None}
     sign = -1 if test["cohens_d"] < 0 else 1
@@ -97,7 +97,7 @@ def _effect(test: Row) -> Row:
 
 
 def scenarios_of(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -> tuple[Row, ...]:
-    """Return the mean of every metric and architecture, scenario by scenario and over all."""
+    """Return the mean of every metric and architecture, by scenario and over all."""
     means = {(row.metric, row.architecture, row.scenario or "mean"): row.mean for row in (*overall, *by_scenario)}
     return tuple(
         {"metric": spec.name, "architecture": architecture}
@@ -108,9 +108,9 @@ def scenarios_of(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow])
 
 
 def rule_of(cells: tuple[Row, ...]) -> tuple[Row, ...]:
-    """Return the margin of every metric, and for each cell the power of the verdict.
+    """Return the margin of every metric and, for each cell, the power of the verdict.
 
-    That is the chance that a number which is exactly the printed one is found equivalent.
+    The power is the chance that a model which gives exactly the printed number is found equivalent.
     """
     power = {(row["metric"], row["architecture"]): row["power"] for row in cells}
     return tuple(

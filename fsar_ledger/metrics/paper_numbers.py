@@ -1,6 +1,6 @@
-"""The numbers that the paper prints, in our unit, each with the step of its last digit.
+"""Read the numbers that the paper prints, in our unit, each with the step of its last digit.
 
-A table is read when it is asked for, and no other.
+A table is read only when it is asked for.
 """
 
 import csv
@@ -32,7 +32,7 @@ class Place(NamedTuple):
 
 @cache
 def printed(table: Table) -> dict[Place, Printed]:
-    """The numbers of one table of the paper, in its order, by their place.
+    """Return the numbers of one table of the paper, in its order, by their place.
 
     Paper: tab:results, tab:ablation, sec:evaluation:ablation, tab:scaling.
     """
@@ -59,7 +59,7 @@ def _ablation(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:
 
 
 def _ablation_text(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:
-    """A claim of the text is two numbers: in full, and without the mechanism."""
+    """Yield the two numbers of each claim of the text: in full, and without the mechanism."""
     for row in rows:
         for configuration, text in ((FULL, row["full_fsar"]), (_hyphened(row["configuration"]), row["ablated"])):
             yield (
@@ -82,10 +82,10 @@ def _number(text: str, unit: float = 1.0) -> Printed:
 
 
 def _metric(name: str) -> str:
-    """The metric that a table other than the results calls so; such a table prints our units."""
+    """Return the metric that tables other than the results call so; such tables print our units."""
     return next(metric.name for metric in published_metrics() if metric.printed.elsewhere == name)
 
 
 def _hyphened(name: str) -> str:
-    """The paper's tables have underscores where our names have hyphens."""
+    """Replace the underscores of the paper's tables by the hyphens of our names."""
     return name.replace("_", "-")

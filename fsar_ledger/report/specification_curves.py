@@ -1,6 +1,6 @@
-"""The figure "Every reading": a specification curve for each metric, from the rows of `metrics/multiverse.py`.
+"""Draw the figure "Every reading": a specification curve for each metric, from the rows of `metrics/multiverse.py`.
 
-Same rows, same bytes.
+The same rows give the same bytes.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,11 +12,11 @@ from fsar_ledger.report import figures, specs
 
 COLUMNS = 2
 CURVE, MARK, GAP = 10.0, 1.0, 2.5
-"""Height of a curve, of the line of marks of one reading, and of the space below, as parts of a panel."""
+"""Heights in parts of a panel: of a curve, of one line of marks, and of the space below."""
 PLACE = {"left": 0.213, "right": 0.99, "bottom": 0.025, "top": 0.98, "wspace": 0.79, "hspace": 0.04}
-"""Where the panels stand. A layout that is solved for has other last digits in each process."""
+"""Where the panels stand. A computed layout would differ in its last digits from process to process."""
 SMALL = 6.5  # points
-MARKERS = ("o", "s", "^")  # also told apart in grey
+MARKERS = ("o", "s", "^")  # distinguishable in grey, too
 OURS: dict[str, Any] = {"color": "#999999", "linewidth": 0.8, "linestyle": (0, (3, 2)), "zorder": 1}
 PAPER: dict[str, Any] = figures.DIAMOND | {"markersize": 3.5, "markeredgewidth": 0.8, "zorder": 4}
 
@@ -25,10 +25,10 @@ Column = tuple[Chosen, dict[str, float]]
 
 
 def curves(found: Multiverse, kind: str = "svg") -> bytes:
-    """Draw a panel for each metric: the architectures' means under each combination of readings, and which it is.
+    """Draw for each metric the means of the architectures under each combination of readings.
 
-    Drawn are the runs of the first setting, those of the paper's table where the ledger has them; combinations stand in
-    the order of FSAR's lead.
+    Marks below each combination show its readings. The runs are those of the first setting, which is that of the
+    paper's table where the ledger has it. Combinations are ordered by FSAR's lead.
     """
     chosen = [spec for spec in published_metrics() if any(one.metric == spec.name for one in found.universes)]
     pairs = [chosen[at : at + COLUMNS] for at in range(0, len(chosen), COLUMNS)] or [[]]
@@ -58,9 +58,9 @@ def curves(found: Multiverse, kind: str = "svg") -> bytes:
 
 
 def ordered(universes: Sequence[Universe], spec: Metric) -> list[Column]:
-    """Return the combinations of the metric's first setting with the means under each, FSAR's worst lead first.
+    """Return the combinations of the metric's first setting with the means under each, by FSAR's lead.
 
-    Ties stand by their readings.
+    The smallest lead comes first; ties are ordered by their readings.
     """
     mine = [one for one in universes if one.metric == spec.name]
     place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
@@ -74,7 +74,7 @@ def ordered(universes: Sequence[Universe], spec: Metric) -> list[Column]:
 
 
 def lead(means: dict[str, float], better: str) -> float:
-    """By how much FSAR is better than the better of the others; 0 where there is nothing to compare."""
+    """Return by how much FSAR is better than the better of the others; 0 where there is nothing to compare."""
     others = [mean for architecture, mean in means.items() if architecture != "fsar"]
     if "fsar" not in means or not others:
         return 0.0
@@ -82,7 +82,7 @@ def lead(means: dict[str, float], better: str) -> float:
 
 
 def printed(cells: Sequence[Cell], spec: Metric) -> dict[str, float]:
-    """What the paper prints for each architecture, where it prints something for the first setting of this metric."""
+    """Return what the paper prints for each architecture; empty if it prints nothing for the first setting."""
     mine = [one for one in cells if one.metric == spec.name]
     place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
     return {
@@ -97,7 +97,7 @@ def printed(cells: Sequence[Cell], spec: Metric) -> dict[str, float]:
 def _curve(panel: Any, spec: Metric, columns: Sequence[Column], paper: Mapping[str, float]) -> None:
     """Draw the means of each architecture, and the paper's on the line of our reading.
 
-    The combinations under which FSAR is the best one have a ground.
+    Combinations under which FSAR is the best have a shaded ground.
     """
     panel.set_visible(True)
     for (architecture, colour), marker in zip(figures.COLOURS.items(), MARKERS, strict=True):
@@ -123,7 +123,7 @@ def _curve(panel: Any, spec: Metric, columns: Sequence[Column], paper: Mapping[s
 
 
 def _marks(panel: Any, readings: Sequence[Reading], columns: Sequence[Column], lines: int) -> None:
-    """For each reading one of so many lines, with a mark below each combination that it is part of."""
+    """Draw one of `lines` lines for each reading, with a mark below each combination that contains it."""
     panel.set_visible(True)
     for height, reading in enumerate(readings):
         places = [at for at, (names, _) in enumerate(columns) if reading.name in names]
@@ -147,7 +147,7 @@ def _marks(panel: Any, readings: Sequence[Reading], columns: Sequence[Column], l
 
 
 def _frame(panel: Any, columns: Sequence[Column]) -> int:
-    """The line of our reading, whose place is returned, and room for every combination."""
+    """Make room for every combination, draw the line of our reading, and return its position."""
     ours = next((at for at, (names, _) in enumerate(columns) if not names), 0)
     panel.axvline(ours, **OURS)
     panel.set_xlim(-0.7, max(len(columns), 1) - 0.3)

@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, rankings, readings
 from fsar_ledger.metrics.verdicts import published
-from fsar_ledger.report import document, everyway
+from fsar_ledger.report import all_readings, document
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.gather import SETTING, gather
 
@@ -44,9 +44,9 @@ def multiverse(means: Means) -> Multiverse:
 
 
 def test_a_cell_has_its_range_and_the_reading_that_moves_it_most() -> None:
-    fsar = everyway.ranges(multiverse({(): (0.1, 0.3, 0.2), NAMES[:1]: (0.25, 0.3, 0.2), NAMES[1:]: (0.05, 0.3, 0.2)}))[
-        0
-    ]
+    fsar = all_readings.ranges(
+        multiverse({(): (0.1, 0.3, 0.2), NAMES[:1]: (0.25, 0.3, 0.2), NAMES[1:]: (0.05, 0.3, 0.2)})
+    )[0]
     number = next(one.reading for one in readings() if one.name == NAMES[0])
     assert (fsar["range"], fsar["most_moving"], fsar["moved_by"]) == (
         (0.05, 0.25),
@@ -59,11 +59,11 @@ def test_a_cell_has_its_range_and_the_reading_that_moves_it_most() -> None:
     ("mean", "holds"), [(PAPER, True), (PAPER - 0.049, True), (PAPER - 0.051, False), (None, None)]
 )
 def test_the_range_holds_the_printed_number_give_or_take_a_margin(mean: float | None, holds: bool | None) -> None:
-    assert everyway.ranges(multiverse({(): (mean, 0.3, 0.2)}))[0]["holds"] is holds
+    assert all_readings.ranges(multiverse({(): (mean, 0.3, 0.2)}))[0]["holds"] is holds
 
 
 def test_the_smallest_combinations_under_which_fsar_is_not_the_best_are_named() -> None:
-    row = everyway.orders(
+    row = all_readings.orders(
         multiverse(
             {(): (0.1, 0.3, 0.2), NAMES[:1]: (0.4, 0.3, 0.2), NAMES[1:]: (0.1, 0.3, 0.2), NAMES: (0.5, 0.3, 0.2)}
         )
@@ -77,13 +77,13 @@ def test_the_smallest_combinations_under_which_fsar_is_not_the_best_are_named() 
 def test_the_sentences_count_by_how_many_metrics_fsar_is_best_under_all_some_and_no_combinations(
     other: tuple[float, float, float], counts: tuple[int, int, int]
 ) -> None:
-    said = everyway.said(multiverse({(): (0.1, 0.3, 0.2), NAMES[:1]: other}))
+    said = all_readings.said(multiverse({(): (0.1, 0.3, 0.2), NAMES[:1]: other}))
     assert said is not None
     assert tuple(said[name] for name in ("always", "sometimes", "never")) == counts
-    never = everyway.said(multiverse({(): (0.6, 0.3, 0.2)}))
+    never = all_readings.said(multiverse({(): (0.6, 0.3, 0.2)}))
     assert never is not None
     assert (never["never"], never["never_by"]) == (1, "human interventions")
-    assert everyway.said(None) is None
+    assert all_readings.said(None) is None
 
 
 @pytest.mark.slow  # all combinations of all metrics
@@ -99,4 +99,4 @@ def test_the_report_has_the_multiverse_of_the_runs_that_its_tables_are_of(ledger
     assert "specification-curves" in data["figures"]
     assert {f"readings/{one.name}" for one in found.multiverse.readings} <= {source.name for source in found.sources}
     with connect(ledger) as database:
-        assert everyway.every_way(database, dict.fromkeys(SETTING, "another")) is None
+        assert all_readings.multiverse_of(database, dict.fromkeys(SETTING, "another")) is None

@@ -1,9 +1,7 @@
-"""The paper's tables "Ablation" and "Scaling" beside what a ledger shows: what is compared, and what stands alone.
+"""Lay a ledger's numbers beside the paper's tables "Ablation" and "Scaling", and judge those that can be judged.
 
-Means, intervals and drawn experiments come from packaged queries; here they are only laid beside the printed numbers.
-Runs of other constants are
-never taken together: a table is of one set of them, but for the two dials that the paper leaves open, which are its
-curves.
+Means, intervals and drawn experiments come from packaged queries. A table is made of runs with one set of constants;
+only the two dials that the paper leaves open vary, and they become curves.
 """
 
 import math
@@ -16,11 +14,11 @@ from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, Value
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.odds import Printed, odds
+from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.plans import completeness
-from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.results import DialledRow, dialled_rows
 from fsar_ledger.registration import registration
-from fsar_ledger.report import printing, whole
+from fsar_ledger.report import printing, run_shape
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, Told
 
 QUERIES = ("metrics/metrics_by_dial", "statistics/drawn_experiments", "statistics/drawn_scenarios")
@@ -44,14 +42,14 @@ DRAWN_SQL = """
 
 
 class Alike(NamedTuple):
-    """What the runs of one table have in common, whatever their fleet size and dials."""
+    """What the runs of one table have in common; fleet size and dials may differ."""
 
     made_alike_but: str
     seed: int | None
 
 
 def ablation_of(database: Database, *, pools_seeds: bool = False) -> Ablation | None:
-    """The ablations that the ledger holds; None where there are none."""
+    """Return the ablations that the ledger holds; None if it holds none."""
     if not _has(
         database,
         "architecture = 'fsar' AND fleet_size = 4 AND list_contains($configurations, configuration)",
@@ -87,9 +85,9 @@ def ablation_of(database: Database, *, pools_seeds: bool = False) -> Ablation | 
 
 
 def scaling_of(database: Database, *, pools_seeds: bool = False) -> Scaling | None:
-    """Return the fleets of other sizes than four robots, with those of four that were made alike.
+    """Return the numbers of fleets of other sizes than four robots, with those of comparable fleets of four.
 
-    None where the ledger holds none.
+    None if the ledger holds no such fleet.
     """
     if not _has(database, "fleet_size <> 4 AND list_contains($configurations, configuration)", [FULL]):
         return None
@@ -114,7 +112,7 @@ def scaling_of(database: Database, *, pools_seeds: bool = False) -> Scaling | No
 
 
 def _sized(database: Database, table: Sequence[DialledRow]) -> list[Row]:
-    """The cells of the scaling table: judged where four robots are one team, else with both ends of the load."""
+    """Return the cells of the scaling table: fleets of four are judged, larger ones show both ends of the load."""
     ends = {
         "all": [row for row in table if row.fleet_size is not None and row.teams_working == row.fleet_size // 4],
         "one": [row for row in table if row.teams_working == 1],
@@ -129,9 +127,9 @@ def _sized(database: Database, table: Sequence[DialledRow]) -> list[Row]:
 
 
 def _lies(cell: Row) -> str | None:
-    """Return where the printed number lies among ours at the two ends of the load, give or take a margin.
+    """Say where the printed number lies relative to ours at the two ends of the load, within one margin.
 
-    None where the ends are one, or we have only one.
+    None where the ends coincide or we have only one of them.
     """
     if cell["mean"] is None or cell["one"] is None or cell["fleet_size"] == MAIN_FLEET_SIZE:
         return None
@@ -145,7 +143,7 @@ def _lies(cell: Row) -> str | None:
 def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> list[Row]:
     """Return each printed number of a table beside ours.
 
-    It is judged unless the text leaves open what it depends on, or the runs are not of the table's shape.
+    A number is not judged if the text leaves open what it depends on, or if the runs do not have the table's shape.
     """
     ours = {_place_of(name, row): row for row in table}
     runs = _runs(table)
@@ -182,15 +180,15 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
     return cells
 
 
-def _is_shaped(place: Place, runs: Mapping[Shape, whole.Held]) -> bool:
-    """Whether the runs are those that a printed number is over: of one scenario, or equally many of all."""
-    return place.scenario is not None or whole.is_whole(
+def _is_shaped(place: Place, runs: Mapping[Shape, run_shape.RunCounts]) -> bool:
+    """Tell whether the runs match the printed number's: of its one scenario, or equally many of all."""
+    return place.scenario is not None or run_shape.is_complete(
         runs.get((place.architecture, place.configuration, place.fleet_size), {})
     )
 
 
 def _runs(table: Iterable[DialledRow]) -> dict[Shape, dict[str | None, int]]:
-    """Runs by architecture, configuration and fleet size, of each scenario."""
+    """Return how many runs of each scenario each architecture, configuration and fleet size has."""
     found: dict[Shape, dict[str | None, int]] = {}
     for row in table:
         if row.scenario is not None:
@@ -200,11 +198,11 @@ def _runs(table: Iterable[DialledRow]) -> dict[Shape, dict[str | None, int]]:
 
 
 def _shares(
-    database: Database, name: Table, rows: Sequence[DialledRow], runs: Mapping[Shape, whole.Held]
+    database: Database, name: Table, rows: Sequence[DialledRow], runs: Mapping[Shape, run_shape.RunCounts]
 ) -> dict[Place, float]:
-    """Return how many of the experiments drawn from our runs print a number as far out.
+    """Return, for each cell, the share of experiments drawn from our runs that print a number as far out.
 
-    Of no cell where our runs are fewer than one such experiment.
+    Cells with fewer runs than the paper's experiment are left out.
     """
     said = registration()
     cells = {place: paper for place, paper in printed(name).items() if said.said_of(name, place._asdict()).dial is None}
@@ -230,14 +228,14 @@ def _shares(
     return {} if told is None else told.cells
 
 
-def _count(of_scenarios: whole.Held, place: Place) -> int:
-    """The fewest runs of a scenario that an experiment would be drawn from."""
+def _count(of_scenarios: run_shape.RunCounts, place: Place) -> int:
+    """Return the smallest number of runs of a scenario that an experiment would be drawn from."""
     counts = of_scenarios if place.scenario is None else {place.scenario: of_scenarios.get(place.scenario, 0)}
     return min(counts.values(), default=0)
 
 
 def _has(database: Database, condition: str, configurations: list[str]) -> bool:
-    """Whether the ledger holds such runs: most hold none, and need not be measured again to know it."""
+    """Tell whether the ledger holds such runs, before anything is measured: most ledgers hold none."""
     found = database.rows(f"SELECT count(*) AS runs FROM runs WHERE {condition}", {"configurations": configurations})
     return int(found[0]["runs"]) > 0
 
@@ -254,12 +252,12 @@ def _alike(row: DialledRow) -> Alike:
 
 
 def _place_of(table: Table, row: DialledRow) -> Place:
-    """Where the paper would print the number of this row, if it does."""
+    """Return where the paper would print the number of this row."""
     return Place(table, row.metric, row.architecture or "", row.configuration or "", row.fleet_size or 0, row.scenario)
 
 
 def _over_all(rows: Iterable[DialledRow]) -> list[DialledRow]:
-    """Those over all scenarios, of runs that are of all of them."""
+    """Keep the rows over all scenarios whose runs cover all of them."""
     every = list(rows)
     shaped: dict[tuple[Shape, int | None], dict[str | None, int]] = {}
     for row in every:
@@ -270,7 +268,7 @@ def _over_all(rows: Iterable[DialledRow]) -> list[DialledRow]:
         row
         for row in every
         if row.scenario is None
-        and whole.is_whole(
+        and run_shape.is_complete(
             shaped.get(((row.architecture or "", row.configuration or "", row.fleet_size or 0), row.teams_working), {})
         )
     ]
@@ -281,13 +279,13 @@ def _interval(row: DialledRow) -> tuple[float, float] | None:
 
 
 def _as_printed(metric: str, paper: Printed) -> str:
-    """The printed number in the report's unit, with as many digits as it has."""
+    """Return the printed number in the report's unit, with as many digits as the paper gives."""
     scale = metric_named(metric).factor
     return printing.number(paper.value * scale, max(0, -round(math.log10(paper.step * scale))))
 
 
 def _plain(row: DialledRow) -> Row:
-    """A point of a curve."""
+    """Return a point of a curve."""
     return {
         **{
             name: getattr(row, name)
@@ -299,7 +297,7 @@ def _plain(row: DialledRow) -> Row:
 
 
 def _wide(rows: Iterable[DialledRow]) -> tuple[Row, ...]:
-    """One row for each rate of encounters, with a column for each metric."""
+    """Return one row for each rate of encounters, with a column for each metric."""
     found: dict[float | None, Row] = {}
     for row in sorted(rows, key=lambda row: row.encounter_mean_s or 0.0):
         line = found.setdefault(

@@ -15,9 +15,9 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.results import dialled_rows
 from fsar_ledger.report import curves, document, specs
-from fsar_ledger.report.beside import ablation_of, scaling_of
+from fsar_ledger.report.ablation_scaling import ablation_of, scaling_of
 from fsar_ledger.report.findings import SCENARIOS, Ablation, Findings, Scaling
-from fsar_ledger.report.others import Others, others
+from fsar_ledger.report.other_ledgers import OtherSections, read_ledgers
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, simulate_run
 from tests.recycled import from_table
@@ -140,11 +140,13 @@ def test_runs_without_a_mechanism_or_another_size_make_no_section() -> None:
 
 def test_a_ledger_that_holds_nothing_for_the_report_is_refused(ledger: Path) -> None:
     with pytest.raises(UsageError, match=r"--with .* found no run of a workflow"):
-        others({ledger: None})
+        read_ledgers({ledger: None})
 
 
 def test_what_a_ledger_lacks_another_gives(ablation: Ablation, fleets: Scaling) -> None:
-    assert Others(ablation=ablation).over(Others(scaling=fleets)) == Others(ablation=ablation, scaling=fleets)
+    assert OtherSections(ablation=ablation).or_else(OtherSections(scaling=fleets)) == OtherSections(
+        ablation=ablation, scaling=fleets
+    )
 
 
 def test_a_curve_has_a_value_where_it_crosses_it_on_the_logarithm_of_the_dial() -> None:

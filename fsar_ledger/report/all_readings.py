@@ -1,6 +1,7 @@
-"""The section "Every reading" of the report.
+"""Make the section "Every reading" of the report.
 
-The range of each cell over all readings of the text, which reading moves it most, and whether the ranking survives.
+It shows the range of each cell over all readings of the text, which reading moves it most, and whether the ranking
+survives.
 """
 
 from collections.abc import Sequence
@@ -16,15 +17,13 @@ from fsar_ledger.report.findings import ARCHITECTURES, Row
 from fsar_ledger.report.printing import Table
 
 MAX_SETS = 2
-"""Combinations of readings that a cell of a table names; the others are counted."""
+"""How many combinations of readings a cell of a table names; the others are counted."""
 
 
-def every_way(database: Database, setting: Row, *, pools_seeds: bool = False) -> Multiverse | None:
-    """Return the multiverse of all metrics for the three architectures, over the runs of this setting alone.
+def multiverse_of(database: Database, setting: Row, *, pools_seeds: bool = False) -> Multiverse | None:
+    """Return the multiverse of all metrics for the three architectures, over the runs of this setting.
 
-    None where there are none.
-
-    Raises: as `Database.rows`.
+    None if there are none. Raises: as `Database.rows`.
     """
     found: list[Universe] = []
     for spec in published_metrics():
@@ -39,12 +38,12 @@ def every_way(database: Database, setting: Row, *, pools_seeds: bool = False) ->
 
 
 def queries() -> tuple[str, ...]:
-    """The packaged queries that are put in the place of ours."""
+    """Return the packaged queries that replace ours."""
     return tuple(sorted(name for name in library().queries if name.startswith(READINGS)))
 
 
 def tables(found: Multiverse | None) -> dict[str, Table]:
-    """The ranges of the cells and the rankings, by the names of their tables; none without a multiverse."""
+    """Return the tables of ranges and rankings by name; none without a multiverse."""
     if found is None:
         return {}
     filled = {"every-reading": ranges(found), "rankings": orders(found)}
@@ -52,9 +51,9 @@ def tables(found: Multiverse | None) -> dict[str, Table]:
 
 
 def ranges(found: Multiverse) -> list[Row]:
-    """Return a row for each cell: printed, ours, lowest, highest, whether that range has it, what moves it most.
+    """Return a row for each cell: the paper's number, ours, the range of all readings, what moves it most.
 
-    Between is give or take a margin.
+    `holds` tells whether the printed number lies in the range, give or take a margin.
     """
     rows = []
     for cell in found.cells:
@@ -74,9 +73,9 @@ def ranges(found: Multiverse) -> list[Row]:
 
 
 def orders(found: Multiverse) -> list[Row]:
-    """Return a row for each metric: the order of the architectures under our readings, and how often it survives.
+    """Return a row for each metric: how the architectures rank under our readings, and how often that survives.
 
-    Counted are the combinations under which it is the same, and those under which FSAR is the best one.
+    `same_order` and `fsar_best` count the combinations with the same order, and those with FSAR as the best.
     """
     return [
         {
@@ -92,7 +91,7 @@ def orders(found: Multiverse) -> list[Row]:
 
 
 def _sets(found: Multiverse, sets: Sequence[Chosen] | None) -> str | None:
-    """The smallest combinations under which FSAR is not the best one, those of fewest readings first."""
+    """Name the smallest combinations under which FSAR is not the best, those of fewest readings first."""
     if not sets:
         return None
     named = [
@@ -103,16 +102,16 @@ def _sets(found: Multiverse, sets: Sequence[Chosen] | None) -> str | None:
 
 
 def _named(found: Multiverse, name: str) -> str:
-    """A reading by its name and the number of ours that it replaces."""
+    """Name a reading, with the number of the one of ours that it replaces."""
     number = next(one.reading for one in found.readings if one.name == name)
     return f"{name.replace('_', ' ')} ({number})"
 
 
 def said(found: Multiverse | None) -> dict[str, Any] | None:
-    """Return what the sentences count.
+    """Return the counts for the sentences of the section.
 
-    Readings, combinations, the metrics by which FSAR is the best under all, some and none of them, the orders that
-    survive.
+    They count readings, combinations, the metrics by which FSAR is the best under all, some or none of them, and the
+    orders that survive.
     """
     if found is None:
         return None

@@ -1,10 +1,9 @@
-"""The process that untrusted SQL runs in.
+"""Answer one SELECT in the process that untrusted SQL runs in.
 
-It holds one ledger's events, locks everything else, answers one SELECT and ends.
-
-It is started without the caller's environment. Before it sees the SQL it gives up, for good, what an answer does not
-need: writing to files, starting processes, the caller's working folder, and more memory, time and open files than
-it was allowed. DuckDB's own locks come on top (`Database.lock`).
+It holds one ledger's events, locks everything else, answers and ends. It is started without the caller's environment.
+Before it sees the SQL it gives up, for good, what an answer does not need: writing to files, starting processes, the
+caller's working folder, and memory, time and open files beyond its limits. DuckDB's own locks come on top
+(`Database.lock`).
 """
 
 import os
@@ -25,25 +24,25 @@ from .database import FAULTS_OF_SQL, OUT_OF_MEMORY, Database
 from .relation import hold_dataset
 
 GRACE_S = 5
-"""Seconds by which this process's limits come later than the caller's, so that the caller says what happened."""
+"""Seconds by which this process's limits come after the caller's, so that the caller can say what happened."""
 
 FILES = 64
 """Open files at once; reading 167,000 events of 12 segments takes 11."""
 
 
 SLICE_BYTES, VALUE_BYTES = 1 << 20, 16
-"""What is sent at once, so that the caller holds little: as Python's values it takes some tens of MiB.
+"""Bytes that are sent at once, so that the caller holds little (as Python values some tens of MiB).
 
-And what a value counts beside its bytes.
+The second is what a value counts beside its bytes.
 """
 
 ROW_BYTES = 64 << 20
-"""One row cannot be cut; as Python's values it may take ten times as much."""
+"""The most bytes of a row: it cannot be split, and as Python values it may take ten times as much."""
 
 OWN_BYTES = 512 << 20
 """Address space of the process before it answers, with some to spare.
 
-DuckDB gets half of the rest: what grows is copied into twice its room.
+DuckDB gets half of the rest, since what grows is copied into twice its room.
 """
 
 
@@ -62,7 +61,7 @@ class Limits(msgspec.Struct, frozen=True):
 
 
 class Question(msgspec.Struct, frozen=True):
-    """What is asked of the process: the SELECT, the segments of the ledger, in order, and the limits."""
+    """What the process is asked: the SELECT, the ledger's segments in order, and the limits."""
 
     segments: list[str]
     sql: str
@@ -70,9 +69,9 @@ class Question(msgspec.Struct, frozen=True):
 
 
 class Refusal(msgspec.Struct, frozen=True):
-    """Why there is no answer, and whether the cause may be a damaged segment.
+    """Why there is no answer, and whether a damaged segment may be the cause.
 
-    This process is too short of everything to tell.
+    This process has too few resources left to tell.
     """
 
     message: str
@@ -80,11 +79,11 @@ class Refusal(msgspec.Struct, frozen=True):
 
 
 def answer(descriptor: int) -> None:
-    """The pipe has had one `Question` read from it and holds one `Refusal`, or null and the answer.
+    """Read one `Question` from the pipe and write one `Refusal`, or null and the answer.
 
-    An Arrow stream for each slice, then nothing.
+    An answer is an Arrow stream for each slice, then an empty message.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the caller too, which ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C also reaches the caller, which ends this process
     with Connection(descriptor) as pipe:
         question = msgspec.json.decode(pipe.recv_bytes(), type=Question)
         give_up(question.limits)
@@ -101,7 +100,7 @@ def answer(descriptor: int) -> None:
 
 
 def _refusal(error: Exception, limits: Limits) -> Refusal:
-    """The error as it is said to the caller."""
+    """Turn the error into what the caller is told."""
     cause = error.__cause__ if isinstance(error, QueryFailed) else error
     if isinstance(cause, (MemoryError, *OUT_OF_MEMORY)):
         return Refusal(f"SQL: ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less")
@@ -114,7 +113,7 @@ def _refusal(error: Exception, limits: Limits) -> Refusal:
 
 
 def give_up(limits: Limits) -> None:
-    """Keep this process for good from writing files, finding them by relative paths and exceeding its limits."""
+    """Bar this process for good from writing files, from the working folder, and from exceeding its limits."""
     os.chdir("/")
     most = {
         resource.RLIMIT_CORE: 0,
@@ -125,20 +124,19 @@ def give_up(limits: Limits) -> None:
     for what, value in most.items():
         resource.setrlimit(what, (value, value))
     seconds = limits.seconds + GRACE_S
-    resource.setrlimit(
-        resource.RLIMIT_CPU, (seconds, seconds + 1)
-    )  # SIGXCPU at the first says why, SIGKILL at the second ends it
+    # SIGXCPU at the first says why, SIGKILL at the second ends it.
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
 
 
 def _checked() -> ds.ParquetFileFormat:
-    """Parquet whose page checksums are verified: a flipped bit is an error and not an answer."""
+    """Return Parquet with verified page checksums: a flipped bit is an error, not an answer."""
     return ds.ParquetFileFormat(
         default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True)
     )
 
 
 def _select(question: Question) -> list[pa.RecordBatch]:
-    """The answer, read no further than its limits. Raises: QueryFailed."""
+    """Return the answer, reading no further than its limits. Raises: QueryFailed."""
     limits, segments = question.limits, question.segments
     pa.set_cpu_count(1)  # threads reserve address space, which is limited
     pa.set_io_thread_count(1)
@@ -147,7 +145,7 @@ def _select(question: Question) -> list[pa.RecordBatch]:
         hold_dataset(database, stored, [Path(segment) for segment in segments])
         database.lock(limits.seconds + GRACE_S, (limits.memory_bytes - OWN_BYTES) // 2)
         for _ in database.batches("SELECT seq FROM events LIMIT 1"):
-            pass  # the threads that reading takes exist from now on, and no other can be started
+            pass  # reading has started its threads; no more can be started below
         resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
         database.check_one_select(question.sql)
         database.prepare(question.sql)
@@ -174,7 +172,7 @@ def _select(question: Question) -> list[pa.RecordBatch]:
 
 
 def _plain(batch: pa.RecordBatch) -> pa.RecordBatch:
-    """The batch without codes into lists of texts: each part of it would be sent with all of the list."""
+    """Return the batch without dictionaries: each slice of it would be sent with the whole dictionary."""
     columns = [
         column.dictionary_decode() if pa.types.is_dictionary(column.type) else column for column in batch.columns
     ]
@@ -182,7 +180,7 @@ def _plain(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def _stream(batch: pa.RecordBatch) -> pa.Buffer:
-    """The batch as an Arrow stream of its own."""
+    """Return the batch as an Arrow stream of its own."""
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, batch.schema) as writer:
         writer.write_batch(batch)
@@ -190,7 +188,7 @@ def _stream(batch: pa.RecordBatch) -> pa.Buffer:
 
 
 def slices(batch: pa.RecordBatch) -> Iterator[pa.RecordBatch]:
-    """The batch in parts that are small as Python's values, too; a row is never cut."""
+    """Yield the batch in parts that stay small as Python values; a row is never split."""
     if batch.num_rows < 2 or weight(batch) <= SLICE_BYTES:
         yield batch
         return
@@ -200,12 +198,12 @@ def slices(batch: pa.RecordBatch) -> Iterator[pa.RecordBatch]:
 
 
 def weight(batch: pa.RecordBatch) -> int:
-    """Estimate the bytes that these rows take as Python's values, however little Arrow needs for them."""
+    """Estimate the bytes that these rows take as Python values, however little Arrow needs for them."""
     return int(batch.nbytes) + VALUE_BYTES * sum(_values(column) for column in batch.columns)
 
 
 def _values(column: pa.Array) -> int:
-    """How many values an array holds, those inside of them too."""
+    """Count the values that an array holds, nested ones included."""
     kind = column.type
     if pa.types.is_struct(kind):
         return len(column) + sum(_values(part) for part in column.flatten())
@@ -215,7 +213,7 @@ def _values(column: pa.Array) -> int:
 
 
 def _entries(column: pa.Array, entries: pa.Array) -> pa.Array:
-    """The keys or items that belong to this part of a map."""
+    """Return the keys or items that belong to this part of a map."""
     if not len(column):
         return entries.slice(0, 0)
     first, last = column.offsets[0].as_py(), column.offsets[-1].as_py()

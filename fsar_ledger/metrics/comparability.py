@@ -1,4 +1,4 @@
-"""What can be compared in a ledger, what cannot, and why: in words, for whoever asks for paired numbers."""
+"""Say in words what can be compared in a ledger, what cannot, and why."""
 
 from collections.abc import Iterable, Sequence
 
@@ -10,7 +10,7 @@ from .database import Database
 from .results import StatisticRow, typed
 
 MIN_WILCOXON = 6
-"""Pairs that differ from which on Wilcoxon's test has a p (`statistics/wilcoxon_tests`)."""
+"""The least number of differing pairs for which Wilcoxon's test has a p (`statistics/wilcoxon_tests`)."""
 
 DIFFERS = {
     "setting": "were made under other constants, or by another model",
@@ -19,7 +19,7 @@ DIFFERS = {
     "unobserved": "are not known to have met the same world, which one of them does not observe",
 }
 FAULTS = ("facts", "repeated")
-"""What no experiment does: somebody else made, or changed, such runs."""
+"""Reasons that no experiment leads to: somebody else made, or changed, such runs."""
 
 WORLDS = """
     SELECT
@@ -91,7 +91,7 @@ IMPUTED = """
 
 
 class Pair(msgspec.Struct, frozen=True, kw_only=True):
-    """Two runs that met different worlds, and what differs first in each; None: nothing more, or nothing to show."""
+    """Two runs that met different worlds, and the first difference in each; None if there is nothing more to show."""
 
     seed: int
     scenario: str
@@ -114,7 +114,7 @@ class DifferingWorlds(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_fault(self) -> bool:
-        """Whether no experiment of ours leads to this."""
+        """Tell whether no experiment of ours leads to this."""
         return self.differs in FAULTS
 
     def __str__(self) -> str:
@@ -158,7 +158,7 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
     left_out: int
 
     def why_not(self) -> str | None:
-        """Why nothing is compared here, and what it would take; None where there are pairs."""
+        """Say why nothing is compared here, and what it would take; None if there are pairs."""
         if self.pair_count:
             return None
         first, second = (
@@ -193,7 +193,7 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _named(values: Sequence[object] | None) -> str:
-    """All of a few, else the first and how many more there are."""
+    """Name all of a few values, else the first and how many more there are."""
     found = [str(one) for one in values or ()]
     if len(found) > NAMED:
         return some(found)
@@ -201,7 +201,7 @@ def _named(values: Sequence[object] | None) -> str:
 
 
 def differing_worlds(database: Database) -> list[DifferingWorlds]:
-    """The pairs that are left out since their worlds differ, by comparison and reason, what no experiment does first.
+    """Return the pairs left out because their worlds differ, by comparison and reason, faults first.
 
     Raises: as `Database.rows`.
     """
@@ -209,9 +209,9 @@ def differing_worlds(database: Database) -> list[DifferingWorlds]:
 
 
 def not_compared(database: Database) -> list[str]:
-    """Why each comparison that has no pair has none, in words.
+    """Say why each comparison without a pair has none.
 
-    For a ledger that holds neither side of any, why that is. Raises: as `Database.rows`.
+    For a ledger that holds neither side of any, say why. Raises: as `Database.rows`.
     """
     found = typed(database.rows(GROUNDS), Ground)
     if found:
@@ -233,7 +233,7 @@ def not_compared(database: Database) -> list[str]:
 
 
 def left_over(database: Database) -> list[str]:
-    """The runs that have no partner in a comparison that has pairs, in words. Raises: as `Database.rows`."""
+    """Say which runs have no partner in a comparison that has pairs. Raises: as `Database.rows`."""
     lines = []
     for row in database.rows(UNPAIRED):
         name = (
@@ -248,7 +248,7 @@ def left_over(database: Database) -> list[str]:
 
 
 def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
-    """Which of the rows count runs without a value, and as what, in words. Raises: as `Database.rows`."""
+    """Say which of the rows count runs without a value, and as what. Raises: as `Database.rows`."""
     shown = {row.metric for row in rows}
     return [
         f"{row['metric']}: {counted(row['runs'], 'run')} without a failure {'counts' if row['runs'] == 1 else 'count'} "
@@ -261,7 +261,7 @@ def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
 
 
 def too_few(rows: Iterable[StatisticRow]) -> list[str]:
-    """Which metrics have no Wilcoxon test since too few pairs differ, in words."""
+    """Say which metrics have no Wilcoxon test because too few pairs differ."""
     found: dict[str, dict[str, None]] = {}
     for row in rows:
         if 0 < row.wilcoxon_n < MIN_WILCOXON:
@@ -273,9 +273,9 @@ def too_few(rows: Iterable[StatisticRow]) -> list[str]:
 
 
 def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str]:
-    """What the rows do not say.
+    """Say what the rows leave out.
 
-    Metrics without a pair in which both runs have a value, and comparisons of a single pair.
+    These are metrics that no pair defines for both runs, and comparisons of a single pair.
     """
     held: dict[tuple[object, ...], dict[str, int]] = {}
     for row in rows:

@@ -10,7 +10,7 @@ from scipy import stats
 
 from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.metrics.comparing import (
+from fsar_ledger.metrics.comparability import (
     DifferingWorlds,
     differing_worlds,
     imputed,

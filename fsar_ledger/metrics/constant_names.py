@@ -1,6 +1,6 @@
-"""The constants of a run by name.
+"""Name the constants of a run.
 
-The one way in which queries, `info`, the report and replay name those in which runs differ.
+Queries, `info`, the report and replay all use this to name the constants in which runs differ.
 """
 
 import re
@@ -16,25 +16,23 @@ from fsar_ledger.parameters import BadParameters, read_parameters
 MAX_PARAMETERS = 65_536
 """Characters of parameters that are read constant by constant; those of the model have 2,000.
 
-Longer ones are only the same or not.
+Longer ones are only compared as a whole.
 """
 
 MAX_SHOWN = 60
-"""Characters of a name, or of a value, that are shown; no constant of the model has more."""
+"""Characters of a name or value that are shown; no constant of the model has more."""
 
 DEFAULT = "default"
-"""What stands for the value of a constant that is not set, and is none by default."""
+"""Stands for the value of a constant that is not set and has no value by default."""
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
 def constants_of(parameters: str | None) -> list[dict[str, str]] | None:
-    """Return the constants by name, with their values as JSON; leave out what is null.
+    """Return the constants by name, with their values as JSON, without those that are null.
 
-    Names are `world.message.high_s` or `world.durations["carry.heavy"].low_s`.
-
-    Numbers that are equal are the same text, however they were written; None where the text is no parameters of a run,
-    or too long.
+    Names are `world.message.high_s` or `world.durations["carry.heavy"].low_s`. Equal numbers are the same text, however
+    they were written. None if the text is not the parameters of a run, or too long.
     """
     if parameters is None or len(parameters) > MAX_PARAMETERS:
         return None
@@ -46,7 +44,7 @@ def constants_of(parameters: str | None) -> list[dict[str, str]] | None:
 
 
 def _constants(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """The leaves below a value: of objects by key, of lists of [name, value] by name, of other lists by number."""
+    """Yield the leaves below a value: of objects by key, of lists of [name, value] by name, of others by index."""
     if value is None:
         return
     parts: list[tuple[str, Any]]
@@ -79,15 +77,15 @@ def _json(value: Any) -> str:
 
 
 def default_of(name: str) -> str | None:
-    """The value that a constant of this version has in a run of the model that does not record it.
+    """Return the value that a constant has in a run of this model version that does not record it.
 
-    None where there is no such constant.
+    None if there is no such constant.
     """
     return _own().get(name)
 
 
 def unlike_ours(parameters: str) -> list[str]:
-    """The constants of a run of this model that are not this version's, as `NAME=VALUE (here VALUE)`.
+    """Return the constants of a run of this model that differ from this version's, as `NAME=VALUE (here VALUE)`.
 
     Raises: BadParameters.
     """
@@ -101,10 +99,7 @@ def unlike_ours(parameters: str) -> list[str]:
 
 @cache
 def names_of_constants() -> tuple[str, ...]:
-    """Return the name of every constant of this version that can be set, in order.
-
-    Also of groups that are absent by default.
-    """
+    """Return the names of all constants that can be set, in order, also in groups that are absent by default."""
     return tuple(sorted(_own()))
 
 
@@ -114,9 +109,9 @@ def _own() -> dict[str, str]:
 
 
 def _whole(constants: Constants) -> dict[str, str]:
-    """Every constant by name, also those of groups that may be absent: they are then as by default.
+    """Return every constant by name, with the groups that may be absent at their defaults.
 
-    A designer's own is its name alone.
+    A constant of a designer's own is its name alone.
     """
     absent = {"outages": constants.outages or Outages(), "load": constants.load or Load()}
     groups = msgspec.structs.replace(constants, scenario=None, fleet=None, **absent)

@@ -1,0 +1,22 @@
+"""Untrusted SQL with its whole answer in memory."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fsar_ledger.ledger.store.read import Head
+from fsar_ledger.metrics.sandbox import Limits
+from fsar_ledger.metrics.untrusted import stream_untrusted
+
+
+class Answer(NamedTuple):
+    """As `Stream`, with all rows."""
+
+    head: Head
+    rows_verified: bool
+    columns: list[str]
+    rows: list[dict[str, Any]]
+
+
+def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Answer:
+    with stream_untrusted(ledger, sql, limits, demanded) as answer:
+        return Answer(answer.head, answer.rows_verified, answer.columns, [row for part in answer.parts for row in part])
