@@ -12,14 +12,14 @@ from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.locked import slices
 
-from .about import About
+from .provenance import Provenance
 
 if TYPE_CHECKING:
     import polars as pl
 
 Row = dict[str, Any]
 
-NOTHING = About()
+NOTHING = Provenance()
 SHOWN_ROWS = 20
 """Rows that a notebook shows."""
 
@@ -27,18 +27,18 @@ SHOWN_ROWS = 20
 class Table:
     """The rows of an answer. They are read-only; iterating gives a dictionary for each, with None for NULL.
 
-    `about` says which head of the ledger they hold for, whether the rows that were read were compared with its root
-    (`Ledger.verify` does that, and remembers it), which planned runs are missing, and what runs do not observe.
+    `provenance` says which head of the ledger they hold for, whether the rows that were read were compared with its
+    root (`Ledger.verify` does that, and remembers it), which planned runs are missing, and what runs do not observe.
     """
 
     def __init__(
         self,
         rows: pa.Table,
-        about: About = NOTHING,
+        provenance: Provenance = NOTHING,
     ) -> None:
         self.stored = rows
         """The rows as DuckDB gave them."""
-        self.about = about
+        self.provenance = provenance
 
     @property
     def columns(self) -> list[str]:

@@ -7,8 +7,8 @@ from .progress import Progress
 from .terminal import say
 
 if TYPE_CHECKING:
-    from fsar_ledger.api.about import About
     from fsar_ledger.api.ledger import Ledger
+    from fsar_ledger.api.provenance import Provenance
 
 
 def opened(ledger: Path, *, verified: bool) -> "Ledger":
@@ -20,15 +20,15 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
         return Ledger(ledger, demanded=demanded_head(ledger, verified=verified, progress=progress))
 
 
-def warn(ledger: Path, about: "About") -> None:
+def warn(ledger: Path, provenance: "Provenance") -> None:
     """Say, a line each, what runs do not observe, that planned runs are missing, and that rows were not compared."""
     from fsar_ledger.metrics.observing import told
 
-    if (line := told(about.not_observed)) is not None:
+    if (line := told(provenance.not_observed)) is not None:
         say(line)
-    if about.plans is not None and (missing := about.plans.warning()) is not None:
+    if provenance.plans is not None and (missing := provenance.plans.warning()) is not None:
         say(f"{ledger}: {missing}; `fsar-ledger info {ledger}` says how to go on")
-    if not about.rows_verified:
+    if not provenance.rows_verified:
         say(
             f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and "
             "--verified demands it"

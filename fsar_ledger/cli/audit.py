@@ -38,16 +38,16 @@ def audit(
     from .output import json_text, table_text
 
     found = opened(ledger, verified=verified).audit(invariant, architecture)
-    about, rows = found.about, found.rows
+    provenance, rows = found.provenance, found.rows
     if as_json:
         answer = {
             "ledger": str(ledger),
             "holds": found.holds,
-            **about.answer(),
+            **provenance.answer(),
             "runs_unreadable": found.runs_unreadable,
             "rows": rows,
         }
-        show(json_text(about.head, answer, about.rows_verified))
+        show(json_text(provenance.head, answer, provenance.rows_verified))
     else:
         of_budgets = (
             [
@@ -62,7 +62,7 @@ def audit(
         )
         said = printable.lines("", *_verdict(rows), *of_budgets)
         show(printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), said))
-    warn(ledger, about)
+    warn(ledger, provenance)
     if not found.holds:
         raise typer.Exit(1)
 
@@ -83,7 +83,7 @@ def _shown(row: "AuditRow") -> "Row":
 def _word(row: "AuditRow") -> str:
     """Say what was shown of one invariant, and by how many cases."""
     cases = "1 case" if row.cases == 1 else f"{row.cases or 0:,} cases"
-    from fsar_ledger.api.auditing import is_empty
+    from fsar_ledger.api.audit import is_empty
 
     if is_empty(row):
         return "no case"

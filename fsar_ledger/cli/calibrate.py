@@ -29,7 +29,7 @@ def calibrate(
     `reports/registration.toml` names. The record of it says where it began, what the data identify and what was
     accepted.
     """
-    from fsar_ledger.api.making import calibrate as fit
+    from fsar_ledger.api.functions import calibrate as fit
 
     with Progress("tried", "parameter sets") as progress:
         fit(out, workers=workers, progress=progress)

@@ -12,7 +12,7 @@ from .options import CsvOption, JsonOption, LedgerArgument, PoolOption, RawOptio
 from .terminal import say, show
 
 if TYPE_CHECKING:
-    from fsar_ledger.api.sides import Comparison
+    from fsar_ledger.api.compare import Comparison
     from fsar_ledger.metrics.sides import LeftOut, Paired, Side, SideRow
 
 EXAMPLES = examples(
@@ -77,9 +77,9 @@ def compare(
         _show_json(found)
     else:
         _show_text(found.sides, found, by_scenario=by is not None, as_csv=as_csv, raw=raw)
-    for place, about in zip((ledger, other), found.abouts, strict=False):
+    for place, provenance in zip((ledger, other), found.provenances, strict=False):
         if place is not None:
-            warn(place, about)
+            warn(place, provenance)
     if any(one.differs in FAULTS for one in found.left_out):
         raise typer.Exit(1)
 
@@ -93,7 +93,7 @@ def _show_json(found: "Comparison") -> None:
 
     both = found.sides
     described = [{"name": side.name, **structs.asdict(side)} for side in both]
-    about, *others = found.abouts
+    provenance, *others = found.provenances
     further = [
         {
             "head": one.head and {"size": one.head.size, "root": one.head.root},
@@ -103,7 +103,7 @@ def _show_json(found: "Comparison") -> None:
         for one in others
     ]
     document = {
-        **about.answer(),
+        **provenance.answer(),
         "other": further[0] if further else None,
         "first": described[0],
         "second": described[1],
@@ -111,7 +111,7 @@ def _show_json(found: "Comparison") -> None:
         **{field.name: getattr(found, field.name) for field in structs.fields(Paired)},
         "remarks": [*_pairing(both, found), *_missing(both, found), *_how_to_read(found)],
     }
-    show(json_text(about.head, document, about.rows_verified))
+    show(json_text(provenance.head, document, provenance.rows_verified))
 
 
 def _show_text(both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool, as_csv: bool, raw: bool) -> None:

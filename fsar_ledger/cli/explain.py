@@ -66,7 +66,7 @@ def explain(
     For a request that failed also what recovery tried at each level, for how long, and why it went on. Without
     --request or --failure: the requests of the run.
     """
-    from fsar_ledger.api.explaining import account, chosen_run, requests
+    from fsar_ledger.api.explain import account, chosen_run, requests
     from fsar_ledger.ledger.store.paths import require_outside
 
     from .answering import opened, warn
@@ -90,17 +90,21 @@ def explain(
         else:
             told = account(database, ledger, name, request, failure)
     if request is None and failure is None:
-        warn(ledger, listed.about)
+        warn(ledger, listed.provenance)
         _list(ledger, name, listed, as_json=as_json)
         return
     for kind, path in files.items():
         told.draw(path, kind=kind)
-    warn(ledger, told.about)
+    warn(ledger, told.provenance)
     if as_json:
         answer = {"parties": told.parties, "story": told.story, "recovery": told.recovery}
-        about = told.about
+        provenance = told.provenance
         show(
-            json_text(about.head, {**about.answer(), "run": name, "action": told.action, **answer}, about.rows_verified)
+            json_text(
+                provenance.head,
+                {**provenance.answer(), "run": name, "action": told.action, **answer},
+                provenance.rows_verified,
+            )
         )
         return
     lines = _told(name, told.action, shown(told.story if failure is None else []), shown([told.parties])[0])
@@ -137,12 +141,16 @@ def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
     """Show the requests of a run."""
     from .output import json_text, table_text
 
-    about, rows = found.about, found.rows()
+    provenance, rows = found.provenance, found.rows()
     if as_json:
-        show(json_text(about.head, {**about.answer(), "run": run, "requests": rows}, about.rows_verified))
+        show(
+            json_text(provenance.head, {**provenance.answer(), "run": run, "requests": rows}, provenance.rows_verified)
+        )
     elif not rows:
         nothing = (
-            "no requests on record; not all that a request leaves was observed" if about.not_observed else "no requests"
+            "no requests on record; not all that a request leaves was observed"
+            if provenance.not_observed
+            else "no requests"
         )
         show(printable.lines(f"run {printable.value(run)}", nothing))
     else:

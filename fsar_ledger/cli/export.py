@@ -43,5 +43,5 @@ def export(
 
     require_place(out)
     written = opened(ledger, verified=verified).export(out, name, parameters_of(param), raw=raw)
-    warn(ledger, written.about)
+    warn(ledger, written.provenance)
     show(printable.line(f"{out}: {written.row_count:,} rows"))

@@ -19,9 +19,9 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
     from .output import json_text, table_text
 
     found = opened(ledger, verified=verified).info()
-    head, rows_verified = found.about.head, found.about.rows_verified
+    head, rows_verified = found.provenance.head, found.provenance.rows_verified
     assert head is not None  # only rows in memory have none
-    warn(ledger, found.about)
+    warn(ledger, found.provenance)
     if as_json:
         show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **found.answer()}, rows_verified))
         return

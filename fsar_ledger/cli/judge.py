@@ -29,7 +29,7 @@ def judge(
     Nothing is played. `reports/predictions.json` in the source of this package holds the predictions that were made
     right after the fit, `reports/comparison.json` what became of them.
     """
-    from fsar_ledger.api.making import judge as compare
+    from fsar_ledger.api.functions import judge as compare
 
     compare(predictions, out)
     show(printable.line(f"{out}"))

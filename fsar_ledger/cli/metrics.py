@@ -39,16 +39,16 @@ def metrics(
     found = opened(ledger, verified=verified).metrics(by, pool)  # type: ignore[arg-type]  # it refuses any other text
     rows = found.rows()
     columns = found.columns if rows and (as_json or as_csv) else telling(rows)
-    about = found.about
+    provenance = found.provenance
     text = answer_text(
-        about.head,
+        provenance.head,
         rows,
         columns,
-        rows_verified=about.rows_verified,
+        rows_verified=provenance.rows_verified,
         as_json=as_json,
         as_csv=as_csv,
         raw=raw,
-        more=about.answer(),
+        more=provenance.answer(),
     )
     show(text, raw=raw)
-    warn(ledger, about)
+    warn(ledger, provenance)

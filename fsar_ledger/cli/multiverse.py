@@ -79,17 +79,17 @@ def multiverse(
     if svg is not None:
         require_outside(svg, f"--svg {svg}")
     found = opened(ledger, verified=verified).multiverse(metric, pool)  # type: ignore[arg-type]
-    about = found.about
+    provenance = found.provenance
     if as_json:
         answer = {name: getattr(found, name) for name in Multiverse.__struct_fields__}
-        show(json_text(about.head, {**about.answer(), **answer}, about.rows_verified))
+        show(json_text(provenance.head, {**provenance.answer(), **answer}, provenance.rows_verified))
     elif as_csv:
         show(csv_text(plain(found.cells), Cell.__struct_fields__, raw=raw), raw=raw)
     else:
         show(printable.joined(*_told(found)))
     if svg is not None:
         found.draw(svg)
-    warn(ledger, about)
+    warn(ledger, provenance)
 
 
 def _told(found: "Multiverse") -> "Iterator[printable.Shown]":

@@ -29,7 +29,7 @@ def predict(
     are. No number of the paper is read. What is predicted, and what the paper's claims imply for it, is in
     `reports/registration.toml`.
     """
-    from fsar_ledger.api.making import predict as write
+    from fsar_ledger.api.functions import predict as write
 
     with Progress("played", "experiments") as progress:
         write(out, workers=workers, progress=progress)

@@ -29,7 +29,7 @@ from .options import (
 from .terminal import show
 
 if TYPE_CHECKING:
-    from .pieces import Form
+    from .streaming import Form
 
 EXAMPLES = examples(
     "fsar-ledger query --list",
@@ -65,7 +65,7 @@ def query(
     within --memory.
     """
     from .output import queries_text
-    from .pieces import Form
+    from .streaming import Form
 
     form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
     if list_all:
@@ -95,8 +95,8 @@ def _of_name(
         )
     form.check()
     found = opened(ledger, verified=verified).query(name, **parameters)
-    warn(ledger, found.about)
-    return form.pieces(found.about, found.columns, found.parts())
+    warn(ledger, found.provenance)
+    return form.pieces(found.provenance, found.columns, found.parts())
 
 
 def _of_file(

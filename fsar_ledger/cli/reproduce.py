@@ -36,7 +36,7 @@ def reproduce(
     experiment: results/, ablation/, scaling/ and workflows/. The key signs results/ under its name NAME, and the others
     under NAME/ablation, NAME/scaling and NAME/workflows: no two trees have one origin.
     """
-    from fsar_ledger.api.making import reproduce as make
+    from fsar_ledger.api.functions import reproduce as make
 
     from .output import table_text
 

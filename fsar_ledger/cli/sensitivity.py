@@ -47,7 +47,7 @@ def sensitivity(
     of the dozen that move a number furthest also what part of its variance is theirs (Sobol indices). Interrupted, it
     goes on where it stopped.
     """
-    from fsar_ledger.api.making import sensitivity as study
+    from fsar_ledger.api.functions import sensitivity as study
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.report.sensitivity import heat_map
     from fsar_ledger.report.typeset import publish

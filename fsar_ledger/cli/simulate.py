@@ -74,7 +74,7 @@ def simulate(
     An interrupted simulation continues where it stopped when it is called again; with more --runs, or other scenarios,
     it enlarges what is there.
     """
-    from fsar_ledger.api.making import simulate as make
+    from fsar_ledger.api.functions import simulate as make
 
     with Progress("simulated", "batches") as progress:
         made = make(

@@ -24,7 +24,7 @@ from .options import (
 if TYPE_CHECKING:
     from fsar_ledger.metrics.locked import Limits
 
-    from .pieces import Form
+    from .streaming import Form
 
 EXAMPLES = examples(
     'fsar-ledger sql out/ledger "SELECT type, count(*) AS events FROM events GROUP BY type ORDER BY events DESC"',
@@ -50,7 +50,7 @@ def sql(
     """
     from fsar_ledger.api.limits import limits_of
 
-    from .pieces import Form
+    from .streaming import Form
 
     form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
     form.show(answer_select(ledger, select, limits_of(seconds, memory), form, verified=verified))
@@ -62,10 +62,10 @@ def answer_select(ledger: Path, select: str, limits: "Limits", form: "Form", *, 
     Raises: As `Ledger.sql`.
     """
     from .answering import opened, warn
-    from .pieces import Kept
+    from .streaming import Kept
 
     form.check()
-    with opened(ledger, verified=verified).stream(select, limits) as (about, columns, parts):
-        text = Kept(form.pieces(about, columns, parts))
-    warn(ledger, about)
+    with opened(ledger, verified=verified).stream(select, limits) as (provenance, columns, parts):
+        text = Kept(form.pieces(provenance, columns, parts))
+    warn(ledger, provenance)
     return text

@@ -36,13 +36,13 @@ def statistics(
     found = opened(ledger, verified=verified).statistics(pool)  # type: ignore[arg-type]  # it refuses any other text
     if as_json:
         document = {
-            **found.about.answer(),
+            **found.provenance.answer(),
             "rows": found.rows,
             "differing_worlds": found.differing,
             "not_compared": found.not_compared,
             "remarks": [*found.remarks, *found.notes],
         }
-        show(json_text(found.about.head, document, found.about.rows_verified))
+        show(json_text(found.provenance.head, document, found.provenance.rows_verified))
     elif as_csv:
         say(*found.before, *found.after)
         show(csv_text(found.rows, found.columns, raw=raw), raw=raw)
@@ -51,6 +51,6 @@ def statistics(
         above = [*found.before, *([""] if found.before and found.rows else [])]
         below = ["", *found.after, *found.notes] if found.after or found.notes else []
         show(printable.joined(printable.lines(*above), table, printable.lines(*below)))
-    warn(ledger, found.about)
+    warn(ledger, found.provenance)
     if any(one.is_fault for one in found.differing):
         raise typer.Exit(1)

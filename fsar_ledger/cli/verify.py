@@ -23,7 +23,7 @@ from .progress import Progress
 from .terminal import show
 
 if TYPE_CHECKING:
-    from fsar_ledger.api.verifying import Verification
+    from fsar_ledger.api.verify import Verification
     from fsar_ledger.ledger.verify.verify import VerifyReport
     from fsar_ledger.runtime.replay import ReplayReport
 

@@ -35,7 +35,7 @@ def verify_proof(
     Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key it shows only that
     the event is in the tree whose root the proof itself names: compare that root, or give the key.
     """
-    from fsar_ledger.api import making as api
+    from fsar_ledger.api import functions as api
 
     from .output import json_text
 

@@ -42,7 +42,7 @@ def witness_new(
     STATE holds its secret key and, later, what it has seen. A witness that forgets is worth nothing: never copy STATE,
     never restore it from a backup; make a new witness instead.
     """
-    from fsar_ledger.api.witnessed import witness_new as make
+    from fsar_ledger.api.witness import witness_new as make
 
     show(printable.line(str(make(state, name))))
 
@@ -142,7 +142,7 @@ def witness_ask(
     """
     from fsar_ledger.api.files import write_text
     from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.api.witnessed import listed
+    from fsar_ledger.api.witness import listed
     from fsar_ledger.ledger.store.paths import require_outside
 
     if out is not None:

@@ -8,7 +8,7 @@ import pytest
 
 from fsar_ledger.api.fields import Row
 from fsar_ledger.cli.output import answer_text
-from fsar_ledger.cli.pieces import KEPT_BYTES, Kept, answer_pieces
+from fsar_ledger.cli.streaming import KEPT_BYTES, Kept, answer_pieces
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.read import Head
 from fsar_ledger.printable import Shown

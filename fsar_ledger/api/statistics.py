@@ -19,7 +19,7 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
-from .about import About, of_judgement
+from .provenance import Provenance, of_judgement
 
 PUBLISHED = frozenset(one.name for one in published_metrics())
 NOTHING = (
@@ -28,7 +28,7 @@ NOTHING = (
 )
 
 
-class Compared(msgspec.Struct, frozen=True):
+class Statistics(msgspec.Struct, frozen=True):
     """The answer of `statistics`: rows, worlds that differ, reasons for comparisons without pairs, and remarks."""
 
     rows: list[dict[str, Any]]
@@ -36,7 +36,7 @@ class Compared(msgspec.Struct, frozen=True):
     differing: list[DifferingWorlds]
     not_compared: list[str]
     remarks: list[str]
-    about: About
+    provenance: Provenance
     notes: list[str]
     """How the rows are to be read; no warning."""
 
@@ -67,14 +67,14 @@ def _alone(rows: Sequence[StatisticRow]) -> list[str]:
     return [f"Holm adjusts each by itself, which the paper does not print: {', '.join(names)}"] if names else []
 
 
-def compared(database: Database, *, pooled: bool) -> Compared:
+def compute_statistics(database: Database, *, pooled: bool) -> Statistics:
     """Compare in pairs all that the ledger allows. Raises: As `Database.rows`."""
     found = statistic_rows(database, pools_seeds=pooled)
     metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
     columns = list(StatisticRow.__struct_fields__)
     remarks = [*remarks_on(found, metrics), *left_over(database)]
     notes = [*too_few(found), *imputed(database, found), *_alone(found)]
-    return Compared(
+    return Statistics(
         [structs.asdict(row) for row in found],
         columns,
         differing_worlds(database),

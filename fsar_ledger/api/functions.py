@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fsar_ledger.report.sensitivity import Sensitivity
     from fsar_ledger.runtime.experiment import Made
 
-    from .reproducing import Reproduced
+    from .reproduce import Reproduced
 
 Names = str | Sequence[str] | None
 
@@ -125,9 +125,9 @@ def reproduce(
         UsageError: The folder is a ledger, or lies inside one.
         InvalidExperiment: An experiment is unknown, or the number of runs impossible.
     """
-    from .reproducing import reproduced
+    from .reproduce import reproduce_experiments
 
-    return reproduced(
+    return reproduce_experiments(
         Path(out),
         workers_of(workers),
         signer_of(key, adopts=adopt),

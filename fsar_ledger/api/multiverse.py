@@ -9,22 +9,22 @@ from msgspec import structs
 
 from fsar_ledger.metrics.multiverse import Cell, Multiverse, multiverse
 
-from .about import About, of_judgement
 from .names import known
+from .provenance import Provenance, of_judgement
 from .table import Table, of_structs
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
 
 
-class EveryWay(Multiverse, frozen=True, kw_only=True):
+class MultiverseResult(Multiverse, frozen=True, kw_only=True):
     """A `Multiverse`, and what it holds for."""
 
-    about: About
+    provenance: Provenance
 
     def table(self) -> Table:
         """Return the cells as a table."""
-        return Table(of_structs(self.cells, Cell), self.about)
+        return Table(of_structs(self.cells, Cell), self.provenance)
 
     def draw(self, file: str | PathLike[str]) -> None:
         """Draw every cell under every combination of readings, as SVG.
@@ -36,8 +36,8 @@ class EveryWay(Multiverse, frozen=True, kw_only=True):
         typeset.publish(Path(file), specification.curves(self))
 
 
-def every_way(database: "Database", metrics: Sequence[str] | None, *, pools_seeds: bool) -> EveryWay:
+def read_multiverse(database: "Database", metrics: Sequence[str] | None, *, pools_seeds: bool) -> MultiverseResult:
     """Read the table in every way, all metrics or those named. Raises: InvalidExperiment if one is unknown."""
     every = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
     found = multiverse(database, known("metric", metrics, every), pools_seeds=pools_seeds)
-    return EveryWay(**structs.asdict(found), about=of_judgement(database))
+    return MultiverseResult(**structs.asdict(found), provenance=of_judgement(database))

@@ -14,7 +14,7 @@ from .output import HeadLike, check_form, json_text, more_text, table_text
 from .terminal import show
 
 if TYPE_CHECKING:
-    from fsar_ledger.api.about import About
+    from fsar_ledger.api.provenance import Provenance
 
 KEPT_BYTES = 16 << 20
 """Text up to this size stays in memory until it is complete; more waits in a file without a name."""
@@ -33,18 +33,20 @@ class Form(NamedTuple):
         """Check the form. Raises: UsageError as `check_form`."""
         check_form(as_json=self.as_json, as_csv=self.as_csv, raw=self.raw)
 
-    def pieces(self, about: "About", columns: Sequence[str], parts: Iterable[Sequence[Row]]) -> Iterator[Shown]:
+    def pieces(
+        self, provenance: "Provenance", columns: Sequence[str], parts: Iterable[Sequence[Row]]
+    ) -> Iterator[Shown]:
         """Return the answer as `answer_pieces` makes it."""
         return answer_pieces(
-            about.head,
+            provenance.head,
             columns,
             parts,
-            rows_verified=about.rows_verified,
+            rows_verified=provenance.rows_verified,
             as_json=self.as_json,
             as_csv=self.as_csv,
             raw=self.raw,
             limit=self.limit,
-            more=about.answer(),
+            more=provenance.answer(),
         )
 
     def show(self, pieces: Iterable[Shown]) -> None:

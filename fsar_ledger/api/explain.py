@@ -14,8 +14,8 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
-from .about import About, of_rows
 from .names import did_you_mean, run_named
+from .provenance import Provenance, of_rows
 from .table import Table
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class Account(msgspec.Struct, frozen=True):
     story: Rows
     recovery: Rows
     is_failure: bool
-    about: About
+    provenance: Provenance
 
     def draw(self, file: "str | PathLike[str]", kind: Literal["svg", "pdf"] | None = None) -> None:
         """Draw the account, of a failure its levels, as SVG or PDF; the file is replaced if it exists.
@@ -98,7 +98,7 @@ def chosen_run(database: Database, ledger: Path, asked: str | None, choose: Choo
     return names[0] if asked is None else choose(asked, names)
 
 
-def _about(database: Database, run: str) -> About:
+def _about(database: Database, run: str) -> Provenance:
     return of_rows(database, database.library.find("audit/request_story"), run)
 
 

@@ -8,8 +8,8 @@ import msgspec
 from fsar_ledger.metrics.invariants import AuditRow, audit_rows, chosen
 from fsar_ledger.metrics.models import models
 
-from .about import About, of_judgement
 from .names import known
+from .provenance import Provenance, of_judgement
 from .table import Table, of_structs
 
 if TYPE_CHECKING:
@@ -27,14 +27,14 @@ class Audit(msgspec.Struct, frozen=True):
     rows: list[AuditRow]
     holds: bool | None
     runs_unreadable: int
-    about: About
+    provenance: Provenance
 
     def table(self) -> Table:
         """Return the rows as a table."""
-        return Table(of_structs(self.rows, AuditRow), self.about)
+        return Table(of_structs(self.rows, AuditRow), self.provenance)
 
 
-def audited(database: "Database", invariants: Sequence[str], architectures: Sequence[str]) -> Audit:
+def audit_runs(database: "Database", invariants: Sequence[str], architectures: Sequence[str]) -> Audit:
     """Check these invariants on the runs of these architectures; all where none is named.
 
     Raises:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.library import Query
 
 
-class About(msgspec.Struct, frozen=True):
+class Provenance(msgspec.Struct, frozen=True):
     """The head of the ledger that was asked, and whether the rows that were read were compared with its root.
 
     `plans` says what is there of what was planned, None where the answer does not rest on that. `not_observed` are
@@ -31,12 +31,12 @@ class About(msgspec.Struct, frozen=True):
         return missing if self.plans is None else {**self.plans.answer(), **missing}
 
 
-def of_rows(database: "Database", query: "Query | None" = None, run: str | None = None) -> About:
+def of_rows(database: "Database", query: "Query | None" = None, run: str | None = None) -> Provenance:
     """Describe an answer that is the rows of a query, of one run or of all."""
     missing = () if query is None else tuple(unobserved(database, query, run))
-    return About(database.head, database.rows_verified, None, missing)
+    return Provenance(database.head, database.rows_verified, None, missing)
 
 
-def of_judgement(database: "Database") -> About:
+def of_judgement(database: "Database") -> Provenance:
     """Describe an answer that judges all that was planned."""
-    return About(database.head, database.rows_verified, completeness(database))
+    return Provenance(database.head, database.rows_verified, completeness(database))

@@ -10,7 +10,7 @@ from msgspec import structs
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.sides import Paired, Side, SideRow, chosen, paired, sides
 
-from .about import About, of_judgement
+from .provenance import Provenance, of_judgement
 from .table import Table, of_structs
 
 if TYPE_CHECKING:
@@ -30,14 +30,14 @@ class Comparison(Paired, frozen=True, kw_only=True):
     """A `Paired`, with both sides, and what holds of each ledger."""
 
     sides: tuple[Side, Side]
-    abouts: tuple[About, ...]
+    provenances: tuple[Provenance, ...]
 
     def table(self) -> Table:
         """Return the rows as a table; its `about` is that of the first ledger."""
-        return Table(of_structs(self.rows, SideRow), self.abouts[0])
+        return Table(of_structs(self.rows, SideRow), self.provenances[0])
 
 
-def compared_sides(
+def compare_sides(
     ledgers: Sequence[Held], names: tuple[str | None, str | None], *, by_scenario: bool, pooled: bool
 ) -> Comparison:
     """Compare the sides of these names, of one ledger or of two.
@@ -55,4 +55,4 @@ def compared_sides(
                 "that differ"
             )
         found = paired(held, both, pools_seeds=pooled, by_scenario=by_scenario)
-        return Comparison(**structs.asdict(found), sides=both, abouts=tuple(map(of_judgement, held)))
+        return Comparison(**structs.asdict(found), sides=both, provenances=tuple(map(of_judgement, held)))

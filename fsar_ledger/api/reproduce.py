@@ -16,11 +16,11 @@ from fsar_ledger.report import write_report
 from fsar_ledger.runtime.experiment import Made, carry_out
 from fsar_ledger.runtime.experiments import NAMES, SEED, Name, Named, named
 
-from .about import of_judgement
 from .fields import csv_text, plain
 from .files import write_text
 from .ledger import Ledger
 from .names import known
+from .provenance import of_judgement
 from .table import Table, of_structs
 from .workload import Progress
 
@@ -45,7 +45,7 @@ class Reproduced(msgspec.Struct, frozen=True):
         return {name: Ledger(self.folder / name) for name in self.made}
 
 
-def reproduced(
+def reproduce_experiments(
     out: Path,
     workers: int,
     signer: Signer | None,

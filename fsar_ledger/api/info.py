@@ -18,8 +18,8 @@ from fsar_ledger.metrics.models import Model, lettered, models
 from fsar_ledger.metrics.observing import Unobserved, never_observed, shown
 from fsar_ledger.metrics.plans import completeness
 
-from .about import About
 from .plans import Shown, plans, runs, shape
+from .provenance import Provenance
 
 # Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture and
 # configuration; NULL where runs have none.
@@ -121,7 +121,7 @@ class Contents(msgspec.Struct, frozen=True):
     missing: int | None
     """Runs that were planned and are missing, each counted once; None where plans name too much to tell."""
 
-    about: About
+    provenance: Provenance
     not_observed: tuple[Unobserved, ...] = ()
 
     @property
@@ -266,8 +266,8 @@ def contents(ledger: Path, demanded: str | None = None) -> Contents:
         planned = plans(database, Shown(ledger, open_ledger(ledger)))
         named = [_of_model(one, letter) for one, letter in found]
         missing = completeness(database).missing
-        about = About(database.head, database.rows_verified)
-        return Contents(groups, named, planned, missing, about, tuple(never_observed(database)))
+        provenance = Provenance(database.head, database.rows_verified)
+        return Contents(groups, named, planned, missing, provenance, tuple(never_observed(database)))
 
 
 def _are(number: int) -> str:

@@ -12,7 +12,7 @@ from fsar_ledger.metrics.verified import is_verified
 from .names import did_you_mean
 
 
-def proof_of(ledger: Path, event: str, demanded: str | None = None) -> Proof:
+def prove_event(ledger: Path, event: str, demanded: str | None = None) -> Proof:
     """Prove the event of this name: `RUN:SEQ`, or its number in the ledger.
 
     The beginning of the run's name is enough if no other begins so.

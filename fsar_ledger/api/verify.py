@@ -13,7 +13,7 @@ from fsar_ledger.metrics.verified import whole_look
 
 from .keys import anchor_of, trusted_of
 from .names import Place
-from .witnessed import Seen, seen_of
+from .witness import Seen, seen_of
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Verification(msgspec.Struct, frozen=True):
         return self.report.root
 
 
-def verification(
+def verify_ledger(
     ledger: Path,
     quick: bool,
     anchor: Place | None,

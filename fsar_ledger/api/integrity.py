@@ -12,10 +12,10 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.verify.recover import Recovery
     from fsar_ledger.witness.cosign import Cosigned
 
-    from .verifying import Verification
+    from .verify import Verification
 
 
-class Evidence:
+class Integrity:
     """The part of `Ledger` that verifies, proves and recovers."""
 
     path: Path
@@ -51,9 +51,9 @@ class Evidence:
             NotALedger: There is none.
             UsageError: What was asked for makes no sense.
         """
-        from .verifying import verification
+        from .verify import verify_ledger
 
-        return verification(
+        return verify_ledger(
             self.path, quick, anchor, trusted_key, (witness_policy, cosigned, now_s), replay, workers, progress
         )
 
@@ -65,9 +65,9 @@ class Evidence:
         Raises:
             UsageError: There is no such event, or more than one such run.
         """
-        from .proving import proof_of
+        from .prove import prove_event
 
-        return proof_of(self.path, str(event), self._demanded)
+        return prove_event(self.path, str(event), self._demanded)
 
     def recover(
         self,
@@ -99,6 +99,6 @@ class Evidence:
         Raises:
             NotCosigned: Fewer cosigned than the policy demands.
         """
-        from .witnessed import cosigned
+        from .witness import cosigned
 
         return cosigned(self.path, Path(policy))
