@@ -1,6 +1,6 @@
 """The answers of `explain` and `requests`: the requests of a run, and the account of one of them.
 
-The account is what `queries/audit/request_story.sql`, `requests.sql` and `failure_story.sql` answer.
+The account is what `queries/audit/request_timeline.sql`, `requests.sql` and `failure_timeline.sql` answer.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
-from .names import did_you_mean, run_named
+from .names import run_named
 from .provenance import Provenance, of_rows
 from .table import Table
 
@@ -29,13 +29,13 @@ Choose = Callable[[str, Sequence[str]], str]
 class Account(msgspec.Struct, frozen=True):
     """The account of one request: who asked, who allowed, who acted, who supervised.
 
-    `story` has a row for each step, `recovery` one for each thing that was tried after it failed, level by level.
+    `timeline` has a row for each step, `recovery` one for each thing that was tried after it failed, level by level.
     """
 
     run: str
     action: str
     parties: dict[str, Any]
-    story: Rows
+    timeline: Rows
     recovery: Rows
     is_failure: bool
     provenance: Provenance
@@ -56,7 +56,7 @@ class Account(msgspec.Struct, frozen=True):
         if form not in ("svg", "pdf"):
             raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
         require_outside(place, str(place))
-        rows, figure = (self.recovery, sequence.ladder) if self.is_failure else (self.story, sequence.sequence)
+        rows, figure = (self.recovery, sequence.ladder) if self.is_failure else (self.timeline, sequence.sequence)
         typeset.publish(place, figure(rows, form))
 
 
@@ -71,18 +71,18 @@ def account(database: Database, ledger: Path, run: str, request: str | None, fai
         raise UsageError(
             "explain: expected the name of a request or of a failure; requests() lists the requests of a run"
         )
-    story = _asked(database, "request_story", run, action)
-    if not story:
+    timeline = _asked(database, "request_timeline", run, action)
+    if not timeline:
         raise UsageError(_no_action(database, ledger, run, action))
     (parties,) = _asked(database, "requests", run, action)
-    recovery = _asked(database, "failure_story", run, action)
+    recovery = _asked(database, "failure_timeline", run, action)
     if failure is not None and not recovery:
         raise UsageError(
             f"{option('failure', failure)}: found no failure of this action in run {run}; "
             f"{option('request', failure)} tells what "
             "happened"
         )
-    return Account(run, action, parties, story, recovery, failure is not None, _about(database, run))
+    return Account(run, action, parties, timeline, recovery, failure is not None, _about(database, run))
 
 
 def requests(database: Database, run: str) -> Table:
@@ -99,7 +99,7 @@ def chosen_run(database: Database, ledger: Path, asked: str | None, choose: Choo
 
 
 def _about(database: Database, run: str) -> Provenance:
-    return of_rows(database, database.library.find("audit/request_story"), run)
+    return of_rows(database, database.library.find("audit/request_timeline"), run)
 
 
 def _asked(database: Database, query: str, run: str, action: str) -> Rows:
@@ -110,4 +110,5 @@ def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
     sql = "SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL"
     known = [row["action_id"] for row in database.rows(sql, {"run": run})]
     way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)}` lists them"
-    return f"{asked}: there is no such request in run {printable.value(run)}; {did_you_mean(asked, known)}{way}"
+    hint = printable.did_you_mean(asked, known) or ";"
+    return f"{asked}: there is no such request in run {printable.value(run)}{hint} {way}"

@@ -1,7 +1,6 @@
 """Names that users give: of runs, robots, scenarios. An unknown one is an error that suggests the nearest."""
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from os import PathLike
 from typing import Literal, TypeVar
 
@@ -41,20 +40,9 @@ def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> t
     """
     for name in asked or ():
         if name not in names:
-            nearest = get_close_matches(name.lower(), names, n=1, cutoff=0.4)
-            hint = f"; did you mean {nearest[0]!r}?" if nearest else ";"
-            raise InvalidExperiment(f"unknown {what} {name!r}{hint} expected one of {', '.join(names)}")
+            hint = printable.did_you_mean(name.lower(), names)
+            raise InvalidExperiment(f"unknown {what} {name!r}{hint or ';'} expected one of {', '.join(names)}")
     return tuple(name for name in names if name in (asked or ()))
-
-
-def did_you_mean(asked: str, names: Sequence[str]) -> str:
-    """Return a question about the nearest name: one that begins so, else one whose beginning is like it."""
-    ordered = sorted(names)
-    near = [name for name in ordered if name.startswith(asked)] or get_close_matches(
-        asked, [name[: len(asked)] for name in ordered], 1, 0.3
-    )
-    found = next((name for name in ordered if near and name.startswith(near[0])), None)
-    return "" if found is None else f"did you mean {printable.value(found)}? "
 
 
 def run_named(asked: str, names: Sequence[str]) -> str:
@@ -74,9 +62,8 @@ def run_named(asked: str, names: Sequence[str]) -> str:
             f"run {printable.value(asked)}: found {len(found):,} runs that have this in their names, expected one of "
             f"{shown}"
         )
-    raise UsageError(
-        f"run {printable.value(asked)}: there is no such run; {did_you_mean(asked, names)}the query `runs` lists them"
-    )
+    hint = printable.did_you_mean(asked, names)
+    raise UsageError(f"run {printable.value(asked)}: there is no such run{hint or ';'} the query `runs` lists them")
 
 
 def robot_named(asked: str, names: Sequence[str]) -> str:
@@ -84,10 +71,9 @@ def robot_named(asked: str, names: Sequence[str]) -> str:
     name = asked if asked.startswith("robot/") else f"robot/{asked}"
     if name in names:
         return name
-    nearest = get_close_matches(name, names, 1, 0.3)
-    hint = f"did you mean {printable.value(nearest[0])}? " if nearest else ""
+    hint = printable.did_you_mean(name, names)
     raise UsageError(
-        f"robot {printable.value(asked)}: there is no such robot; {hint}expected one of "
+        f"robot {printable.value(asked)}: there is no such robot{hint or ';'} expected one of "
         f"{printable.some(map(printable.value, sorted(names))) or 'none: no robot is on record'}"
     )
 

@@ -9,8 +9,6 @@ from fsar_ledger.ledger.store.proof import Proof, Proven, blocks, check_proof, p
 from fsar_ledger.ledger.store.read import LedgerView
 from fsar_ledger.metrics.verified import is_verified
 
-from .names import did_you_mean
-
 
 def prove_event(ledger: Path, event: str, demanded: str | None = None) -> Proof:
     """Prove the event of this name: `RUN:SEQ`, or its number in the ledger.
@@ -76,7 +74,6 @@ def _no_run(view: LedgerView, asked: str, names: list[str], known: list[str]) ->
             f"EVENT {asked}: found {len(names)} runs that begin so, {names[0]} and {names[1]} among them, expected "
             "one; give more of its name"
         )
-    return (
-        f"EVENT {asked}: there is no such run in {view.path}; {did_you_mean(asked, known)}`fsar-ledger query runs "
-        f"{printable.word(view.path)}` lists them"
-    )
+    hint = printable.did_you_mean(asked, known) or ";"
+    way = f"`fsar-ledger query runs {printable.word(view.path)}` lists them"
+    return f"EVENT {asked}: there is no such run in {view.path}{hint} {way}"

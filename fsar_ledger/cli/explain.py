@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from fsar_ledger import printable
-from fsar_ledger.api.names import did_you_mean
 from fsar_ledger.errors import UsageError
 
 from .options import (
@@ -33,7 +32,7 @@ EXAMPLES = examples(
 )
 
 Kind = Literal["svg", "pdf"]
-Story = list[dict[str, Any]]
+Timeline = list[dict[str, Any]]
 
 COLUMNS = (
     "began_s",
@@ -61,7 +60,7 @@ def explain(
     verified: VerifiedOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Tell the story of a request: who asked, who allowed, who acted, who supervised.
+    """Tell the timeline of a request: who asked, who allowed, who acted, who supervised.
 
     For a request that failed also what recovery tried at each level, for how long, and why it went on. Without
     --request or --failure: the requests of the run.
@@ -97,7 +96,7 @@ def explain(
         told.draw(path, kind=kind)
     warn(ledger, told.provenance)
     if as_json:
-        answer = {"parties": told.parties, "story": told.story, "recovery": told.recovery}
+        answer = {"parties": told.parties, "timeline": told.timeline, "recovery": told.recovery}
         provenance = told.provenance
         show(
             json_text(
@@ -107,11 +106,11 @@ def explain(
             )
         )
         return
-    lines = _told(name, told.action, shown(told.story if failure is None else []), shown([told.parties])[0])
+    lines = _told(name, told.action, shown(told.timeline if failure is None else []), shown([told.parties])[0])
     show(printable.lines(*lines, *_recovered(shown(told.recovery)), *map(str, files.values())))
 
 
-def shown(rows: Sequence[Mapping[str, Any]]) -> Story:
+def shown(rows: Sequence[Mapping[str, Any]]) -> Timeline:
     """Return the rows with each text as people see it: `MAX_WORDS` characters of messages, fewer of names."""
     return [
         {
@@ -131,7 +130,7 @@ def _first(ledger: Path, asked: str, names: Sequence[str]) -> str:
     beginning = sorted(name for name in names if name.startswith(asked)) if asked else []
     if not beginning:
         raise UsageError(
-            f"--run {asked}: there is no such run in {ledger}; {did_you_mean(asked, names)}"
+            f"--run {asked}: there is no such run in {ledger}{printable.did_you_mean(asked, names) or ';'} "
             f"`fsar-ledger query runs {printable.word(ledger)}` lists them"
         )
     return beginning[0]
@@ -163,18 +162,18 @@ def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
         show(printable.joined(printable.lines(f"run {printable.value(run)}", ""), table, printable.lines("", hint)))
 
 
-def _told(run: str, action: str, story: Story, parties: Mapping[str, Any]) -> Iterator[str]:
+def _told(run: str, action: str, timeline: Timeline, parties: Mapping[str, Any]) -> Iterator[str]:
     """Yield run and action, a line for each step, and the parties."""
     yield f"run {printable.value(run)}"
     yield f"action {printable.value(action)}" + (f", {parties['capability']}" if parties["capability"] else "")
-    between = [_between(row) for row in story]
+    between = [_between(row) for row in timeline]
     width = max(map(len, between), default=0)
-    for row, names in zip(story, between, strict=True):
+    for row, names in zip(timeline, between, strict=True):
         note = f"  ({row['note']})" if row["note"] else ""
         if row["step"] <= 1:
             yield ""
         yield f"{row['time_s']:>10.3f} s {' ' if row['is_tied'] else '*'} {names:<{width}}  {row['message']}{note}"
-    if not all(row["is_tied"] for row in story):
+    if not all(row["is_tied"] for row in timeline):
         yield "* the record names no action; its cause does"
     yield ""
     yield from (f"{name.replace('_', ' '):<14} {parties[name] or UNKNOWN}" for name in PARTIES)

@@ -14,8 +14,8 @@ from fsar_ledger.report.findings import ARCHITECTURES, MAIN_CONFIGURATION, Row, 
 QUERIES = (
     "tables/mechanism_coverage",
     "audit/requests",
-    "audit/request_story",
-    "audit/failure_story",
+    "audit/request_timeline",
+    "audit/failure_timeline",
 )  # what is read of a ledger of workflows
 NOT_RUN = ("RoboOS", "JADE", "ALLIANCE")  # systems of the paper's table that no ledger holds
 WORKFLOWS = {
@@ -91,7 +91,7 @@ def verdict(pairs: Mapping[str, tuple[str | None, str | None]]) -> str | None:
 
 
 def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
-    """Return what a ledger of workflows says: coverage, the door relay's story, the layered recovery's recovery.
+    """Return what a ledger of workflows says: coverage, the door relay's timeline, the layered recovery's recovery.
 
     Raises:
         UsageError: it holds no run of a workflow.
@@ -112,8 +112,8 @@ def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
             run_count=sum(row["runs"] for row in database.rows("SELECT count(*) AS runs FROM runs")),
             coverage=_coverage(database, main),
             others=sum(row["runs"] for row in groups[1:]),
-            story=_first(database, "request_story", runs.get("workflow-door-relay"), "RequestIssued.v1"),
-            recovery=_first(database, "failure_story", runs.get("workflow-layered-recovery"), "ExecutionFailed.v1"),
+            timeline=_first(database, "request_timeline", runs.get("workflow-door-relay"), "RequestIssued.v1"),
+            recovery=_first(database, "failure_timeline", runs.get("workflow-layered-recovery"), "ExecutionFailed.v1"),
         )
 
 
@@ -154,7 +154,7 @@ def _coverage(database: Database, main: str) -> tuple[Row, ...]:
 
 
 def _first(database: Database, query: str, run: str | None, kind: str) -> tuple[Row, ...]:
-    """The story of the first action of the run that has an event of this type; empty without a run or such an event."""
+    """Return the timeline of the run's first action that has an event of this type; empty where there is none."""
     if run is None:
         return ()
     found = database.rows(

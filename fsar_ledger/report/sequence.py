@@ -1,8 +1,9 @@
-"""The story of a request and the recovery of a failure, drawn from the rows of their queries. Same rows, same bytes.
+"""Draw the timeline of a request and the recovery of a failure from the rows of their queries. Same rows, same bytes.
 
 What a ledger says is drawn escaped and cut (`figures.label`), and so much of it that a figure stays below a megabyte;
-the rest is counted. `sequence` draws life lines and messages (`queries/audit/request_story.sql`), `ladder` the levels
-of recovery (`queries/audit/failure_story.sql`). Lengths are in inches; the figure grows with what it has to show.
+the rest is counted. `sequence` draws life lines and messages (`queries/audit/request_timeline.sql`), `ladder` the
+levels of recovery (`queries/audit/failure_timeline.sql`). Lengths are in inches; the figure grows with what it has to
+show.
 """
 
 import textwrap
@@ -76,7 +77,7 @@ def _in_lanes(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def lanes(rows: Sequence[Row]) -> list[str]:
-    """The principals of the story in order of appearance; one lane for what the record leaves open."""
+    """The principals of the timeline in order of appearance; one lane for what the record leaves open."""
     named = [
         row[side] or NOBODY
         for row in rows
@@ -86,7 +87,7 @@ def lanes(rows: Sequence[Row]) -> list[str]:
 
 
 def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """Draw the story as a sequence diagram. Paper: fig:wf1.
+    """Draw the timeline as a sequence diagram. Paper: fig:wf1.
 
     A life line for each principal, an arrow for each message, a box for each evaluation.
 

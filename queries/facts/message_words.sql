@@ -1,4 +1,4 @@
--- Title: What each event type says in the story of a request: who tells whom, in which words
+-- Title: What each event type says in the timeline of a request: who tells whom, in which words
 -- Paper: sec:model:request, fig:wf1
 -- Grain: one row per event type and part of it; a registry's answer is a question and an answer
 -- Key: type, part

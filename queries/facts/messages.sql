@@ -1,6 +1,6 @@
 -- Title: Messages and deeds: who told whom what, with the facts that the record gives beside it
 -- Paper: sec:model:request, fig:wf1
--- Grain: one row per event that belongs in the story of an action, two for a registry's answer (part 1 and 2)
+-- Grain: one row per event that belongs in the timeline of an action, two for a registry's answer (part 1 and 2)
 -- Key: run_id, seq, part
 -- Units: time_us microseconds of run time; part counts from 1
 -- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is nothing

@@ -7,7 +7,7 @@
 --   spent_s seconds at the level in all; budget_s seconds from detection to the deadline of the attempt
 -- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_s of the last
 --   step; budget_s where no attempt has a deadline; achieved when not even a part was
--- Example: fsar-ledger query audit/failure_story LEDGER --param run=RUN --param action=A1-1/2.1
+-- Example: fsar-ledger query audit/failure_timeline LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196,
 --   0.571 and 24.384 s
 -- Parameters: run = all, action = all

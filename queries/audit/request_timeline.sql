@@ -1,11 +1,11 @@
--- Title: The story of an action: who asked, who allowed, who acted, who supervised, in the order in which it happened
+-- Title: The timeline of an action: who asked, allowed, acted and supervised, in order of time
 -- Paper: fig:wf1, sec:model:request, sec:architecture:fleet
 -- Grain: one row per message or deed of the action
 -- Key: run_id, action_id, seq, message
 -- Units: step counts from 1 within the action; time_s seconds of run time
 -- NULL: sender, receiver when the record does not say; note when there is nothing to add. Records that name no action
---   belong to the story when they caused, or were caused by, one that does; is_tied says which they are
--- Example: fsar-ledger query audit/request_story LEDGER --param run=RUN --param action=A1-1/4.1
+--   belong to the timeline when they caused, or were caused by, one that does; is_tied says which they are
+-- Example: fsar-ledger query audit/request_timeline LEDGER --param run=RUN --param action=A1-1/4.1
 --   answers robot/A1 lacks door.open.secure, asks service/registry, requests it of robot/B1, which evaluates, accepts,
 --   executes: success
 -- Parameters: run = all, action = all

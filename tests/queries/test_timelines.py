@@ -1,4 +1,4 @@
-"""The story of a request and of a failure: given rows, expected rows."""
+"""The timeline of a request and of a failure: given rows, expected rows."""
 
 from typing import Any
 
@@ -49,12 +49,12 @@ ACCEPTED = event("RequestAccepted", 3 * S, **about(by=B))
 STARTED = event("ExecutionStarted", 4 * S, **about(), robot=B, on_behalf_of=A, capability="lift", ends_us=5 * S)
 FINISHED = event("ExecutionFinished", 5 * S, **about(), robot=B, result="success", achieved=[])
 CLOSED = event("RequestClosed", 6 * S, **about(by="service/coordination"), result="success")
-STORY = "step time_s sender receiver kind message note"
+TIMELINE = "step time_s sender receiver kind message note"
 
 
 def test_a_delegation_is_told_from_the_question_to_the_result() -> None:
     lacks = event("GapDetected", 1 * S, **about(), capability="lift")
-    assert asked("request_story", STORY, lacks, QUERY, request(), ACCEPTED, STARTED, FINISHED, CLOSED) == [
+    assert asked("request_timeline", TIMELINE, lacks, QUERY, request(), ACCEPTED, STARTED, FINISHED, CLOSED) == [
         (1, 1.0, A, A, "deed", "lacks: lift", None),
         (2, 1.0, A, "service/registry", "message", "query: lift", None),
         (3, 1.0, "service/registry", A, "message", f"candidates: {B}", f"left out: {C} by trust"),
@@ -68,20 +68,20 @@ def test_a_delegation_is_told_from_the_question_to_the_result() -> None:
 
 def test_an_evaluation_shows_trust_and_authority_tuple() -> None:
     told = admitted(trust="task", may_request=True, may_execute=True, override="none", is_audited=True)
-    assert asked("request_story", "kind message note", told) == [
+    assert asked("request_timeline", "kind message note", told) == [
         ("evaluation", "evaluate: policy allow", "trust task; authority (1, 1, 0, 1)")
     ]
     higher = admitted(trust="session", may_request=True, may_execute=False, override="soft-priority", is_audited=True)
-    assert asked("request_story", "note", higher) == [("trust session; authority (1, 0, soft-priority, 1)",)]
-    assert asked("request_story", "note", admitted()) == [(None,)]
+    assert asked("request_timeline", "note", higher) == [("trust session; authority (1, 0, soft-priority, 1)",)]
+    assert asked("request_timeline", "note", admitted()) == [(None,)]
 
 
 def test_a_request_goes_to_its_relay_and_a_registry_that_shows_nobody_says_so() -> None:
-    assert asked("request_story", "receiver note", request("hard-preempt", C)) == [
+    assert asked("request_timeline", "receiver note", request("hard-preempt", C)) == [
         (C, f"carries policy allow; through {C}; override hard-preempt")
     ]
     nobody = event("RegistryQueried", 1 * S, **about(), capability="lift", candidates=[], rejected=[], rejected_by=[])
-    assert asked("request_story", "message note", nobody)[1] == ("candidates: none", None)
+    assert asked("request_timeline", "message note", nobody)[1] == ("candidates: none", None)
 
 
 def test_records_without_an_action_belong_to_it_through_their_causes() -> None:
@@ -106,7 +106,7 @@ def test_records_without_an_action_belong_to_it_through_their_causes() -> None:
     )
     rows[-1] = {**rows[-1], "caused_by": 0}
     with from_rows(rows) as database:
-        told = plain_rows(database.query("audit/request_story", {"action": "t1/1.1"}))
+        told = plain_rows(database.query("audit/request_timeline", {"action": "t1/1.1"}))
     assert [(row["message"], row["is_tied"]) for row in told] == [
         ("lacks: lift", False),
         ("considers a candidate: lift", False),
@@ -124,24 +124,24 @@ def test_what_the_record_does_not_say_stays_open() -> None:
         decided_by="agent/A1/communication",
         capability="lift",
     )
-    assert asked("request_story", "sender receiver kind", call) == [("agent/A1/communication", None, "message")]
+    assert asked("request_timeline", "sender receiver kind", call) == [("agent/A1/communication", None, "message")]
 
 
 def test_the_caller_of_a_supervisor_is_the_executor_the_last_decider_or_the_coordinator() -> None:
     review = event(
         "SupervisorCalled", 4 * S, task_id="t1", action_id="t1/1.1", supervisor="supervisor/fleet", purpose="review"
     )
-    assert asked("request_story", "sender receiver message", request(), review)[-1] == (
+    assert asked("request_timeline", "sender receiver message", request(), review)[-1] == (
         B,
         "supervisor/fleet",
         "asks to decide: review",
     )
     recovery = {**review, "purpose": "recovery"}
-    assert asked("request_story", "sender", request(), recovery)[-1] == (A,)
-    assert asked("request_story", "sender", request(), {**review, "robot": C})[-1] == ("coordinator",)
+    assert asked("request_timeline", "sender", request(), recovery)[-1] == (A,)
+    assert asked("request_timeline", "sender", request(), {**review, "robot": C})[-1] == ("coordinator",)
 
 
-def test_an_order_of_two_requests_stands_in_both_stories() -> None:
+def test_an_order_of_two_requests_stands_in_both_timelines() -> None:
     call = event(
         "SupervisorCalled",
         2 * S,
@@ -162,7 +162,7 @@ def test_an_order_of_two_requests_stands_in_both_stories() -> None:
     )
     other = event("RequestIssued", 1 * S, **about("t2/1.1", by=C), capability="lift")
     for action in ("t1/1.1", "t2/1.1"):
-        told = asked("request_story", "message note", request(), other, call, answer, action=action)
+        told = asked("request_timeline", "message note", request(), other, call, answer, action=action)
         assert told[-2:] == [
             ("asks to decide: ordering", "t1/1.1 competes with t2/1.1"),
             ("decides: t1/1.1 first", None),
@@ -210,7 +210,7 @@ def test_an_outsiders_attempt_is_a_request_even_where_no_record_names_an_action(
     attempt = event("OutsiderRequestInjected", 1 * S, task_id="x1", robot=C, peer=B, capability="lift")
     refused = event("RequestDenied", 2 * S, task_id="x1", decided_by="coordinator", reason="trust")
     assert asked("requests", "action_id asked_by result", attempt, refused) == [("x1", C, "denied: trust")]
-    assert asked("request_story", "message", attempt, refused, action="x1") == [
+    assert asked("request_timeline", "message", attempt, refused, action="x1") == [
         ("attempts without trust: lift",),
         ("deny: trust",),
     ]
@@ -336,7 +336,9 @@ def test_every_event_of_an_action_is_told_or_is_known_to_be_silent() -> None:
 def test_each_event_is_told_by_whom_to_whom_in_its_words(
     name: str, fields: dict[str, Any], expected: tuple[str, str, str]
 ) -> None:
-    assert asked("request_story", "sender receiver message", event(name, 1 * S, **{**about(), **fields})) == [expected]
+    assert asked("request_timeline", "sender receiver message", event(name, 1 * S, **{**about(), **fields})) == [
+        expected
+    ]
 
 
 def test_a_claim_that_revokes_nothing_is_not_told() -> None:
@@ -349,14 +351,14 @@ def test_a_claim_that_revokes_nothing_is_not_told() -> None:
         dimension="override",
         reason="acceptance",
     )
-    assert asked("request_story", "message", claim) == []
+    assert asked("request_timeline", "message", claim) == []
 
 
 def test_without_a_registry_the_requester_asks_itself_whom_it_met_and_a_copy_says_its_age() -> None:
     with from_rows(run(QUERY, configuration="without-shared-registry")) as database:
-        assert [(row["sender"], row["receiver"]) for row in plain_rows(database.query("audit/request_story"))] == [
+        assert [(row["sender"], row["receiver"]) for row in plain_rows(database.query("audit/request_timeline"))] == [
             (A, A),
             (A, A),
         ]
     copied = {**QUERY, "domain": "hall/cell", "as_of_us": S // 2, "rejected": [], "rejected_by": []}
-    assert asked("request_story", "note", copied)[1] == ("in hall/cell; as of 0.5 s",)
+    assert asked("request_timeline", "note", copied)[1] == ("in hall/cell; as of 0.5 s",)
