@@ -1,4 +1,4 @@
-"""Opening the ledger that a command asks, and saying on stderr what its answer rests on and leaves open."""
+"""Open the ledger that a command reads, and warn on stderr of what its answer leaves open."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def opened(ledger: Path, *, verified: bool) -> "Ledger":
-    """Return the ledger; with `verified`, after comparing its rows with the root. Raises: As `demanded_head`."""
+    """Open the ledger; with `verified`, compare its rows with the root first. Raises: As `demanded_head`."""
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.opening import demanded_head
 
@@ -21,7 +21,7 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
 
 
 def warn(ledger: Path, provenance: "Provenance") -> None:
-    """Say, a line each, what runs do not observe, that planned runs are missing, and that rows were not compared."""
+    """Warn, a line each, of what runs do not observe, of missing planned runs, and of rows that were not compared."""
     from fsar_ledger.metrics.observing import told
 
     if (line := told(provenance.not_observed)) is not None:

@@ -1,83 +1,52 @@
-"""Long answers as text, some rows at a time, so that memory does not grow with the answer.
-
-The pieces together are what `output.answer_text` makes of all rows.
-"""
+"""Answers of any length as text, a few rows at a time, so that memory does not grow with the answer."""
 
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple, TextIO
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, TextIO
+
+import msgspec
 
 from fsar_ledger.api.fields import Row, csv_text
 from fsar_ledger.printable import Shown
 
-from .output import HeadLike, check_form, json_text, more_text, table_text
+from .output import answer_json, check_form, json_text, more_text, table_text
 from .terminal import show
 
 if TYPE_CHECKING:
     from fsar_ledger.api.provenance import Provenance
 
 KEPT_BYTES = 16 << 20
-"""Text up to this size stays in memory until it is complete; more waits in a file without a name."""
+"""Longer text waits in an unnamed file, not in memory, until it is complete."""
 PIECE = 1 << 20
 
 
-class Form(NamedTuple):
-    """The form in which an answer is asked for: a table of so many rows (0: all), JSON or CSV."""
+class Form(msgspec.Struct, frozen=True, kw_only=True):
+    """The form of an answer: JSON, CSV, or a table of at most `limit` rows (0: all).
 
-    as_json: bool
-    as_csv: bool
-    raw: bool
-    limit: int
+    Raises:
+        UsageError: As `check_form`.
+    """
 
-    def check(self) -> None:
-        """Check the form. Raises: UsageError as `check_form`."""
+    as_json: bool = False
+    as_csv: bool = False
+    raw: bool = False
+    limit: int = 0
+
+    def __post_init__(self) -> None:
         check_form(as_json=self.as_json, as_csv=self.as_csv, raw=self.raw)
 
     def pieces(
         self, provenance: "Provenance", columns: Sequence[str], parts: Iterable[Sequence[Row]]
     ) -> Iterator[Shown]:
-        """Return the answer as `answer_pieces` makes it."""
-        return answer_pieces(
-            provenance.head,
-            columns,
-            parts,
-            rows_verified=provenance.rows_verified,
-            as_json=self.as_json,
-            as_csv=self.as_csv,
-            raw=self.raw,
-            limit=self.limit,
-            more=provenance.answer(),
-        )
+        """Yield the rows in this form, as text; each of the parts holds some rows."""
+        if self.as_json:
+            return _json(answer_json(provenance, {"rows": []}), parts)
+        return _csv(columns, parts, raw=self.raw) if self.as_csv else _table(columns, parts, self.limit)
 
     def show(self, pieces: Iterable[Shown]) -> None:
         """Show the answer."""
         for piece in pieces:
             show(piece, raw=self.raw)
-
-
-def answer_pieces(
-    head: HeadLike | None,
-    columns: Sequence[str],
-    parts: Iterable[Sequence[Row]],
-    *,
-    rows_verified: bool | None,
-    as_json: bool,
-    as_csv: bool,
-    raw: bool = False,
-    limit: int = 0,
-    more: Mapping[str, object] = {},
-) -> Iterator[Shown]:
-    """Yield the rows as a table for people, or as --json or --csv asks for; in JSON with `more` before them.
-
-    Each of the parts holds some rows.
-
-    Raises:
-        UsageError: As `check_form`.
-    """
-    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
-    if as_json:
-        return _json(json_text(head, {**more, "rows": []}, rows_verified), parts)
-    return _csv(columns, parts, raw=raw) if as_csv else _table(columns, parts, limit)
 
 
 def _json(empty: str, parts: Iterable[Sequence[Row]]) -> Iterator[Shown]:
@@ -110,10 +79,10 @@ def _table(columns: Sequence[str], parts: Iterable[Sequence[Row]], limit: int) -
 
 
 class Kept:
-    """Text that is shown only when all of it is there: whoever reads an answer gets a whole one or an error."""
+    """Text that is shown only once all of it is there, so that a reader gets a whole answer or an error."""
 
     def __init__(self, pieces: Iterable[Shown]):
-        """Make the pieces now. Raises: Whatever that raises."""
+        """Make all pieces now. Raises: Whatever that raises."""
         self._file: TextIO = tempfile.SpooledTemporaryFile(  # type: ignore[assignment]  # noqa: SIM115
             KEPT_BYTES, "w+", encoding="utf-8", errors="surrogatepass", newline=""
         )

@@ -3,9 +3,16 @@
 import typer
 
 from fsar_ledger import printable
-
-from .options import CsvOption, JsonOption, LedgerArgument, PoolOption, RawOption, VerifiedOption, examples
-from .terminal import say, show
+from fsar_ledger.cli.options import (
+    CsvOption,
+    JsonOption,
+    LedgerArgument,
+    PoolOption,
+    RawOption,
+    VerifiedOption,
+    examples,
+)
+from fsar_ledger.cli.terminal import say, show
 
 EXAMPLES = examples("fsar-ledger statistics out/ledger", "fsar-ledger statistics out/ledger --csv")
 
@@ -22,27 +29,25 @@ def statistics(
 
     For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and
     Holm over the 24 tests of the architectures, or over those of all ablations. Runs that did not meet the same world
-    are named first, and left out: exit code 1 where facts differ that an experiment makes alike. What cannot be
-    compared is said, and why. A run without failures counts as the paper counts it (containment 1, latency 0 s); `query
-    statistics/pairwise_tests_defined` leaves such pairs out. Beside it, in the columns pooled_*, stands the test of
-    what the results table prints: containment and latency pooled over failures.
+    are named first and left out; exit code 1 where facts differ that an experiment keeps alike. The answer says what
+    cannot be compared, and why. A run without failures counts as in the paper (containment 1, latency 0 s); `query
+    statistics/pairwise_tests_defined` leaves such pairs out. The columns pooled_* test what the results table prints:
+    containment and latency pooled over failures.
     """
     from fsar_ledger.api.fields import csv_text
-
-    from .answering import opened, warn
-    from .output import check_form, json_text, table_text, telling
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import answer_json, check_form, table_text, telling
 
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     found = opened(ledger, verified=verified).statistics(pool)  # type: ignore[arg-type]  # it refuses any other text
     if as_json:
         document = {
-            **found.provenance.answer(),
             "rows": found.rows,
             "differing_worlds": found.differing,
             "not_compared": found.not_compared,
             "remarks": [*found.remarks, *found.notes],
         }
-        show(json_text(found.provenance.head, document, found.provenance.rows_verified))
+        show(answer_json(found.provenance, document))
     elif as_csv:
         say(*found.before, *found.after)
         show(csv_text(found.rows, found.columns, raw=raw), raw=raw)

@@ -1,4 +1,4 @@
-"""The command `query`: a packaged question, or a SELECT in a file."""
+"""The command `query`: a packaged query, or a SELECT in a file."""
 
 import sys
 from collections.abc import Iterable
@@ -8,11 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.printable import Shown
-
-from .memory import bounded
-from .options import (
+from fsar_ledger.cli.memory import bounded
+from fsar_ledger.cli.options import (
     SHOWN_ROWS,
     CsvOption,
     FileOption,
@@ -26,10 +23,12 @@ from .options import (
     examples,
     parameters_of,
 )
-from .terminal import show
+from fsar_ledger.cli.terminal import show
+from fsar_ledger.errors import QueryFailed, UsageError
+from fsar_ledger.printable import Shown
 
 if TYPE_CHECKING:
-    from .streaming import Form
+    from fsar_ledger.cli.streaming import Form
 
 EXAMPLES = examples(
     "fsar-ledger query --list",
@@ -58,14 +57,13 @@ def query(
     seconds: SecondsOption = None,
     memory: QueryMemoryOption = None,
 ) -> None:
-    """Answer a question that has a name, or that stands in a file.
+    """Answer a packaged query, or a SELECT in a file.
 
-    The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs
-    mean. A file of your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes,
-    within --memory.
+    The packaged queries are SQL files; the header of each says what its rows and its NULLs mean. They have no time
+    limit, only that of --memory. A file of your own runs locked down, as with `sql`.
     """
-    from .output import queries_text
-    from .streaming import Form
+    from fsar_ledger.cli.output import queries_text
+    from fsar_ledger.cli.streaming import Form
 
     form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
     if list_all:
@@ -85,7 +83,7 @@ def _of_name(
     name: str | None, ledger: Path | None, param: list[str] | None, form: "Form", *, verified: bool
 ) -> Iterable[Shown]:
     """Answer the packaged query."""
-    from .answering import opened, warn
+    from fsar_ledger.cli.answering import opened, warn
 
     parameters = parameters_of(param)
     if name is None or ledger is None:
@@ -93,7 +91,6 @@ def _of_name(
             "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query "
             "--list` shows the names"
         )
-    form.check()
     found = opened(ledger, verified=verified).query(name, **parameters)
     warn(ledger, found.provenance)
     return form.pieces(found.provenance, found.columns, found.parts())
@@ -109,7 +106,7 @@ def _of_file(
     *,
     verified: bool,
 ) -> Iterable[Shown]:
-    """Answer the SELECT in the file; beside it LEDGER is the first argument."""
+    """Answer the SELECT in the file; LEDGER is then the first argument."""
     from fsar_ledger.api.limits import limits_of
 
     from .sql import answer_select
@@ -132,7 +129,12 @@ def _of_file(
 
 
 def _text_of(file: Path, most: int) -> str:
-    """Read the file, up to one byte more than SQL may have. Raises: UsageError, QueryFailed."""
+    """Read the SELECT in the file, or in standard input.
+
+    Raises:
+        UsageError: The file cannot be read.
+        QueryFailed: It is too long, or not UTF-8.
+    """
     try:
         if str(file) == "-":
             data = sys.stdin.buffer.read(most + 1)

@@ -6,10 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.errors import LedgerCorrupted, ReplayMismatch
-from fsar_ledger.printable import counted
-
-from .options import (
+from fsar_ledger.cli.options import (
     CosignedOption,
     JsonOption,
     LedgerArgument,
@@ -19,8 +16,10 @@ from .options import (
     WorkersOption,
     examples,
 )
-from .progress import Progress
-from .terminal import show
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
+from fsar_ledger.errors import LedgerCorrupted, ReplayMismatch
+from fsar_ledger.printable import counted
 
 if TYPE_CHECKING:
     from fsar_ledger.api.verify import Verification
@@ -59,12 +58,12 @@ def verify(
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Re-derive every hash, count and record of a ledger.
+    """Derive every hash, count and record of a ledger again.
 
-    Where anything does not hold, each place is named and the exit code is 3. What no ledger can show about itself, that
-    all of it was rewritten or its newest commits taken away, shows with a trusted key and an anchor, a copy of
-    LEDGER/checkpoint that was kept elsewhere, or with witnesses, who keep one. A look at all rows that finds nothing is
-    remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
+    Where something does not hold, each place is named and the exit code is 3. No ledger can show by itself that all of
+    it was rewritten, or that its newest commits were removed. For that, give a trusted key and an anchor (a copy of
+    LEDGER/checkpoint that was kept elsewhere), or ask witnesses, who keep one. A check of all rows that finds nothing
+    is remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
     """
     from fsar_ledger.api.ledger import Ledger
 
@@ -95,10 +94,10 @@ def verify(
 
 
 def _show_json(found: "Verification") -> None:
-    """Show the findings as JSON. The head is that of the rows themselves, its root null where some cannot be read."""
+    """Show the findings as JSON; the root in the head is null where some rows cannot be read."""
     from msgspec import to_builtins
 
-    from .output import pretty
+    from fsar_ledger.cli.output import pretty
 
     report = found.report
     more: dict[str, object] = {} if found.replay is None else {"replay": found.replay}
@@ -109,7 +108,7 @@ def _show_json(found: "Verification") -> None:
 
 
 def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -> list[str]:
-    """Return the findings as lines for people; `again` is None where no replay was asked for."""
+    """Return the findings as lines; `again` is None where no replay was asked for."""
     lines = _of_report(ledger, report)
     if again is None:
         return lines
@@ -120,11 +119,8 @@ def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -
     if again.ok:
         return [
             *lines,
-            (
-                f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as the world and the "
-                "handlers "
-                "make them"
-            ),
+            f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as the world and the handlers "
+            "make them",
             *again.remarks,
         ]
     count = f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"
@@ -135,8 +131,8 @@ def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -
 
 
 def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
-    """Return the findings of `verify` as lines: one for each problem, or that there is none and what that covers."""
-    from .output import signature_text
+    """Return a line for each problem, or lines on what was found consistent."""
+    from fsar_ledger.cli.output import signature_text
 
     if not report.ok:
         count = f"{counted(len(report.problems), 'problem')}{' at a quick look' if report.is_quick else ''}"

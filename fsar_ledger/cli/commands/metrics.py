@@ -4,8 +4,15 @@ from typing import Annotated
 
 import typer
 
-from .options import CsvOption, JsonOption, LedgerArgument, PoolOption, RawOption, VerifiedOption, examples
-from .terminal import show
+from fsar_ledger.cli.options import (
+    CsvOption,
+    JsonOption,
+    LedgerArgument,
+    PoolOption,
+    RawOption,
+    VerifiedOption,
+    examples,
+)
 
 EXAMPLES = examples(
     "fsar-ledger metrics out/ledger",
@@ -28,27 +35,17 @@ def metrics(
 ) -> None:
     """Judge a ledger by the eight metrics of the paper.
 
-    Mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size; runs of different
-    seeds, constants, models or kinds have rows of their own. Shares are in [0,1], latency is in seconds; `-` in a
-    table, null in JSON: the metric is not defined there.
+    Shows mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size; runs of different
+    seeds, constants, models or kinds have rows of their own. Shares are in [0,1], latency is in seconds. Where a metric
+    is not defined, a table shows `-` and JSON null.
     """
-    from .answering import opened, warn
-    from .output import answer_text, check_form, telling
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import telling
+    from fsar_ledger.cli.streaming import Form
 
-    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
+    form = Form(as_json=as_json, as_csv=as_csv, raw=raw)
     found = opened(ledger, verified=verified).metrics(by, pool)  # type: ignore[arg-type]  # it refuses any other text
     rows = found.rows()
     columns = found.columns if rows and (as_json or as_csv) else telling(rows)
-    provenance = found.provenance
-    text = answer_text(
-        provenance.head,
-        rows,
-        columns,
-        rows_verified=provenance.rows_verified,
-        as_json=as_json,
-        as_csv=as_csv,
-        raw=raw,
-        more=provenance.answer(),
-    )
-    show(text, raw=raw)
-    warn(ledger, provenance)
+    form.show(form.pieces(found.provenance, columns, [rows]))
+    warn(ledger, found.provenance)

@@ -7,11 +7,10 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
+from fsar_ledger.cli.options import LedgerArgument, VerifiedOption, examples
+from fsar_ledger.cli.terminal import show
 from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import Shown
-
-from .options import LedgerArgument, VerifiedOption, examples
-from .terminal import show
 
 EXAMPLES = examples(
     "fsar-ledger prove out/ledger 1234 --out out/event-1234.tlog-proof",
@@ -35,7 +34,10 @@ def prove(
     out: Annotated[
         Path | None,
         typer.Option(
-            "--out", metavar="FILE", help="A new file, by custom .tlog-proof; never replaced.", show_default="print it"
+            "--out",
+            metavar="FILE",
+            help="A new file, .tlog-proof by convention; never replaced.",
+            show_default="print it",
         ),
     ] = None,
     verified: VerifiedOption = False,
@@ -43,12 +45,11 @@ def prove(
     """Prove that one event is in a ledger.
 
     The proof is one small text, a C2SP tlog-proof: the event, the hashes from it to the root, and the newest
-    checkpoint. Whoever has it needs no ledger to check it with `verify-proof`.
+    checkpoint. `verify-proof` checks it without the ledger.
     """
     from fsar_ledger.api.files import write_text
+    from fsar_ledger.cli.answering import opened
     from fsar_ledger.ledger.store.paths import require_outside
-
-    from .answering import opened
 
     if out is not None:
         if os.path.lexists(out):

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from fsar_ledger import printable
-
-from .options import AuditedOption, InvariantOption, JsonOption, LedgerArgument, VerifiedOption, examples
-from .terminal import show
+from fsar_ledger.cli.options import AuditedOption, InvariantOption, JsonOption, LedgerArgument, VerifiedOption, examples
+from fsar_ledger.cli.terminal import show
 
 if TYPE_CHECKING:
     from fsar_ledger.api.fields import Row
@@ -29,13 +28,12 @@ def audit(
 ) -> None:
     """Check the invariants I1 to I5 and A1 to A5.
 
-    Counts the events that offend each, by architecture and configuration, and names the first. Exit code 0 if all hold
-    on all runs, else 1.
+    For each invariant, architecture and configuration: how many events offend it, and the first of them. Exit code 0 if
+    all hold on all runs, else 1.
     """
     from fsar_ledger.api.plans import runs
-
-    from .answering import opened, warn
-    from .output import json_text, table_text
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import answer_json, table_text
 
     found = opened(ledger, verified=verified).audit(invariant, architecture)
     provenance, rows = found.provenance, found.rows
@@ -43,19 +41,15 @@ def audit(
         answer = {
             "ledger": str(ledger),
             "holds": found.holds,
-            **provenance.answer(),
             "runs_unreadable": found.runs_unreadable,
             "rows": rows,
         }
-        show(json_text(provenance.head, answer, provenance.rows_verified))
+        show(answer_json(provenance, answer))
     else:
         of_budgets = (
             [
-                (
-                    f"{runs(found.runs_unreadable)} with parameters that cannot be read: recovery budgets that they "
-                    "set "
-                    "are unknown, and none is judged"
-                )
+                f"{runs(found.runs_unreadable)} with parameters that cannot be read: their recovery budgets are "
+                "unknown, and none is judged"
             ]
             if found.runs_unreadable
             else []
@@ -81,7 +75,7 @@ def _shown(row: "AuditRow") -> "Row":
 
 
 def _word(row: "AuditRow") -> str:
-    """Say what was shown of one invariant, and by how many cases."""
+    """Return the verdict on one invariant, with the number of cases that it rests on."""
     cases = "1 case" if row.cases == 1 else f"{row.cases or 0:,} cases"
     from fsar_ledger.api.audit import is_empty
 
@@ -95,7 +89,7 @@ def _word(row: "AuditRow") -> str:
 
 
 def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
-    """Yield how many invariants hold, which had no case, cannot be observed or do not hold, and how to see more."""
+    """Yield how many invariants hold, which ones had no case or are not observable, and how to see more."""
     names = list(dict.fromkeys(row.invariant for row in rows))
     broken = [name for name in names if any(row.holds is False for row in rows if row.invariant == name)]
     unseen = [

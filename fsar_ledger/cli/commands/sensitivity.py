@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-
-from .options import WorkersOption, examples
-from .progress import Progress
-from .terminal import show
+from fsar_ledger.cli.options import WorkersOption, examples
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
 
 if TYPE_CHECKING:
     from fsar_ledger.report.sensitivity import Sensitivity
@@ -18,7 +17,7 @@ EXAMPLES = examples(
     "fsar-ledger sensitivity --out out/sensitivity.parquet --svg out/sensitivity.svg",
     "fsar-ledger sensitivity --out out/short.parquet --trajectories 2 --runs 1 --points 0",
 )
-AFTER_INTERRUPTION = {"sensitivity": "what is finished is kept beside --out, and the same command goes on from there"}
+AFTER_INTERRUPTION = "finished evaluations are kept beside --out, and the same command continues there"
 
 
 def sensitivity(
@@ -28,7 +27,7 @@ def sensitivity(
             "--out", metavar="FILE", help="The effects, as Parquet; replaced if it exists.", show_default=False
         ),
     ],
-    trajectories: Annotated[int, typer.Option(metavar="N", help="Times that each factor is moved.")] = 20,
+    trajectories: Annotated[int, typer.Option(metavar="N", help="How often each factor is moved.")] = 20,
     runs: Annotated[int, typer.Option(metavar="N", help="Runs per scenario and architecture of each evaluation.")] = 10,
     points: Annotated[
         int, typer.Option(metavar="N", help="Evaluations for the Sobol indices; 0: none, only the screening.")
@@ -36,16 +35,16 @@ def sensitivity(
     svg: Annotated[
         Path | None,
         typer.Option(
-            "--svg", metavar="FILE", help="Draw them, too, as SVG; replaced if it exists.", show_default=False
+            "--svg", metavar="FILE", help="Also draw them, as SVG; replaced if it exists.", show_default=False
         ),
     ] = None,
     workers: WorkersOption = None,
 ) -> None:
-    """Tell how much of each number hangs on each constant; takes most of an hour on two cores.
+    """Measure how much each number depends on each constant; takes most of an hour on two cores.
 
-    Every constant of the world and of the structure, the load and the size of the fleet are varied (Morris screening);
-    of the dozen that move a number furthest also what part of its variance is theirs (Sobol indices). Interrupted, it
-    goes on where it stopped.
+    Morris screening varies every constant of the world and of the structure, the load and the fleet size. Sobol indices
+    then give the part of each number's variance that is due to each of the dozen constants that move a number furthest.
+    An interrupted study continues where it stopped.
     """
     from fsar_ledger.api.functions import sensitivity as study
     from fsar_ledger.ledger.store.paths import require_outside
@@ -64,9 +63,8 @@ def sensitivity(
 
 
 def _tell(found: "Sensitivity") -> None:
+    from fsar_ledger.cli.output import table_text
     from fsar_ledger.report.sensitivity import dozen, reach
-
-    from .output import table_text
 
     rows = dozen(found)
     still = sum(furthest == 0 for furthest in reach(found).values())

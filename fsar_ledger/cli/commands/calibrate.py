@@ -1,4 +1,4 @@
-"""The command `calibrate`: the fit that is registered, made again."""
+"""The command `calibrate`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,10 +6,9 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
-
-from .options import WorkersOption, examples
-from .progress import Progress
-from .terminal import show
+from fsar_ledger.cli.options import WorkersOption, examples
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples("fsar-ledger calibrate --out out/calibration.json")
 
@@ -23,11 +22,10 @@ def calibrate(
     ],
     workers: WorkersOption = None,
 ) -> None:
-    """Make the fit that is registered again; takes the better part of an hour.
+    """Fit the constants again as registered; takes the better part of an hour.
 
-    The fit is to the paper's results table alone, of the constants and within the ranges that
-    `reports/registration.toml` names. The record of it says where it began, what the data identify and what was
-    accepted.
+    The fit is to the paper's results table alone. `reports/registration.toml` names the constants and their ranges. The
+    record says where the fit began, what the data identify and what was accepted.
     """
     from fsar_ledger.api.functions import calibrate as fit
 

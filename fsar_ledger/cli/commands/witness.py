@@ -1,4 +1,4 @@
-"""The commands of witnesses and of those who ask them: `witness new`, `witness serve` and `witness ask`."""
+"""The commands `witness new`, `witness serve` and `witness ask`."""
 
 import signal
 import time
@@ -10,44 +10,43 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
+from fsar_ledger.cli.options import LedgerArgument, examples
+from fsar_ledger.cli.terminal import say, show
 from fsar_ledger.printable import Shown
-
-from .options import LedgerArgument, examples
-from .terminal import say, show
 
 if TYPE_CHECKING:
     from fsar_ledger.witness.server import WitnessServer
 
 _LAST_SECOND = 253_402_300_799  # of the year 9999
 
-witnesses = typer.Typer()
+group = typer.Typer()
 
 
-@witnesses.callback()
+@group.callback()
 def _witnesses() -> None:
-    """Watch that ledgers only grow, and have one's own watched."""
+    """Check that ledgers only grow, or have your own checked."""
 
 
-@witnesses.command("new", epilog=examples("fsar-ledger witness new out/witness --name example.org/w1"))
+@group.command("new", epilog=examples("fsar-ledger witness new out/witness --name example.org/w1"))
 def witness_new(
     state: Annotated[
         Path, typer.Argument(metavar="STATE", help="The folder of the witness: a new one.", show_default=False)
     ],
     name: Annotated[
-        str, typer.Option("--name", metavar="NAME", help="Its name, by custom host/path.", show_default=False)
+        str, typer.Option("--name", metavar="NAME", help="Its name, host/path by convention.", show_default=False)
     ],
 ) -> None:
-    """Make a witness; prints its public key.
+    """Make a witness, and print its public key.
 
-    STATE holds its secret key and, later, what it has seen. A witness that forgets is worth nothing: never copy STATE,
-    never restore it from a backup; make a new witness instead.
+    STATE holds its secret key and, later, what it has seen. A witness that forgets is worth nothing: never copy STATE
+    or restore it from a backup; make a new witness instead.
     """
     from fsar_ledger.api.witness import witness_new as make
 
     show(printable.line(str(make(state, name))))
 
 
-@witnesses.command(
+@group.command(
     "serve",
     epilog=examples(
         "fsar-ledger witness serve out/witness --log out/fleet.key.pub --port 8001",
@@ -73,10 +72,10 @@ def witness_serve(
         int, typer.Option("--port", metavar="N", help="The port to listen at; 0 takes a free one.", min=0, max=65535)
     ] = 0,
 ) -> None:
-    """Cosign checkpoints, over HTTP, until interrupted.
+    """Cosign checkpoints over HTTP until interrupted.
 
-    Speaks C2SP tlog-witness: a checkpoint is cosigned if the log's key signed it and a proof shows that the log only
-    grew since the last one. It needs no ledger and sees no event. Prints its public key and URL.
+    Prints its public key and URL. Speaks C2SP tlog-witness: a checkpoint is cosigned if the log's key signed it and a
+    proof shows that the log only grew since the last one. The witness needs no ledger and sees no event.
     """
     from fsar_ledger.witness.cosignature import read_log_key
     from fsar_ledger.witness.server import WitnessServer
@@ -108,12 +107,12 @@ def _serve(server: "WitnessServer", greeting: Shown) -> None:
 
 
 def _tell(line: str) -> None:
-    """Tell the operator, if anybody still reads that."""
+    """Tell the operator, if stderr is still read."""
     with suppress(OSError):
         say(line)
 
 
-@witnesses.command(
+@group.command(
     "ask",
     epilog=examples(
         "fsar-ledger witness ask out/ledger --policy witnesses.policy",
@@ -137,8 +136,8 @@ def witness_ask(
 ) -> None:
     """Have the newest checkpoint of a ledger cosigned.
 
-    Each witness in FILE that has a URL is sent the checkpoint and a proof that the ledger only grew; no event leaves.
-    Exit code 1, and nothing written, if fewer cosigned than FILE demands.
+    Each witness in FILE that has a URL gets the checkpoint and a proof that the ledger only grew, but no event. If
+    fewer cosign than FILE demands, nothing is written and the exit code is 1.
     """
     from fsar_ledger.api.files import write_text
     from fsar_ledger.api.ledger import Ledger
@@ -158,6 +157,6 @@ def witness_ask(
 
 
 def _clock(context: typer.Context) -> Callable[[], int]:
-    """Return the clock that `app.py` gave."""
+    """Return the clock that `app.run` passes."""
     clock: Callable[[], int] = context.obj
     return clock

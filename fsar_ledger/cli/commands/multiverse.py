@@ -1,4 +1,4 @@
-"""The command `multiverse`: the results table under every reading of the paper that its text allows."""
+"""The command `multiverse`."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated
@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-
-from .options import (
+from fsar_ledger.cli.options import (
     CsvOption,
     JsonOption,
     LedgerArgument,
@@ -17,7 +16,7 @@ from .options import (
     VerifiedOption,
     examples,
 )
-from .terminal import show
+from fsar_ledger.cli.terminal import show
 
 if TYPE_CHECKING:
     from fsar_ledger.api.fields import Row
@@ -41,9 +40,9 @@ RANKING = (
     "fsar_not_best_under",
 )
 WHERE_TELLING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
-"""Columns that a table for people has only where they tell rows apart."""
+"""Columns that a table for people shows only where they tell rows apart."""
 WHERE_ANY = ("undefined", "runs_not_observed")
-"""Columns that it has only where a row has something other than 0."""
+"""Columns that it shows only where a value is not 0."""
 
 MetricOption = Annotated[
     list[str] | None,
@@ -61,19 +60,18 @@ def multiverse(
     as_csv: CsvOption = False,
     raw: RawOption = False,
 ) -> None:
-    """Read a ledger in every way that the paper's text allows.
+    """Compute the results table under every reading that the paper's text allows.
 
-    For each cell of the results table: what the paper prints, ours, the lowest and the highest mean over all
-    combinations of readings, and the reading that moves it most when it alone replaces ours. For each metric: whether
-    the order of the architectures is the same under all of them, under how many FSAR is the best one, and the smallest
-    combinations under which it is not so. Nothing is simulated again. --json has the mean under each combination, too.
+    For each cell: the paper's number, ours, the lowest and the highest mean over all combinations of readings, and the
+    reading that moves it most when it alone replaces ours. For each metric: whether the order of the architectures is
+    the same under all combinations, under how many FSAR is best, and the smallest combinations that change either.
+    Nothing is simulated again. --json also has the mean under each combination.
     """
     from fsar_ledger.api.fields import csv_text, plain
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import answer_json, check_form
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.multiverse import Cell, Multiverse
-
-    from .answering import opened, warn
-    from .output import check_form, json_text
 
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     if svg is not None:
@@ -82,7 +80,7 @@ def multiverse(
     provenance = found.provenance
     if as_json:
         answer = {name: getattr(found, name) for name in Multiverse.__struct_fields__}
-        show(json_text(provenance.head, {**provenance.answer(), **answer}, provenance.rows_verified))
+        show(answer_json(provenance, answer))
     elif as_csv:
         show(csv_text(plain(found.cells), Cell.__struct_fields__, raw=raw), raw=raw)
     else:
@@ -93,10 +91,9 @@ def multiverse(
 
 
 def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
-    """Yield the ranges, the rankings, and what the readings say, for people."""
+    """Yield the ranges, the rankings and the readings as tables."""
     from fsar_ledger.api.fields import plain
-
-    from .output import table_text
+    from fsar_ledger.cli.output import table_text
 
     if not found.cells:
         yield printable.line("no runs to read")
@@ -112,7 +109,7 @@ def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
 
 
 def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
-    """Say for how many rankings FSAR is the best one, and how many survive."""
+    """Yield in how many rankings FSAR is best, and in how many our order stays, under every combination."""
     for what, counted in (
         ("FSAR is the best one", "fsar_best"),
         ("the order of the architectures is ours", "same_order"),
@@ -134,10 +131,7 @@ def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
 
 
 def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
-    """Return the columns to show.
-
-    Columns of the setting that tell rows apart stand behind the first, those that are not 0 throughout at the end.
-    """
+    """Return the columns to show: those of the setting after the first, those of `WHERE_ANY` at the end."""
     telling = [name for name in WHERE_TELLING if name in rows[0] and len({row[name] for row in rows}) > 1]
     return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
 
@@ -151,5 +145,5 @@ def _named(row: "Ranking") -> "Row":
 
 
 def _texts(sets: "tuple[Chosen, ...] | None") -> str | None:
-    """Return the combinations as people read them; None where nothing can be said, or there are none."""
+    """Return the combinations in words; None where there are none, or nothing can be said."""
     return "; ".join(" + ".join(names) or OURS for names in sets) if sets else None

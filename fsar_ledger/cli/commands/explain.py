@@ -1,4 +1,4 @@
-"""The command `explain`: the requests of a run, or the account of one of them as text, JSON or a figure."""
+"""The command `explain`: the requests of a run, or one of them as text, JSON or a figure."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
@@ -6,9 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
-
-from .options import (
+from fsar_ledger.cli.options import (
     FailureOption,
     JsonOption,
     LedgerArgument,
@@ -19,7 +17,8 @@ from .options import (
     VerifiedOption,
     examples,
 )
-from .terminal import show
+from fsar_ledger.cli.terminal import show
+from fsar_ledger.errors import UsageError
 
 if TYPE_CHECKING:
     from fsar_ledger.api.table import Table
@@ -60,22 +59,21 @@ def explain(
     verified: VerifiedOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Tell the timeline of a request: who asked, who allowed, who acted, who supervised.
+    """Show the timeline of a request: who asked, who allowed, who acted, who supervised.
 
-    For a request that failed also what recovery tried at each level, for how long, and why it went on. Without
-    --request or --failure: the requests of the run.
+    For a request that failed, also what recovery tried at each level, for how long, and why it moved on. Without
+    --request and --failure, list the requests of the run.
     """
     from fsar_ledger.api.explain import account, chosen_run, requests
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import json_text
     from fsar_ledger.ledger.store.paths import require_outside
-
-    from .answering import opened, warn
-    from .output import json_text
 
     kinds: tuple[tuple[Kind, Path | None], ...] = (("svg", svg), ("pdf", pdf))
     files = {kind: path for kind, path in kinds if path is not None}
     if request is not None and failure is not None:
         raise UsageError(
-            f"--request {request} and --failure {failure}: expected one of them; --request tells a failure, too"
+            f"--request {request} and --failure {failure}: expected one of them; --request shows a failure, too"
         )
     if files and request is None and failure is None:
         raise UsageError(f"--{next(iter(files))}: found no request to draw; give --request ACTION or --failure ACTION")
@@ -138,7 +136,7 @@ def _first(ledger: Path, asked: str, names: Sequence[str]) -> str:
 
 def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
     """Show the requests of a run."""
-    from .output import json_text, table_text
+    from fsar_ledger.cli.output import json_text, table_text
 
     provenance, rows = found.provenance, found.rows()
     if as_json:

@@ -1,9 +1,8 @@
 """The command `info`."""
 
 from fsar_ledger import printable
-
-from .options import JsonOption, LedgerArgument, VerifiedOption, examples
-from .terminal import show
+from fsar_ledger.cli.options import JsonOption, LedgerArgument, VerifiedOption, examples
+from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json")
 
@@ -11,21 +10,20 @@ EXAMPLES = examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger 
 def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: JsonOption = False) -> None:
     """Show what a ledger holds, and whether it is complete.
 
-    Its head, what was planned and what of it is there, its runs by model, seed, fleet size, architecture and
-    configuration, and (with --json) the parameters of its worlds. Without a plan on record nothing says what is
-    missing.
+    Shows the head, which planned runs are there, the runs by model, seed, fleet size, architecture and configuration,
+    and (with --json) the parameters of their worlds. Without a plan on record nothing shows what is missing.
     """
-    from .answering import opened, warn
-    from .output import json_text, table_text
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import answer_json, table_text
 
     found = opened(ledger, verified=verified).info()
-    head, rows_verified = found.provenance.head, found.provenance.rows_verified
+    head = found.provenance.head
     assert head is not None  # only rows in memory have none
     warn(ledger, found.provenance)
     if as_json:
-        show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **found.answer()}, rows_verified))
+        show(answer_json(found.provenance, {"ledger": str(ledger), "commits": head.commits, **found.answer()}))
         return
-    standing = "" if rows_verified else " (the rows were not compared with it)"
+    standing = "" if found.provenance.rows_verified else " (the rows were not compared with it)"
     show(
         printable.lines(
             f"{ledger}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}",

@@ -1,4 +1,4 @@
-"""The command `sql`: a SELECT of the user's own."""
+"""The command `sql`."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fsar_ledger.printable import Shown
-
-from .options import (
+from fsar_ledger.cli.options import (
     SHOWN_ROWS,
     CsvOption,
     JsonOption,
@@ -20,11 +18,11 @@ from .options import (
     VerifiedOption,
     examples,
 )
+from fsar_ledger.printable import Shown
 
 if TYPE_CHECKING:
+    from fsar_ledger.cli.streaming import Form
     from fsar_ledger.metrics.locked import Limits
-
-    from .streaming import Form
 
 EXAMPLES = examples(
     'fsar-ledger sql out/ledger "SELECT type, count(*) AS events FROM events GROUP BY type ORDER BY events DESC"',
@@ -49,22 +47,20 @@ def sql(
     process that can read this ledger and nothing else.
     """
     from fsar_ledger.api.limits import limits_of
-
-    from .streaming import Form
+    from fsar_ledger.cli.streaming import Form
 
     form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
     form.show(answer_select(ledger, select, limits_of(seconds, memory), form, verified=verified))
 
 
 def answer_select(ledger: Path, select: str, limits: "Limits", form: "Form", *, verified: bool) -> Iterable[Shown]:
-    """Return the answer of the SELECT as text, in pieces; the time limit covers making all of it.
+    """Return the answer of the SELECT as text, in pieces; the time limit covers all of it.
 
     Raises: As `Ledger.sql`.
     """
-    from .answering import opened, warn
-    from .streaming import Kept
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.streaming import Kept
 
-    form.check()
     with opened(ledger, verified=verified).stream(select, limits) as (provenance, columns, parts):
         text = Kept(form.pieces(provenance, columns, parts))
     warn(ledger, provenance)

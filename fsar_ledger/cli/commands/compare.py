@@ -1,4 +1,4 @@
-"""The command `compare`: the paired table of any two configurations or sets of constants, of one ledger or of two."""
+"""The command `compare`: a paired table of any two sides, from one ledger or two."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -6,10 +6,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fsar_ledger import printable
+from fsar_ledger.cli.options import (
+    CsvOption,
+    JsonOption,
+    LedgerArgument,
+    PoolOption,
+    RawOption,
+    VerifiedOption,
+    examples,
+)
+from fsar_ledger.cli.terminal import say, show
 from fsar_ledger.printable import counted
-
-from .options import CsvOption, JsonOption, LedgerArgument, PoolOption, RawOption, VerifiedOption, examples
-from .terminal import say, show
 
 if TYPE_CHECKING:
     from fsar_ledger.api.compare import Comparison
@@ -26,7 +33,7 @@ LEFT_OUT = {
     "unobserved": "are not known to have met the same world, which one of them does not observe",
 }
 FAULTS = ("facts", "repeated")
-"""What no experiment does, as in `statistics`."""
+"""Differences that no experiment makes on purpose, as in `statistics`."""
 SIDE_HELP = (
     "ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: `fsar`, `fsar:without-layered-recovery`, `cfc@B`, "
     "`dhma/8`; constants by the letters of `info`."
@@ -58,17 +65,17 @@ def compare(
     as_csv: CsvOption = False,
     raw: RawOption = False,
 ) -> None:
-    """Compare any two sides in pairs, of one ledger or of two.
+    """Compare any two sides in pairs, from one ledger or two.
 
     A side is an architecture with its configuration, constants, model and fleet size.
 
     Runs are paired by seed, scenario and number. For each metric: both means, first minus second with its 95 %
-    interval, in how many pairs the runs differ at all, p of the paired t-test, or of the exact sign test where few
-    differ, Holm over these tests, and d_z. Containment and latency are ratios over all pairs. It is said for how many
-    pairs the facts of the world were the same and for how many only what was drawn, and which constants differ.
+    interval, the number of pairs that differ at all, p of the paired t-test, or of the exact sign test where few
+    differ, Holm over these tests, and d_z. Containment and latency are ratios over all pairs. The answer also says how
+    many pairs met the same facts of the world, how many only the same draws, and which constants differ.
     """
-    from .answering import opened, warn
-    from .output import check_form
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import check_form
 
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     second_ledger = None if other is None else opened(other, verified=verified)
@@ -87,9 +94,8 @@ def compare(
 def _show_json(found: "Comparison") -> None:
     from msgspec import structs
 
+    from fsar_ledger.cli.output import answer_json
     from fsar_ledger.metrics.sides import Paired
-
-    from .output import json_text
 
     both = found.sides
     described = [{"name": side.name, **structs.asdict(side)} for side in both]
@@ -103,7 +109,6 @@ def _show_json(found: "Comparison") -> None:
         for one in others
     ]
     document = {
-        **provenance.answer(),
         "other": further[0] if further else None,
         "first": described[0],
         "second": described[1],
@@ -111,14 +116,13 @@ def _show_json(found: "Comparison") -> None:
         **{field.name: getattr(found, field.name) for field in structs.fields(Paired)},
         "remarks": [*_pairing(both, found), *_missing(both, found), *_how_to_read(found)],
     }
-    show(json_text(provenance.head, document, provenance.rows_verified))
+    show(answer_json(provenance, document))
 
 
 def _show_text(both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool, as_csv: bool, raw: bool) -> None:
     from fsar_ledger.api.fields import csv_text, plain
+    from fsar_ledger.cli.output import table_text
     from fsar_ledger.metrics.sides import SideRow
-
-    from .output import table_text
 
     rows = plain(found.rows)
     columns = [name for name in SideRow.__struct_fields__ if name != "scenario" or by_scenario]
@@ -134,7 +138,7 @@ def _show_text(both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool,
 
 
 def _pairing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
-    """Say what is compared, what the pairs have in common, and in which constants the sides differ."""
+    """Return lines on what is compared, what the pairs share, and which constants differ."""
     first, second = both
     lines = [f"first: {_described(first)}", f"second: {_described(second)}"]
     if not found.pairs:
@@ -168,11 +172,11 @@ def _described(side: "Side") -> str:
 
 
 def _shared(found: "Paired") -> str:
-    """Say how many pairs share what of their world."""
+    """Return how many pairs share their facts, only their draws, or only their seed."""
     parts = {
         "met the same facts of the world": found.same_facts,
-        "share what was drawn, not the facts, which their constants or robots make others": found.same_draws,
-        "share seed, scenario and number alone, since another model, or none, drew": found.same_seed,
+        "share what was drawn, but not the facts, because their constants or robots differ": found.same_draws,
+        "share only seed, scenario and number, because their models differ or are not on record": found.same_seed,
     }
     return "; ".join(f"{count:,} {what}" for what, count in parts.items() if count)
 
@@ -185,7 +189,7 @@ def _left_out(one: "LeftOut") -> str:
 
 
 def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
-    """Say what has no part in the numbers."""
+    """Return lines on what the numbers leave out."""
     lines = []
     for side, alone, which in zip(both, (found.first_alone, found.second_alone), ("first", "second"), strict=True):
         nameless = side.run_count - side.named_count
@@ -204,7 +208,7 @@ def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
 
 
 def _how_to_read(found: "Paired") -> list[str]:
-    """Say what the numbers are, and why some rows have none."""
+    """Return lines on how to read the numbers, and why some rows have none."""
     from fsar_ledger.metrics.definitions import metric_named
 
     if not found.rows:

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.printable import Shown, counted
-
-from .options import (
+from fsar_ledger.cli.options import (
     AdoptOption,
     ArchitectureOption,
     FleetOption,
@@ -27,8 +25,9 @@ from .options import (
     WorkflowOption,
     examples,
 )
-from .progress import Progress
-from .terminal import show
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
+from fsar_ledger.printable import Shown, counted
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.experiment import Made
@@ -43,11 +42,11 @@ EXAMPLES = examples(
     "fsar-ledger simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
     (
         "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 "
-        "--teams-working 2 "
-        "--runs 2"
+        "--teams-working 2 --runs 2"
     ),
     "fsar-ledger simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
 )
+AFTER_INTERRUPTION = "what is committed stays, and the same command continues there"
 
 
 def simulate(
@@ -69,10 +68,10 @@ def simulate(
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate fleets; every event is appended to the ledger OUT.
+    """Simulate fleets, and append every event to the ledger OUT.
 
-    An interrupted simulation continues where it stopped when it is called again; with more --runs, or other scenarios,
-    it enlarges what is there.
+    Called again, an interrupted simulation continues where it stopped. With more --runs, or other scenarios, it adds
+    what is missing.
     """
     from fsar_ledger.api.functions import simulate as make
 
@@ -100,8 +99,8 @@ def simulate(
 
 
 def _text(out: Path, made: "Made", signed: list[str], *, as_json: bool) -> Shown:
-    """Return the head of the ledger, what was there before, and the lines on its signature."""
-    from .output import json_text
+    """Return the head of the ledger, what was there before, and its signature."""
+    from fsar_ledger.cli.output import json_text
 
     head = made.head
     if as_json:
@@ -127,18 +126,15 @@ def before(made: "Made") -> list[str]:
             )
         ]
     if made.made < made.asked:
+        there = made.asked - made.made
         return [
-            (
-                f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {made.asked - made.made:,} were "
-                "there "
-                f"already{others}"
-            )
+            f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {there:,} were there already{others}"
         ]
     return [f"made {counted(made.made, 'run')}, beside {more:,} of other experiments"] if more else []
 
 
 def _signed(ledger: Path, key: Path) -> list[str]:
-    """Return a line that says whether this key signed the newest commit of the ledger."""
+    """Return a line on whether this key signed the newest commit."""
     from fsar_ledger.ledger.log.note import signers_of
     from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.ledger.store.read import open_ledger

@@ -1,4 +1,4 @@
-"""The command `predict`: the numbers that are written down with the fit before they are compared."""
+"""The command `predict`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,10 +6,9 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
-
-from .options import WorkersOption, examples
-from .progress import Progress
-from .terminal import show
+from fsar_ledger.cli.options import WorkersOption, examples
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples("fsar-ledger predict --out out/predictions.json")
 
@@ -23,11 +22,11 @@ def predict(
     ],
     workers: WorkersOption = None,
 ) -> None:
-    """Play what is registered to be predicted, and write down the numbers; takes minutes.
+    """Simulate the experiments registered for prediction, and write their numbers; takes minutes.
 
-    Ablations, larger fleets, loads, encounter rates, other seeds and pairs of ablations, with the constants as they
-    are. No number of the paper is read. What is predicted, and what the paper's claims imply for it, is in
-    `reports/registration.toml`.
+    These are ablations, larger fleets, loads, encounter rates, other seeds and pairs of ablations, with the constants
+    as they are. No number of the paper is read. `reports/registration.toml` says what is predicted, and what the
+    paper's claims imply for it.
     """
     from fsar_ledger.api.functions import predict as write
 

@@ -1,4 +1,4 @@
-"""The command `recover`: what was found, what was done, what can be trusted, and what to do next."""
+"""The command `recover`."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
+from fsar_ledger.cli.options import JsonOption, LedgerArgument, TrustedKeyOption, WorkersOption, examples
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
 from fsar_ledger.printable import Shown
-
-from .options import JsonOption, LedgerArgument, TrustedKeyOption, WorkersOption, examples
-from .progress import Progress
-from .terminal import show
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.verify.recover import Recovery, Step
@@ -27,6 +26,7 @@ EXAMPLES = examples(
     "fsar-ledger recover out/ledger --json",
     "fsar-ledger recover out/ledger --into out/continued",
 )
+AFTER_INTERRUPTION = "what was mended stays; run it again"
 
 
 def recover(
@@ -50,11 +50,11 @@ def recover(
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Mend what a crash left; after tampering, say what can be trusted.
+    """Repair what a crash left; after tampering, say what can be trusted.
 
-    Nothing is deleted: what does not belong to the ledger moves to LEDGER.set-aside. A ledger of which rows or records
-    were altered or lost is not touched; it is said up to which commit it can be trusted, and --into copies that much.
-    Exit code 3 if LEDGER is damaged and nothing was copied.
+    Nothing is deleted: what does not belong to the ledger moves to LEDGER.set-aside. A ledger whose rows or records
+    were altered or lost is left as it is; the answer says up to which commit it can be trusted, and --into copies that
+    much. Exit code 3 if LEDGER is damaged and nothing was copied.
     """
     from fsar_ledger.api.keys import anchor_of, trusted_of
     from fsar_ledger.api.ledger import Ledger
@@ -69,10 +69,10 @@ def recover(
 
 
 def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> Shown:
-    """Return what was found and done, for programs; the head is that of what can be trusted."""
+    """Return what was found and done as JSON; the head is that of the part that can be trusted."""
     from msgspec import to_builtins
 
-    from .output import json_text
+    from fsar_ledger.cli.output import json_text
 
     answer = to_builtins(found)
     return json_text(
@@ -82,7 +82,7 @@ def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> Shown:
 
 
 def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | None) -> Shown:
-    """Return what was found and done, for people."""
+    """Return what was found, what was done, what can be trusted and what to do next, for people."""
     if found.report is not None and not found.problems:
         lines = [
             f"{ledger}: {'mended; nothing was deleted' if found.steps else 'whole, there is nothing to mend'}",
@@ -109,7 +109,7 @@ def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | 
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:
-    """Yield what was done, by kind."""
+    """Yield the steps, by kind."""
     for did in dict.fromkeys(step.did for step in steps):
         chosen = [step for step in steps if step.did == did]
         yield did
@@ -124,8 +124,8 @@ def _some(lines: list[str]) -> list[str]:
 
 
 def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
-    """Yield what can be trusted, and on whose word."""
-    from .output import signature_text
+    """Yield what can be trusted, and who vouches for it."""
+    from fsar_ledger.cli.output import signature_text
 
     head = found.head
     if head.commits:
@@ -157,7 +157,7 @@ def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
 
 
 def _later(later: "Sequence[Later]") -> Iterator[str]:
-    """Yield the commits after the trusted ones, those of a kind in one line."""
+    """Yield a line for each row of like commits after the trusted ones."""
     for (what, _), group in groupby(later, lambda commit: (commit.found, commit.restore)):
         numbers = [commit.number for commit in group]
         yield (

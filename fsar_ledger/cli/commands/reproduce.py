@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
+from fsar_ledger.cli.options import AdoptOption, KeyOption, OnlyOption, ReproducedRunsOption, WorkersOption, examples
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
 from fsar_ledger.printable import counted
-
-from .options import AdoptOption, KeyOption, OnlyOption, ReproducedRunsOption, WorkersOption, examples
-from .progress import Progress
-from .terminal import show
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.experiment import Made
 
 EXAMPLES = examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper --only results --runs 20")
 SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
+AFTER_INTERRUPTION = "what is committed stays, and the same command continues there"
 
 
 def reproduce(
@@ -30,15 +30,14 @@ def reproduce(
     adopt: AdoptOption = False,
     workers: WorkersOption = None,
 ) -> None:
-    """Do the paper's experiments, judge them, typeset the report.
+    """Run the paper's experiments, judge them and typeset the report.
 
     FOLDER then holds report.pdf, its numbers as reproduction.json, metrics.csv, statistics.csv and a ledger of each
     experiment: results/, ablation/, scaling/ and workflows/. The key signs results/ under its name NAME, and the others
-    under NAME/ablation, NAME/scaling and NAME/workflows: no two trees have one origin.
+    under NAME/ablation, NAME/scaling and NAME/workflows, because no two ledgers may have one origin.
     """
     from fsar_ledger.api.functions import reproduce as make
-
-    from .output import table_text
+    from fsar_ledger.cli.output import table_text
 
     began = time.monotonic()
     found = make(out, only=only, runs=runs, key=key, adopt=adopt, workers=workers, showing=Progress)
@@ -50,15 +49,12 @@ def reproduce(
 
 
 def beyond(made: "Made") -> list[str]:
-    """Return a line if the ledger holds runs beyond those asked for, since those are judged too."""
+    """Return a line on runs beyond those asked for, which are judged too; none where there are none."""
     more = made.held - made.asked
     return (
         [
-            (
-                f"the ledger holds {counted(more, 'run')} beyond the {made.asked:,} of the paper's experiment, and "
-                "they "
-                "are judged here, too"
-            )
+            f"the ledger holds {counted(more, 'run')} beyond the {made.asked:,} of the paper's experiment, and they "
+            "are judged here, too"
         ]
         if more
         else []

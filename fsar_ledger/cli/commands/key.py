@@ -1,4 +1,4 @@
-"""The commands of keys: `key new` and `key public`."""
+"""The commands `key new` and `key public`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,19 +6,18 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
+from fsar_ledger.cli.options import examples
+from fsar_ledger.cli.terminal import show
 
-from .options import examples
-from .terminal import show
-
-keys = typer.Typer()
+group = typer.Typer()
 
 
-@keys.callback()
+@group.callback()
 def _keys() -> None:
     """Make keys that sign ledgers."""
 
 
-@keys.command(
+@group.command(
     "new", epilog=examples("fsar-ledger key new fleet.key", "fsar-ledger key new arm.key --name example.org/arm")
 )
 def key_new(
@@ -33,24 +32,24 @@ def key_new(
         typer.Option(metavar="NAME", help="The origin of the ledgers it signs.", show_default="fsar-ledger/simulated"),
     ] = None,
 ) -> None:
-    """Make a key that signs ledgers; prints the public half.
+    """Make a key that signs ledgers, and print its public half.
 
-    FILE is for the one who signs and nobody else: who has it can rewrite every ledger that it signed. The public half
-    is for all who verify.
+    Keep FILE secret: whoever has it can rewrite every ledger that it signed. The public half is for everyone who
+    verifies.
     """
     from fsar_ledger.api import keys as api
 
     show(printable.line(str(api.key_new(file, name))))
 
 
-@keys.command("public", epilog=examples('fsar-ledger key public out/fleet.key.pub --name "example.org/fleet/ablation"'))
+@group.command(
+    "public", epilog=examples('fsar-ledger key public out/fleet.key.pub --name "example.org/fleet/ablation"')
+)
 def key_public(
     file: Annotated[
         str, typer.Argument(metavar="KEY", help="A public key: a .pub file, or the key itself.", show_default=False)
     ],
-    name: Annotated[
-        str, typer.Option(metavar="NAME", help="The origin of the ledger that it shall verify.", show_default=False)
-    ],
+    name: Annotated[str, typer.Option(metavar="NAME", help="The origin of the ledger to verify.", show_default=False)],
 ) -> None:
     """Print a public key under another name, for `verify --trusted-key`.
 

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
-
-from .options import (
+from fsar_ledger.cli.options import (
     BesideOption,
     LedgerArgument,
     NumbersOption,
@@ -17,8 +16,8 @@ from .options import (
     WorkflowLedgerOption,
     examples,
 )
-from .progress import Progress
-from .terminal import show
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples(
     "fsar-ledger report out/ledger --out out/report.pdf",
@@ -42,8 +41,8 @@ def report(
     """Typeset the evaluation as a PDF.
 
     Each number of the paper stands beside the ledger's, with its interval and a verdict. Ablations, larger fleets and
-    workflows are sections of their own where this ledger, or one given with --with, holds them. First all rows are
-    compared with their root, as `verify` does it.
+    workflows have sections of their own where this ledger, or one given by --with, holds them. All rows are compared
+    with their root first, as `verify` does.
     """
     from fsar_ledger.api.ledger import Ledger
 

@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
+from fsar_ledger.cli.options import TrustedKeyOption, examples
+from fsar_ledger.cli.terminal import show
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.printable import Shown
-
-from .options import TrustedKeyOption, examples
-from .terminal import show
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.proof import Proven
@@ -30,14 +29,13 @@ def verify_proof(
         bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the proof's checkpoint.")
     ] = False,
 ) -> None:
-    """Check a proof, without the ledger; shows the event.
+    """Check a proof without the ledger, and show the event.
 
-    Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key it shows only that
-    the event is in the tree whose root the proof itself names: compare that root, or give the key.
+    Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key, a valid proof shows
+    only that the event is in the tree whose root the proof itself names: compare that root, or give the key.
     """
     from fsar_ledger.api import functions as api
-
-    from .output import json_text
+    from fsar_ledger.cli.output import json_text
 
     try:
         proven = api.verify_proof(file, trusted_key)
@@ -49,10 +47,9 @@ def verify_proof(
 
 
 def _text(file: Path, proven: "Proven") -> Shown:
-    """Return what the proof shows, for people: the event, its principals and place, and what the signature is worth."""
+    """Return the event, its principals, its place and the signature, for people."""
+    from fsar_ledger.cli.output import signature_text
     from fsar_ledger.ledger.rows.canonical import document
-
-    from .output import signature_text
 
     event = {name: printable.value(found) if isinstance(found, str) else found for name, found in proven.event.items()}
     width = max(map(len, PRINCIPALS))
@@ -73,8 +70,8 @@ def _text(file: Path, proven: "Proven") -> Shown:
 
 
 def _json(file: Path, proven: "Proven") -> Shown:
-    """Return what the proof shows, for programs; `head` is that of the proof's checkpoint."""
-    from .output import json_text
+    """Return the same as JSON; `head` is that of the proof's checkpoint."""
+    from fsar_ledger.cli.output import json_text
 
     event = proven.event
     about = {name: event[name] for name in ("run_id", "seq", "type")} | {name: event.get(name) for name in PRINCIPALS}

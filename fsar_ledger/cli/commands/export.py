@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
-
-from .options import LedgerArgument, ParameterOption, RawOption, VerifiedOption, examples, parameters_of
-from .terminal import show
+from fsar_ledger.cli.options import LedgerArgument, ParameterOption, RawOption, VerifiedOption, examples, parameters_of
+from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples(
     "fsar-ledger export out/ledger --out out/events.parquet",
@@ -34,12 +33,11 @@ def export(
 ) -> None:
     """Write events, or the answer of a query, to a file.
 
-    The format, CSV or Parquet, follows from the name of the file; lists are JSON text in CSV. Text in CSV is made
-    harmless for spreadsheets and terminals unless --raw is given; Parquet always holds the values themselves.
+    The name of the file decides the format, CSV or Parquet. In CSV, lists are JSON text, and text is made harmless for
+    spreadsheets and terminals unless --raw is given. Parquet always holds the values themselves.
     """
     from fsar_ledger.api.files import require_place
-
-    from .answering import opened, warn
+    from fsar_ledger.cli.answering import opened, warn
 
     require_place(out)
     written = opened(ledger, verified=verified).export(out, name, parameters_of(param), raw=raw)

@@ -1,4 +1,4 @@
-"""The command `judge`: predicted numbers beside the paper's."""
+"""The command `judge`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,9 +6,8 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
-
-from .options import examples
-from .terminal import show
+from fsar_ledger.cli.options import examples
+from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples("fsar-ledger judge out/predictions.json --out out/comparison.json")
 
@@ -24,10 +23,10 @@ def judge(
         ),
     ],
 ) -> None:
-    """Lay predicted numbers beside the paper's, and beside what was registered that its claims imply.
+    """Compare predicted numbers with the paper's, and with what its claims were registered to imply.
 
-    Nothing is played. `reports/predictions.json` in the source of this package holds the predictions that were made
-    right after the fit, `reports/comparison.json` what became of them.
+    Nothing is simulated. In the source of this package, `reports/predictions.json` holds the predictions made right
+    after the fit, and `reports/comparison.json` their comparison.
     """
     from fsar_ledger.api.functions import judge as compare
 
