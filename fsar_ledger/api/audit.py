@@ -1,4 +1,4 @@
-"""The answer of `audit`: whether the invariants hold."""
+"""Check whether the invariants hold on a ledger."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class Audit(msgspec.Struct, frozen=True):
     """The findings of `audit`: a row for each invariant, architecture and configuration.
 
-    `holds`: every invariant was shown to hold, by a case, and by every run; False: an event offends one; None: it
-    cannot be told. `runs_unreadable` are runs whose parameters cannot be read, so that no recovery budget of theirs is
+    `holds` is True if cases show that every invariant holds on all runs, False if an event offends one, and None if
+    neither can be told. `runs_unreadable` counts runs whose parameters cannot be read; their recovery budgets are not
     judged.
     """
 
@@ -35,7 +35,7 @@ class Audit(msgspec.Struct, frozen=True):
 
 
 def audit_runs(database: "Database", invariants: Sequence[str], architectures: Sequence[str]) -> Audit:
-    """Check these invariants on the runs of these architectures; all where none is named.
+    """Check these invariants (none named: all) on the runs of these architectures (none named: all).
 
     Raises:
         InvalidExperiment: An architecture is unknown, to this version and to the ledger.
@@ -57,11 +57,11 @@ def audit_runs(database: "Database", invariants: Sequence[str], architectures: S
 
 
 def is_empty(row: AuditRow) -> bool:
-    """Return whether all was observed that could offend, and nothing happened that the invariant is about."""
+    """Return whether everything was observed, and nothing happened that the invariant is about."""
     return row.holds is None and not row.runs_not_observed
 
 
 def all_shown(rows: Sequence[AuditRow]) -> bool:
-    """Return whether each invariant was shown to hold by a case of some architecture, and none is broken or untold."""
+    """Return whether a case of some architecture shows each invariant to hold, and none is broken or not observable."""
     shown = {row.invariant for row in rows if row.holds}
     return all(row.holds or (is_empty(row) and row.invariant in shown) for row in rows)

@@ -1,4 +1,4 @@
-"""The answer of `compare`: two sides over paired runs, of one ledger or of two."""
+"""Compare two sides over paired runs, from one ledger or two."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, ExitStack
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Held(Protocol):
-    """A ledger that can be asked."""
+    """A ledger that can be queried."""
 
     path: Path
 
@@ -27,23 +27,23 @@ class Held(Protocol):
 
 
 class Comparison(Paired, frozen=True, kw_only=True):
-    """A `Paired`, with both sides, and what holds of each ledger."""
+    """A `Paired` with both sides, and the provenance of each ledger."""
 
     sides: tuple[Side, Side]
     provenances: tuple[Provenance, ...]
 
     def table(self) -> Table:
-        """Return the rows as a table; its `about` is that of the first ledger."""
+        """Return the rows as a table; its provenance is that of the first ledger."""
         return Table(of_structs(self.rows, SideRow), self.provenances[0])
 
 
 def compare_sides(
     ledgers: Sequence[Held], names: tuple[str | None, str | None], *, by_scenario: bool, pooled: bool
 ) -> Comparison:
-    """Compare the sides of these names, of one ledger or of two.
+    """Compare the sides of these names, from one ledger or two.
 
     Raises:
-        UsageError: There is no such side, or both are the same events.
+        UsageError: A side does not exist, or both are the same events.
     """
     places = [str(ledger.path) for ledger in ledgers]
     with ExitStack() as stack:

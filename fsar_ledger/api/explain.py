@@ -1,6 +1,6 @@
-"""The answers of `explain` and `requests`: the requests of a run, and the account of one of them.
+"""List the requests of a run, and give an account of one of them.
 
-The account is what `queries/audit/request_timeline.sql`, `requests.sql` and `failure_timeline.sql` answer.
+The rows are those of `queries/audit/requests.sql`, `request_timeline.sql` and `failure_timeline.sql`.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 Rows = list[dict[str, Any]]
 Choose = Callable[[str, Sequence[str]], str]
-"""Finds the run that a name means among the names of all runs. Raises: UsageError."""
+"""Finds the run of a name among the names of all runs. Raises: UsageError."""
 
 
 class Account(msgspec.Struct, frozen=True):
     """The account of one request: who asked, who allowed, who acted, who supervised.
 
-    `timeline` has a row for each step, `recovery` one for each thing that was tried after it failed, level by level.
+    `timeline` has a row for each step, `recovery` one for each attempt after a failure, level by level.
     """
 
     run: str
@@ -41,12 +41,12 @@ class Account(msgspec.Struct, frozen=True):
     provenance: Provenance
 
     def draw(self, file: "str | PathLike[str]", kind: Literal["svg", "pdf"] | None = None) -> None:
-        """Draw the account, of a failure its levels, as SVG or PDF; the file is replaced if it exists.
+        """Draw the timeline, or the levels of a failure's recovery, as SVG or PDF; the file is replaced if it exists.
 
-        The name of the file says which, unless `kind` does.
+        `kind` decides the format, else the suffix of the file.
 
         Raises:
-            UsageError: Nothing says what it shall be, or the file lies inside a ledger.
+            UsageError: Neither gives a format, or the file lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
         from fsar_ledger.report import sequence, typeset
@@ -61,10 +61,10 @@ class Account(msgspec.Struct, frozen=True):
 
 
 def account(database: Database, ledger: Path, run: str, request: str | None, failure: str | None) -> Account:
-    """Return the account of this action, as a request or as a failure.
+    """Give an account of this action, as a request or as a failure.
 
     Raises:
-        UsageError: The run has no such action, it has not failed, or both or neither are named.
+        UsageError: The run has no such action, the action has not failed, or both or neither are named.
     """
     action = request or failure
     if action is None or (request is not None and failure is not None):
@@ -79,8 +79,7 @@ def account(database: Database, ledger: Path, run: str, request: str | None, fai
     if failure is not None and not recovery:
         raise UsageError(
             f"{option('failure', failure)}: found no failure of this action in run {run}; "
-            f"{option('request', failure)} tells what "
-            "happened"
+            f"{option('request', failure)} shows what happened"
         )
     return Account(run, action, parties, timeline, recovery, failure is not None, _about(database, run))
 

@@ -1,4 +1,4 @@
-"""Functions that make ledgers and the records beside them, and `verify_proof`."""
+"""The functions of the API: those that make ledgers and records, and `verify_proof`."""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -24,7 +24,7 @@ Names = str | Sequence[str] | None
 
 
 class Simulated(msgspec.Struct, frozen=True):
-    """The result of `simulate`. Some runs may have been there before, and the ledger may hold others."""
+    """The result of `simulate`; the ledger may also hold runs from before."""
 
     ledger: Ledger
     made: "Made"
@@ -52,31 +52,31 @@ def simulate(
 ) -> Simulated:
     """Simulate fleets, and append every event to the ledger in the folder `out`.
 
-    The same call continues an interrupted simulation; one with more runs, or other scenarios, enlarges the ledger.
+    The same call continues an interrupted simulation. A call with more runs, or other scenarios, adds what is missing.
 
     Args:
-        out: The folder: new, or of a ledger to continue.
-        architecture: `fsar`, `cfc` or `dhma`, one or several; None: all, with `without` whose that is.
-        scenario: One or several registered ones, or one `.toml` file of your own; None: the paper's five.
-        workflow: Instead, one or several of the paper's workflows, under FSAR.
-        runs: Runs of each scenario and architecture; None: 20, of a workflow 1.
+        out: A new folder, or that of a ledger to continue.
+        architecture: One or several of `fsar`, `cfc` and `dhma`; None: all, or with `without` the one that has them.
+        scenario: One or several registered ones, or a `.toml` file of your own; None: the paper's five.
+        workflow: One or several of the paper's workflows, under FSAR, instead of scenarios.
+        runs: Runs of each scenario and architecture; None: 20, or 1 of a workflow.
         seed: Decides every draw of the world.
-        fleet: A `.toml` file with a fleet of your own; None: the paper's.
-        settings: Other values of constants, as `world.review_share=0.5`.
+        fleet: A fleet of your own, a `.toml` file; None: the paper's.
+        settings: New values of constants, such as `world.review_share=0.5`.
         fleet_size: Robots, a multiple of the fleet's team; None: one team.
         teams_working: Teams that have tasks; None: all.
         task_sets: How often each team gets the tasks of its scenario, 30 s apart.
-        without: Mechanisms to take out, one configuration for each; several at once with + between them.
-        origin: The name that the ledger is published under.
+        without: Mechanisms to remove, a configuration for each; names joined by + are removed together.
+        origin: The name under which the ledger is published.
         key: A file of `key_new`, to sign with.
-        adopt: Sign on where another key or none signed what is there.
-        workers: Processes at once; None: one per core, if there is enough to do. The ledger is the same for any number.
-        progress: Called with batches done and in all.
+        adopt: Continue a ledger that another key signed, or none.
+        workers: Processes at once; None: one per core, if there is enough to do. The ledger does not depend on it.
+        progress: Called with the batches done and their total.
 
     Raises:
         InvalidExperiment: A name is unknown, or a number impossible.
-        UsageError: What was asked for does not fit together.
-        WriteFailed: The disk refused; what is committed stays.
+        UsageError: The arguments contradict each other.
+        WriteFailed: A write failed; what is committed stays.
     """
     from fsar_ledger.runtime.experiment import carry_out
 
@@ -109,17 +109,16 @@ def reproduce(
     workers: int | None = None,
     showing: Callable[[str, str], AbstractContextManager[Progress | None]] = lambda *_: nullcontext(),
 ) -> "Reproduced":
-    """Make the paper's experiments, judge them, typeset the report, all in the folder `out`.
+    """Run the paper's experiments, judge them and typeset the report, all in the folder `out`.
 
     Args:
         out: The folder.
-        only: Of results (always made), ablation, scaling and workflows; None: all.
+        only: Some of results (always made), ablation, scaling and workflows; None: all.
         runs: Runs of each scenario; None: results 200, ablation 40, scaling 20.
         key: As in `simulate`.
         adopt: As in `simulate`.
         workers: As in `simulate`.
-        showing: Makes, for each step (what is done, of what unit), a context that yields what to call with the
-            progress.
+        showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
 
     Raises:
         UsageError: The folder is a ledger, or lies inside one.
@@ -139,7 +138,7 @@ def reproduce(
 
 
 def verify_proof(file: Place, trusted_key: str | None = None) -> "Proven":
-    """Check a proof, the text of `Ledger.prove` in a file, without the ledger; return what it shows.
+    """Check a proof of `Ledger.prove`, kept in a file, without the ledger; return what it shows.
 
     Raises:
         LedgerCorrupted: It proves nothing, or the trusted key did not sign it.
@@ -150,21 +149,21 @@ def verify_proof(file: Place, trusted_key: str | None = None) -> "Proven":
 
 
 def calibrate(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
-    """Make the registered fit again, and write its record; takes the better part of an hour."""
+    """Fit the constants again as registered, and write the record; takes the better part of an hour."""
     from fsar_ledger.calibration import calibrate
 
     calibrate(Path(out), progress, workers_of(workers))
 
 
 def predict(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
-    """Play what is registered to be predicted, and write down the numbers; takes minutes."""
+    """Simulate the experiments registered for prediction, and write their numbers; takes minutes."""
     from fsar_ledger.prediction import predict
 
     predict(Path(out), progress, workers_of(workers))
 
 
 def judge(predictions: Place, out: Place) -> None:
-    """Lay predicted numbers beside the paper's, and write the comparison. Plays nothing."""
+    """Compare predicted numbers with the paper's, and write the comparison; nothing is simulated."""
     from fsar_ledger.comparison import compare_predictions
 
     compare_predictions(Path(predictions), Path(out))
@@ -179,17 +178,17 @@ def sensitivity(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> "Sensitivity":
-    """Find out how much of each number depends on each constant, and write the effects as Parquet.
+    """Measure how much each number depends on each constant, and write the effects as Parquet.
 
     Takes most of an hour.
 
     Args:
-        out: The file. An interrupted study goes on from what is kept beside it.
-        trajectories: Times that each factor is moved.
-        runs: Runs of each scenario and architecture in an evaluation.
+        out: The file. An interrupted study continues from what is kept beside it.
+        trajectories: How often each factor is moved.
+        runs: Runs of each scenario and architecture in each evaluation.
         points: Evaluations for the Sobol indices; 0: only the screening.
         workers: Processes at once.
-        progress: Called with evaluations done and in all.
+        progress: Called with the evaluations done and their total.
     """
     from fsar_ledger.screening.study import Size, sensitivity
 

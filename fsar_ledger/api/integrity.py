@@ -1,4 +1,4 @@
-"""What a ledger is evidence of: the questions of `Ledger` that hashes, signatures and witnesses answer."""
+"""The methods of `Ledger` that rest on hashes, signatures and witnesses."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,22 +34,22 @@ class Integrity:
         progress: Progress | None = None,
         now_s: int | None = None,
     ) -> "Verification":
-        """Derive every hash, count and record again. Damage does not raise: see `ok` and `problems` of the answer.
+        """Derive every hash, count and record again; damage does not raise, but is in `ok` and `problems`.
 
         Args:
             quick: Read no rows.
-            anchor: A copy of `checkpoint` that was kept elsewhere; the ledger must only have grown since.
+            anchor: A copy of `checkpoint` kept elsewhere; since then the ledger must only have grown.
             trusted_key: A public key that must have signed, as a .pub file or text.
-            witness_policy: A C2SP tlog-policy; enough of its witnesses must have seen the ledger. Takes `now_s`.
-            cosigned: Notes that show what witnesses saw; none: ask them.
-            replay: Play every run again, too.
+            witness_policy: A C2SP tlog-policy; enough of its witnesses must have seen the ledger. Needs `now_s`.
+            cosigned: Notes that show what the witnesses saw; without any, they are asked.
+            replay: Also play every run again.
             workers: Processes at once; None: one per core, if there is enough to do.
-            progress: Called with segments done and in all.
+            progress: Called with the segments done and their total.
             now_s: The present time in seconds since 1970.
 
         Raises:
             NotALedger: There is none.
-            UsageError: What was asked for makes no sense.
+            UsageError: The arguments contradict each other.
         """
         from .verify import verify_ledger
 
@@ -78,12 +78,12 @@ class Integrity:
         workers: int | None = None,
         progress: Progress | None = None,
     ) -> "Recovery":
-        """Mend what a crash left; after tampering, find what can be trusted, and copy that `into` a new folder.
+        """Repair what a crash left; after tampering, find what can be trusted, and copy that `into` a new folder.
 
         Raises:
-            UsageError: There is something at `into` already.
+            UsageError: `into` exists.
             LedgerCorrupted: No commit can be trusted.
-            WriteFailed: Another writer is at work, or the disk refused.
+            WriteFailed: Another writer is at work, or a write failed.
         """
         from fsar_ledger.ledger.verify.recover import recover
         from fsar_ledger.ledger.verify.verify import Asked

@@ -1,4 +1,4 @@
-"""Runs, robots and times in a question, as the ledger names them."""
+"""Look up the runs and robots that a question names, as the ledger names them."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -23,17 +23,17 @@ _ROBOT_PARAMETERS = ("robot", "peer")
 
 
 def run_of(database: "Database", asked: str) -> str:
-    """Return the run of the ledger that is meant. Raises: UsageError if none is, or several."""
+    """Return the full name of a run. Raises: UsageError if no run, or several, match."""
     return run_named(asked, [row["run_id"] for row in database.rows(_RUNS)])
 
 
 def robot_of(database: "Database", asked: str, run: str | None) -> str:
-    """Return the robot of this run, or of any, that is meant. Raises: UsageError if none is."""
+    """Return the full name of a robot of this run, or of any. Raises: UsageError if none matches."""
     return robot_named(asked, [row["name"] for row in database.rows(ROBOTS, {"run": run})])
 
 
 def parameters_of(database: "Database", known: Any, given: dict[str, object]) -> dict[str, str]:
-    """Return the parameters of a query as text: whole names of runs and robots, times in microseconds.
+    """Return the parameters of a query as text, with full names of runs and robots, and times in microseconds.
 
     Raises: UsageError for an unknown name.
     """

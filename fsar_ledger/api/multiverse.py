@@ -1,4 +1,4 @@
-"""The answer of `multiverse`: the results table under every reading of the paper that its text allows."""
+"""Compute the results table under every reading that the paper's text allows."""
 
 from collections.abc import Sequence
 from os import PathLike
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class MultiverseResult(Multiverse, frozen=True, kw_only=True):
-    """A `Multiverse`, and what it holds for."""
+    """A `Multiverse` with its provenance."""
 
     provenance: Provenance
 
@@ -27,7 +27,7 @@ class MultiverseResult(Multiverse, frozen=True, kw_only=True):
         return Table(of_structs(self.cells, Cell), self.provenance)
 
     def draw(self, file: str | PathLike[str]) -> None:
-        """Draw every cell under every combination of readings, as SVG.
+        """Draw every cell under every combination of readings as SVG.
 
         Raises: WriteFailed if the file cannot be written.
         """
@@ -37,7 +37,7 @@ class MultiverseResult(Multiverse, frozen=True, kw_only=True):
 
 
 def read_multiverse(database: "Database", metrics: Sequence[str] | None, *, pools_seeds: bool) -> MultiverseResult:
-    """Read the table in every way, all metrics or those named. Raises: InvalidExperiment if one is unknown."""
+    """Compute the table for all metrics or those named. Raises: InvalidExperiment if one is unknown."""
     every = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
     found = multiverse(database, known("metric", metrics, every), pools_seeds=pools_seeds)
     return MultiverseResult(**structs.asdict(found), provenance=of_judgement(database))

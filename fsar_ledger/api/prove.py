@@ -1,4 +1,4 @@
-"""The event of a ledger that a user means, and its proof."""
+"""Find the event that a user means, and prove it."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from fsar_ledger.metrics.verified import is_verified
 def prove_event(ledger: Path, event: str, demanded: str | None = None) -> Proof:
     """Prove the event of this name: `RUN:SEQ`, or its number in the ledger.
 
-    The beginning of the run's name is enough if no other begins so.
+    The beginning of the run's name is enough if no other run's name begins like it.
 
     Raises:
         UsageError: There is no such event, or more than one such run.
@@ -55,7 +55,7 @@ def _index_of(view: LedgerView, event: str) -> int:
 
 
 def _require_asked(view: LedgerView, event: str, proven: Proven) -> None:
-    """Require that the proven event is of the run and seq asked for: its place came from rows that no proof covers.
+    """Check that the proven event has the run and seq asked for: its place came from rows that no proof covers.
 
     Raises: LedgerCorrupted if it is not.
     """

@@ -1,4 +1,4 @@
-"""What an answer holds for, and what it leaves open."""
+"""The provenance of an answer: what it holds for, and what it leaves open."""
 
 from typing import TYPE_CHECKING
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 class Provenance(msgspec.Struct, frozen=True):
-    """The head of the ledger that was asked, and whether the rows that were read were compared with its root.
+    """The head that an answer holds for, and whether the rows that it was read from were compared with its root.
 
-    `plans` says what is there of what was planned, None where the answer does not rest on that. `not_observed` are
-    concerns that runs do not observe, so that the answer says nothing about them there.
+    `plans` says which planned runs are there; None where the answer does not depend on that. `not_observed` names the
+    concerns that runs do not observe, and about which the answer says nothing there.
     """
 
     head: Head | None = None
@@ -26,17 +26,17 @@ class Provenance(msgspec.Struct, frozen=True):
     not_observed: tuple[Unobserved, ...] = ()
 
     def answer(self) -> dict[str, object]:
-        """Return the parts of this, other than the head, that JSON answers have."""
+        """Return what JSON answers say of this besides the head."""
         missing: dict[str, object] = {"not_observed": self.not_observed} if self.not_observed else {}
         return missing if self.plans is None else {**self.plans.answer(), **missing}
 
 
 def of_rows(database: "Database", query: "Query | None" = None, run: str | None = None) -> Provenance:
-    """Describe an answer that is the rows of a query, of one run or of all."""
+    """Return the provenance of the rows of a query, for one run or for all."""
     missing = () if query is None else tuple(unobserved(database, query, run))
     return Provenance(database.head, database.rows_verified, None, missing)
 
 
 def of_judgement(database: "Database") -> Provenance:
-    """Describe an answer that judges all that was planned."""
+    """Return the provenance of an answer that judges all planned runs."""
     return Provenance(database.head, database.rows_verified, completeness(database))

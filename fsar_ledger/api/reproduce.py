@@ -1,4 +1,4 @@
-"""All the paper's experiments, simulated, judged and typeset into one folder."""
+"""Simulate all the paper's experiments, judge them and typeset the report, in one folder."""
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -28,7 +28,7 @@ Showing = Callable[[str, str], AbstractContextManager[Progress | None]]
 
 
 class Reproduced(msgspec.Struct, frozen=True):
-    """The result of `reproduce`: the ledgers by name, what was made of each, and the metrics of the results."""
+    """The result of `reproduce`: by experiment what was added to its ledger, and the metrics of the results."""
 
     folder: Path
     made: Mapping[Name, Made]
@@ -57,8 +57,8 @@ def reproduce_experiments(
 ) -> Reproduced:
     """Write a ledger of each experiment, the tables and the report to the folder.
 
-    A signer signs the ledger of the results under its own name, and each other one under that name and the
-    experiment's. The results are always made: the tables and the report begin with them.
+    A signer signs the ledger of the results under its own name NAME, and the others under NAME/EXPERIMENT. The results
+    are always made, because the tables and the report begin with them.
 
     Raises:
         UsageError: The folder is a ledger, or lies inside one.

@@ -1,4 +1,4 @@
-"""The answer of `statistics`: its rows, and remarks on what they leave out."""
+"""Compare the architectures of a ledger in pairs, with remarks on what the rows leave out."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -29,7 +29,7 @@ NOTHING = (
 
 
 class Statistics(msgspec.Struct, frozen=True):
-    """The answer of `statistics`: rows, worlds that differ, reasons for comparisons without pairs, and remarks."""
+    """The answer of `statistics`: rows, differing worlds, why some comparisons have no pairs, and remarks."""
 
     rows: list[dict[str, Any]]
     columns: list[str]
@@ -38,16 +38,16 @@ class Statistics(msgspec.Struct, frozen=True):
     remarks: list[str]
     provenance: Provenance
     notes: list[str]
-    """How the rows are to be read; no warning."""
+    """How to read the rows; none of them is a warning."""
 
     @property
     def before(self) -> list[str]:
-        """Return what is said above the numbers: whose worlds differ, or that nothing is compared."""
+        """Return the lines above the numbers: which worlds differ, or that nothing is compared."""
         return [*map(str, self.differing), *([] if self.rows else [NOTHING, *self.not_compared])]
 
     @property
     def after(self) -> list[str]:
-        """Return what is said below the numbers: how Holm adjusts several families, and what is missing."""
+        """Return the lines below the numbers: how Holm adjusts several families, and what is missing."""
         families = {
             (row["family"], row["family_tests"])
             for row in self.rows
@@ -62,13 +62,13 @@ class Statistics(msgspec.Struct, frozen=True):
 
 
 def _alone(rows: Sequence[StatisticRow]) -> list[str]:
-    """Return a note on metrics that the paper does not print, each of which Holm adjusts by itself."""
+    """Return a note on metrics that the paper does not print; Holm adjusts each by itself."""
     names = sorted({row.metric for row in rows} - PUBLISHED)
-    return [f"Holm adjusts each by itself, which the paper does not print: {', '.join(names)}"] if names else []
+    return [f"Holm adjusts each metric that the paper does not print by itself: {', '.join(names)}"] if names else []
 
 
 def compute_statistics(database: Database, *, pooled: bool) -> Statistics:
-    """Compare in pairs all that the ledger allows. Raises: As `Database.rows`."""
+    """Compare everything in pairs that the ledger allows. Raises: As `Database.rows`."""
     found = statistic_rows(database, pools_seeds=pooled)
     metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
     columns = list(StatisticRow.__struct_fields__)

@@ -1,4 +1,4 @@
-"""The answer of `verify`: the look at the ledger, the replay, and what witnesses saw."""
+"""Verify a ledger: check its rows, replay its runs, and ask witnesses."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class Verification(msgspec.Struct, frozen=True):
     """The findings of `verify`.
 
-    `report` comes from deriving everything again, `replay` from playing the runs again, `witnessed` from asking
-    witnesses; None: not asked for.
+    `report` comes from deriving everything again, `replay` from playing the runs again, `witnessed` from witnesses.
+    None means not asked for.
     """
 
     report: VerifyReport
@@ -42,12 +42,12 @@ class Verification(msgspec.Struct, frozen=True):
 
     @property
     def problems(self) -> tuple[Problem, ...]:
-        """Return what contradicts itself; differences that a replay found are in `replay.differences`."""
+        """Return where the ledger contradicts itself; differences found by a replay are in `replay.differences`."""
         return self.report.problems
 
     @property
     def root(self) -> str | None:
-        """Return the Merkle root over the rows themselves, in hex; None where there is any doubt."""
+        """Return the Merkle root derived from the rows, in hex; None where there is any doubt."""
         return self.report.root
 
 
@@ -61,9 +61,9 @@ def verify_ledger(
     workers: int | None,
     progress: Progress | None,
 ) -> Verification:
-    """Look at the ledger; `by_witnesses` are the policy, the notes at hand and the present time.
+    """Verify the ledger; `by_witnesses` are the policy, the notes at hand and the present time.
 
-    Raises: as `Ledger.verify`.
+    Raises: As `Ledger.verify`.
     """
     if quick and replays:
         raise UsageError(
@@ -72,7 +72,7 @@ def verify_ledger(
         )
     trusted, kept = trusted_of(trusted_key), anchor_of(anchor)
     policy, cosigned, now_s = by_witnesses
-    # Before the look: the ledger may grow meanwhile.
+    # Before the check, during which the ledger may grow.
     seen = seen_of(ledger, None if policy is None else Path(policy), list(map(Path, cosigned)), trusted, now_s)
     if trusted is None and seen is not None:
         trusted = seen.log
@@ -82,7 +82,7 @@ def verify_ledger(
 
 
 def replayed(ledger: Path, report: VerifyReport, workers: int | None, progress: Progress | None) -> "ReplayReport":
-    """Play every run that `verify` went through again; return `NOT_REPLAYED` where it found a problem.
+    """Play every verified run again; return `NOT_REPLAYED` where `verify` found a problem.
 
     Raises: LedgerCorrupted if the ledger was damaged in between.
     """

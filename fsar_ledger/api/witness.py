@@ -1,4 +1,4 @@
-"""What the witnesses of a policy saw of a ledger."""
+"""Make witnesses, ask them to cosign a ledger, and find what they saw of it."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -21,7 +21,7 @@ _LAST_SECOND = 253_402_300_799  # of the year 9999
 
 
 class Seen(NamedTuple):
-    """What the witnesses of a policy saw of a ledger; one of the keys must have signed what they cosigned."""
+    """What the witnesses of a policy saw of a ledger; one of the keys of `logs` must have signed what they cosigned."""
 
     policy: "Policy"
     logs: tuple["VerifierKey", ...]
@@ -38,7 +38,7 @@ class Seen(NamedTuple):
         return self.evidence.size > 0
 
     def lines(self, events: int) -> list[str]:
-        """Describe for people what they saw; `events` is the ledger's number."""
+        """Describe what they saw, for people; `events` counts the ledger's."""
         size, statements = self.evidence.size, self.evidence.statements
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
         return [
@@ -54,21 +54,21 @@ class Seen(NamedTuple):
         ]
 
     def doubt(self, ledger: Path) -> str:
-        """Say that too few of them saw anything."""
+        """Describe why too few of them saw anything."""
         reasons = "; ".join(
             f"{one.witness}: {one.reason}" for one in self.evidence.statements if one.reason is not None
         )
         return (
             f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected "
             f"{self.policy.rule()}; {ledger} may be "
-            "consistent, but whether it is what they saw nobody knows: ask again, or find out why they are silent"
+            "consistent, but nothing shows that it is what they saw: ask again, or find out why they are silent"
         )
 
     def _heard(self) -> str:
         return listed({one.witness: one.time_s for one in self.evidence.statements if one.time_s is not None})
 
     def json(self) -> dict[str, object]:
-        """Return what they saw, for programs."""
+        """Return what they saw, for JSON."""
         return {
             "policy": self.policy.file,
             "ok": self.is_enough,
@@ -89,7 +89,7 @@ def seen_of(
     They are asked now, or have answered in these files.
 
     Raises:
-        UsageError: The policy, or what was asked for with it, makes no sense.
+        UsageError: The policy is invalid, or does not fit the other arguments.
         NotALedger, FormatVersionMismatch: There is no ledger.
         LedgerCorrupted: The ledger is of a log that the policy does not name.
     """
@@ -111,7 +111,7 @@ def seen_of(
     try:
         origin = parse_manifest(ledger / MANIFEST, read_manifest(ledger)).origin
     except LedgerCorrupted:
-        return None  # verify says so, and all else that is wrong
+        return None  # `verify` reports it, with whatever else is wrong
     logs = tuple(key for key in logs if key.name == origin)
     if not logs:
         raise LedgerCorrupted(
@@ -126,7 +126,7 @@ def seen_of(
 
 
 def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["VerifierKey", ...]:
-    """Return the keys of which one must have signed what the witnesses cosigned."""
+    """Return the keys, one of which must have signed what the witnesses cosigned."""
     if policy.quorum is None:
         raise UsageError(
             f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is shown"
@@ -154,11 +154,11 @@ def _time(time_s: int) -> str:
 def witness_new(state: str | PathLike[str], name: str) -> "WitnessKey":
     """Make a witness of this name in a new folder; return its public key.
 
-    A witness that forgets is worth nothing: never copy the folder, never restore it from a backup; make a new witness
+    A witness that forgets is worth nothing: never copy the folder or restore it from a backup; make a new witness
     instead.
 
     Raises:
-        UsageError: There is something at this place, or it lies inside a ledger, or the name is none.
+        UsageError: The folder exists or lies inside a ledger, or the name is invalid.
     """
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.witness.state import new_state

@@ -27,7 +27,7 @@ def test_a_folder_that_is_no_ledger_is_refused_at_once(tmp_path: Path) -> None:
 def test_a_run_is_found_by_a_part_that_only_one_has(ledger: fsar_ledger.Ledger) -> None:
     names = {row["run_id"] for row in ledger.runs()}
     assert {logged.run for logged in ledger.events(run=RUN)} == {next(name for name in names if RUN in name)}
-    with pytest.raises(UsageError, match="found 3 runs that have this in their names"):
+    with pytest.raises(UsageError, match="found 3 runs whose names contain this"):
         ledger.events(run="r0001")
     with pytest.raises(UsageError, match=r"no such run; did you mean fsar\.full\.door-relay"):
         ledger.events(run="fsar.full.dor-relay")
