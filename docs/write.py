@@ -1,9 +1,10 @@
 """Write the parts of these pages that are real output, or (--check) say which of them are out of date.
 
     python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the
-                                    tables of constants, of readings and of mechanisms in docs/model.md, and the
-                                    output in every ```console block
-    python docs/write.py queries.md    docs/queries.md alone, which takes a second
+                                    lists in docs/commands.md and docs/python.md, the tables of constants, of
+                                    readings and of mechanisms in docs/model.md, and the output in every
+                                    ```console block
+    python docs/write.py PAGE...    only these of the first five pages, which takes a second
     python docs/write.py --check    exit code 1 and a diff where a page would change in what a reader notices: not in
                                     digests alone, but for docs/ledger-format.md, queries.md and event-types.json
 
@@ -13,6 +14,7 @@ empty folder for each page.
 
 import base64
 import difflib
+import inspect
 import json
 import os
 import re
@@ -21,14 +23,16 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
 import msgspec
+from typer.main import get_command
 
-from fsar_ledger.cli.app import run
+from fsar_ledger.api.ledger import Ledger
+from fsar_ledger.cli.app import app, run
 from fsar_ledger.constants import Constants, Load, Outages
 from fsar_ledger.events.configuration import MECHANISMS_OF
 from fsar_ledger.events.envelope import Robot
@@ -55,6 +59,8 @@ PAGES = (DOCS / "audit-example.md", DOCS / "model.md", DOCS / "recovery.md")
 FORMAT = DOCS / "ledger-format.md"
 NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")
 """One command of ours whose words are plain, or stand in quotes and mean themselves there."""
+INTERNAL = {"database", "stream"}
+"""Methods of `Ledger` that only the command line and the report use."""
 DIGEST = re.compile(r"(?<![0-9a-zA-Z])(?=[0-9a-f]*[a-f])(?=[0-9a-f]*[0-9])[0-9a-f]{12,64}(?![0-9a-zA-Z])")
 FOLDERS = {
     "staging": "Staging: one view for each event type, and the runs",
@@ -152,6 +158,37 @@ def _row(query: Query) -> str:
         header["Key"],
     ]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def with_commands(page: str) -> str:
+    """Return the page with a line for each command: its arguments and the first line of its help."""
+    rows = []
+    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
+        for part, one in getattr(command, "commands", {"": command}).items():
+            arguments = [each for each in one.params if each.param_type_name == "argument"]
+            words = [name, part, *(each.metavar if each.required else f"[{each.metavar}]" for each in arguments)]
+            rows.append(_line(" ".join(["fsar-ledger", *filter(None, words)]), one.help))
+    return with_section(page, "commands", "\n".join(["", "| command | what it does |", "|---|---|", *rows, "", ""]))
+
+
+def with_methods(page: str) -> str:
+    """Return the page with a line for each method of `Ledger`: its parameters and the first line of its docstring."""
+    rows = [
+        _line(f"ledger.{name}({', '.join(_parameters(method))})", inspect.getdoc(method))
+        for kind in Ledger.__mro__
+        for name, method in vars(kind).items()
+        if inspect.isfunction(method) and not name.startswith("_") and name not in INTERNAL
+    ]
+    return with_section(page, "methods", "\n".join(["", "| method | what it does |", "|---|---|", *rows, "", ""]))
+
+
+def _parameters(method: Callable[..., object]) -> list[str]:
+    _, *parameters = inspect.signature(method).parameters.values()
+    return [f"**{one.name}" if one.kind is one.VAR_KEYWORD else one.name for one in parameters]
+
+
+def _line(call: str, text: str | None) -> str:
+    return f"| `{call}` | {(text or '').splitlines()[0].partition(' Raises:')[0].removesuffix('.')} |"
 
 
 def with_section(page: str, name: str, text: str) -> str:
@@ -316,28 +353,40 @@ def noticed(text: str) -> str:
     return DIGEST.sub(lambda found: order.setdefault(found[0], f"digest-{len(order) + 1}"), text)
 
 
+def exact() -> dict[Path, str]:
+    """Return the pages that run no command: who writes a verifier compares each byte of the format's."""
+    return {
+        DOCS / "queries.md": queries_page(),
+        DOCS / "event-types.json": event_types(),
+        DOCS / "commands.md": with_commands((DOCS / "commands.md").read_text("utf-8")),
+        DOCS / "python.md": with_methods((DOCS / "python.md").read_text("utf-8")),
+        FORMAT: format_page(FORMAT.read_text("utf-8")),
+    }
+
+
 def main(arguments: list[str]) -> int:
-    """Write the pages, or the page of queries alone, or compare them with what they would be."""
-    if arguments == ["queries.md"]:
-        (DOCS / "queries.md").write_text(queries_page(), "utf-8")
+    """Write all pages, or those named that run no command, or compare them with what they would be."""
+    texts = exact()
+    if arguments and {DOCS / name for name in arguments} <= texts.keys():
+        for name in arguments:
+            (DOCS / name).write_text(texts[DOCS / name], "utf-8")
         return 0
     if arguments not in ([], ["--check"]):
-        print(f"docs/write.py: found {shlex.join(arguments)}, expected --check, queries.md or nothing", file=sys.stderr)
+        named = ", ".join(page.name for page in texts)
+        print(f"docs/write.py: found {shlex.join(arguments)}, expected --check, {named}, or nothing", file=sys.stderr)
         return 2
     pages = {page: with_output(page.read_text("utf-8")) for page in PAGES}
     pages[DOCS / "model.md"] = with_mechanisms(with_readings(with_constants(pages[DOCS / "model.md"])))
-    exact = {DOCS / "queries.md": queries_page(), DOCS / "event-types.json": event_types()}
-    exact[FORMAT] = format_page(FORMAT.read_text("utf-8"))  # who writes a verifier compares each byte of it
     if arguments != ["--check"]:
-        for page, text in (pages | exact).items():
+        for page, text in (pages | texts).items():
             if not page.exists() or page.read_text("utf-8") != text:
                 page.write_text(text, "utf-8")
         return 0
     compared = {page: (noticed(page.read_text("utf-8")), noticed(text)) for page, text in pages.items()}
-    compared |= {page: (page.read_text("utf-8") if page.exists() else "", text) for page, text in exact.items()}
-    stale = {page: texts for page, texts in compared.items() if texts[0] != texts[1]}
-    for page, texts in stale.items():
-        old, new = (text.splitlines(keepends=True) for text in texts)
+    compared |= {page: (page.read_text("utf-8") if page.exists() else "", text) for page, text in texts.items()}
+    stale = {page: pair for page, pair in compared.items() if pair[0] != pair[1]}
+    for page, pair in stale.items():
+        old, new = (text.splitlines(keepends=True) for text in pair)
         print("".join(difflib.unified_diff(old, new, page.name, "as it is now")))
     if stale:
         print("run `make docs` to write these pages again")

@@ -13,12 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fsar_ledger import errors
-    from fsar_ledger.api.auditing import Audit
+    from fsar_ledger.api.audit import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
-    from fsar_ledger.api.explaining import Account
-    from fsar_ledger.api.keys import key_new, key_public
-    from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.api.making import (
+    from fsar_ledger.api.explain import Account
+    from fsar_ledger.api.functions import (
         Simulated,
         calibrate,
         judge,
@@ -28,11 +26,13 @@ if TYPE_CHECKING:
         simulate,
         verify_proof,
     )
+    from fsar_ledger.api.keys import key_new, key_public
+    from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.opening import open_ledger
-    from fsar_ledger.api.reproducing import Reproduced
+    from fsar_ledger.api.reproduce import Reproduced
     from fsar_ledger.api.table import Table
-    from fsar_ledger.api.verifying import Verification
-    from fsar_ledger.api.witnessed import witness_new
+    from fsar_ledger.api.verify import Verification
+    from fsar_ledger.api.witness import witness_new
     from fsar_ledger.errors import FsarLedgerError
 
 __version__ = "0.4.0"
@@ -63,12 +63,12 @@ __all__ = [
 ]
 
 _HOMES = {
-    "api.auditing": ("Audit",),
+    "api.audit": ("Audit",),
     "api.events": ("Events", "LoggedEvent"),
-    "api.explaining": ("Account",),
+    "api.explain": ("Account",),
     "api.keys": ("key_new", "key_public"),
     "api.ledger": ("Ledger",),
-    "api.making": (
+    "api.functions": (
         "Simulated",
         "calibrate",
         "judge",
@@ -79,10 +79,10 @@ _HOMES = {
         "verify_proof",
     ),
     "api.opening": ("open_ledger",),
-    "api.reproducing": ("Reproduced",),
+    "api.reproduce": ("Reproduced",),
     "api.table": ("Table",),
-    "api.verifying": ("Verification",),
-    "api.witnessed": ("witness_new",),
+    "api.verify": ("Verification",),
+    "api.witness": ("witness_new",),
     "errors": ("FsarLedgerError",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}

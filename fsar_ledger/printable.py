@@ -10,7 +10,7 @@ beside them), marks without a letter, and a third mark on one letter. Escapes ar
 import re
 import shlex
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import NewType
 
 Shown = NewType("Shown", str)
@@ -145,3 +145,25 @@ def some(parts: Iterable[str], what: str = "more") -> str:
     named = list(parts)
     more = len(named) - NAMED
     return ", ".join(named[:NAMED]) + (f" and {more:,} {what}" if more > 0 else "")
+
+
+def did_you_mean(asked: str, names: Collection[str]) -> str:
+    """Return `; did you mean NAME?` for the nearest name, or nothing where none is near.
+
+    The nearest is the first name that begins like the one asked for, else the most similar one, else the first with the
+    most similar beginning.
+    """
+    from difflib import get_close_matches
+
+    ordered = sorted(names)
+    found = (
+        [name for name in ordered if name.startswith(asked)]
+        or get_close_matches(asked, ordered, 1, 0.4)
+        or [
+            name
+            for beginning in get_close_matches(asked, [name[: len(asked)] for name in ordered], 1, 0.3)
+            for name in ordered
+            if name.startswith(beginning)
+        ]
+    )
+    return f"; did you mean {value(found[0])}?" if asked and found else ""

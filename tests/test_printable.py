@@ -148,3 +148,23 @@ def test_a_line_goes_on_behind_a_mark_on_a_narrow_terminal() -> None:
 )
 def test_the_first_five_are_named_and_the_others_counted(count: int, said: str) -> None:
     assert printable.some(map(str, range(count))) == said
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("door", "; did you mean door-relay?"),
+        ("realy", "; did you mean relay?"),
+        ("door-realy.with.much.behind.it", "; did you mean door-relay.with.much.behind.it.and.more?"),
+        ("dorr", "; did you mean door-relay?"),
+        ("zzz", ""),
+        ("", ""),
+    ],
+)
+def test_the_nearest_name_begins_so_or_is_alike_or_begins_alike(asked: str, said: str) -> None:
+    names = ["relay", "door-relay", "door-relay.with.much.behind.it.and.more"]
+    assert printable.did_you_mean(asked, names) == said
+
+
+def test_a_suggested_name_is_shown_escaped() -> None:
+    assert printable.did_you_mean("a", ["a\x1b"]) == "; did you mean a\\x1b?"

@@ -15,7 +15,7 @@ from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.verified import is_verified
 
-from .about import of_rows
+from .provenance import of_rows
 from .table import Table
 
 if TYPE_CHECKING:

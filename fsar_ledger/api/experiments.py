@@ -1,4 +1,4 @@
-"""The experiment that the names and numbers given to `simulate` stand for."""
+"""Make an experiment from the arguments of `simulate`."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -25,16 +25,14 @@ def experiment_of(
     fleet: str | None = None,
     settings: list[str] | None = None,
 ) -> "Experiment":
-    """Return the experiment that the options of `simulate` name.
+    """Return the experiment that the arguments of `simulate` name.
 
-    A mechanism belongs to one architecture, so with one the default is that architecture alone.
-
-    `load` is how many teams work (None: all), and how many sets of tasks each of them gets; `fleet` and `settings` are
-    as in `with_own`.
+    With `without`, the default architecture is the one that has the mechanisms. `load` is the number of teams that work
+    (None: all) and the number of task sets for each. `fleet` and `settings` are as in `with_own`.
 
     Raises:
-        InvalidExperiment: a name is unknown, or a number impossible.
-        UsageError: a workflow was asked for together with what it does not have, or a file or setting is wrong.
+        InvalidExperiment: A name is unknown, or a number impossible.
+        UsageError: An argument does not go with a workflow, or a file or setting is wrong.
     """
     if workflows:
         others = {
@@ -86,7 +84,7 @@ def experiment_of(
 
 
 def _joined(asked: str) -> list[str]:
-    """Split names joined by a +. Raises: InvalidExperiment where one is missing, repeated or joined otherwise."""
+    """Split names joined by +. Raises: InvalidExperiment if one is empty or repeated, or joined otherwise."""
     names = [name.strip() for name in asked.split("+")]
     if "" in names or len(set(names)) < len(names) or "," in asked:
         raise InvalidExperiment(
@@ -104,7 +102,7 @@ def _workflows_of(
     architectures: list[str] | None,
     fleet_size: int | None,
 ) -> "Experiment":
-    """Return the experiment of these workflows: FSAR's, with one robot of each role, and nothing beside them."""
+    """Return the experiment of these workflows, under FSAR, with one robot of each role."""
     from fsar_ledger.designs.registered import workflows
     from fsar_ledger.runtime.experiment import workflow_experiment
 

@@ -1,12 +1,8 @@
-"""Rows as comma-separated values.
-
-Text of a ledger is escaped as it becomes a field (`printable`), unless it shall stay raw.
-"""
+"""Rows as comma-separated values. Text from a ledger is escaped as it becomes a field (`printable`), unless raw."""
 
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from functools import partial
 
 import msgspec
 
@@ -22,17 +18,12 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) 
     Text is harmless for terminals and spreadsheets unless `raw`.
     """
     text = io.StringIO()
-    writer, quoting = (
-        csv.writer(text, lineterminator="\n"),
-        csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL),
-    )
-    for fields in (
-        [*map(partial(field_text, raw=raw), columns)],
-        *([field_text(row[column], raw=raw) for column in columns] for row in rows),
-    ):
-        (quoting if any("\r" in field for field in fields) else writer).writerow(
-            fields
-        )  # a bare CR ends a row for some readers
+    writer = csv.writer(text, lineterminator="\n")
+    quoting = csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL)
+    for values in (columns, *([row[column] for column in columns] for row in rows)):
+        fields = [field_text(value, raw=raw) for value in values]
+        # A bare CR ends a row for some readers.
+        (quoting if any("\r" in field for field in fields) else writer).writerow(fields)
     return Shown(text.getvalue())
 
 
@@ -42,7 +33,7 @@ def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
 
 
 def encodable(value: object) -> object:
-    """Return the value with each byte of a file's name that is not UTF-8 escaped, `\\udcff` for ff."""
+    """Return the value with those bytes of file names escaped that are not UTF-8: `\\udcff` for ff."""
     if isinstance(value, str):
         return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
     if isinstance(value, dict):

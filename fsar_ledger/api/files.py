@@ -22,14 +22,14 @@ from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.memory import unfinished
 from fsar_ledger.metrics.verified import is_verified
 
-from .about import About
+from .provenance import Provenance
 
 
 class Written(msgspec.Struct, frozen=True):
     """How many rows were written to a file, and what they hold for."""
 
     row_count: int
-    about: About
+    provenance: Provenance
 
 
 def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | None = None) -> Written:
@@ -44,7 +44,7 @@ def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | 
     require_place(out)
     view = open_for_answers(ledger)
     rows_verified = is_verified(view, demanded)
-    return Written(_write_tables(out, SCHEMA, view.tables(), raw=raw), About(view.head, rows_verified))
+    return Written(_write_tables(out, SCHEMA, view.tables(), raw=raw), Provenance(view.head, rows_verified))
 
 
 def write_table(out: Path, table: pa.Table, *, raw: bool = False) -> int:

@@ -1,4 +1,4 @@
-"""Keys that sign ledgers, and the names that they sign under."""
+"""Keys that sign ledgers, and the names under which they sign."""
 
 from os import PathLike
 from pathlib import Path
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 def key_new(file: str | PathLike[str], name: str | None = None) -> "VerifierKey":
-    """Make a key that signs ledgers, secret in `file`, public in `file` + `.pub`; return the public half.
+    """Make a key that signs ledgers, the secret in `file`, the public half in `file` + `.pub`; return the public half.
 
     Args:
-        file: Where it goes; never overwritten. Who has this file can rewrite every ledger that the key signed.
-        name: The origin of the ledgers that it signs; None: `fsar-ledger/simulated`.
+        file: A new file. Whoever has it can rewrite every ledger that the key signed.
+        name: The origin of the ledgers it signs; None: `fsar-ledger/simulated`.
 
     Raises:
-        UsageError: The name cannot be an origin, or the file would lie inside a ledger, or exists.
+        UsageError: The name cannot be an origin, or the file exists or would lie inside a ledger.
         WriteFailed: The file cannot be written.
     """
     from fsar_ledger.ledger.store.keys import new_key
@@ -32,7 +32,7 @@ def key_new(file: str | PathLike[str], name: str | None = None) -> "VerifierKey"
 
 
 def key_public(key: str, name: str) -> "VerifierKey":
-    """Return a public key, of a .pub file or given as text, under another name, to verify a ledger of that origin.
+    """Return a public key, from a .pub file or text, under another name, to verify a ledger of that origin.
 
     Raises:
         UsageError: There is no such key, or no ledger can have this origin.
@@ -49,7 +49,7 @@ def signer_of(key: str | PathLike[str] | None, *, adopts: bool = False) -> "Sign
     """Read the key in this file, if one was given.
 
     Raises:
-        UsageError: There is none in it, or what others wrote shall be adopted without one.
+        UsageError: The file holds no key, or a ledger is to be adopted without one.
     """
     if key is None:
         if adopts:
@@ -61,7 +61,7 @@ def signer_of(key: str | PathLike[str] | None, *, adopts: bool = False) -> "Sign
 
 
 def origin_of(name: str | None, parameter: str = "origin") -> str | None:
-    """Check the origin that was asked for, if any. Raises: UsageError if no ledger can have it."""
+    """Check and return the origin, if one was given. Raises: UsageError if no ledger can have it."""
     from fsar_ledger.ledger.log.note import is_name
 
     if name is not None and not is_name(name):
@@ -70,7 +70,7 @@ def origin_of(name: str | None, parameter: str = "origin") -> str | None:
 
 
 def short(parameter: str, name: str) -> str:
-    """Return the name if it is short enough to be shown whole. Raises: UsageError if not."""
+    """Return the name. Raises: UsageError if it is too long to be shown whole."""
     if len(name) > printable.MAX_VALUE:
         raise UsageError(
             f"{option(parameter, name[:40])}...: found {len(name):,} characters, expected at most {printable.MAX_VALUE}"
@@ -79,14 +79,14 @@ def short(parameter: str, name: str) -> str:
 
 
 def trusted_of(key: str | None) -> "VerifierKey | None":
-    """Read the public key that must have signed, if one was given. Raises: UsageError if it is none."""
+    """Read the public key that must have signed, if one was given. Raises: UsageError if it is not a key."""
     from fsar_ledger.ledger.store.keys import read_verifier
 
     return None if key is None else read_verifier(key)
 
 
 def anchor_of(file: str | PathLike[str] | None) -> "Anchor | None":
-    """Read the kept checkpoint in this file, if one was given. Raises: UsageError if it is none."""
+    """Read the kept checkpoint in this file, if one was given. Raises: UsageError if it is not a checkpoint."""
     from fsar_ledger.ledger.verify.notes import read_anchor
 
     return None if file is None else read_anchor(Path(file))

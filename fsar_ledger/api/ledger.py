@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.opening import open_for_answers
 
-from .asked import parameters_of, robot_of, run_of
-from .evidence import Evidence
+from .integrity import Integrity
+from .lookup import parameters_of, robot_of, run_of
 from .names import By, Place, Pool, by_scenario, microseconds, names_of, pools_seeds
 from .workload import Progress, readers_of
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.sandbox import Limits
     from fsar_ledger.projections.fold import State
 
-    from .about import About
-    from .auditing import Audit
-    from .comparing import Compared
-    from .contents import Contents
+    from .audit import Audit
+    from .compare import Comparison
     from .events import Events
-    from .everyway import EveryWay
-    from .explaining import Account
+    from .explain import Account
     from .files import Written
-    from .sides import Comparison
+    from .info import Contents
+    from .multiverse import MultiverseResult
+    from .provenance import Provenance
+    from .statistics import Statistics
     from .table import Table
 
 
-class Ledger(Evidence):
+class Ledger(Integrity):
     """A ledger that can be asked. Each answer is about its newest commit at that moment, and says which in `head`.
 
     Runs are given by name, or by a part of it that only one has; robots as `B1` or `robot/B1`; times in seconds of run
@@ -58,7 +58,7 @@ class Ledger(Evidence):
 
     def info(self) -> "Contents":
         """Return what was planned, what of it is there, and the parameters of its worlds."""
-        from .contents import contents
+        from .info import contents
 
         return contents(self.path, self._demanded)
 
@@ -113,7 +113,7 @@ class Ledger(Evidence):
             QueryFailed: A value does not fit its parameter.
             UsageError: There is no such run or robot.
         """
-        from .about import of_rows
+        from .provenance import of_rows
         from .table import Table
 
         with self.database() as database:
@@ -155,31 +155,31 @@ class Ledger(Evidence):
         """
         from fsar_ledger.metrics.untrusted import table_untrusted
 
-        from .about import About
         from .limits import limits_of
+        from .provenance import Provenance
         from .table import Table
 
         rows, head, rows_verified = table_untrusted(self.path, select, limits_of(seconds, memory_mib), self._demanded)
-        return Table(rows, About(head, rows_verified))
+        return Table(rows, Provenance(head, rows_verified))
 
     @contextmanager
     def stream(
         self, select: str, limits: "Limits"
-    ) -> "Iterator[tuple[About, list[str], Iterator[list[dict[str, Any]]]]]":
+    ) -> "Iterator[tuple[Provenance, list[str], Iterator[list[dict[str, Any]]]]]":
         """Yield the answer of `sql` in parts, so that a long one is never held as a whole."""
         from fsar_ledger.metrics.untrusted import stream_untrusted
 
-        from .about import About
+        from .provenance import Provenance
 
         with stream_untrusted(self.path, select, limits, self._demanded) as found:
-            yield About(found.head, found.rows_verified), found.columns, found.parts
+            yield Provenance(found.head, found.rows_verified), found.columns, found.parts
 
     def requests(self, run: str | None = None) -> "Table":
         """Return the requests of a run, the first by default.
 
         Each row says who asked, allowed, executed and supervised, and with what result.
         """
-        from .explaining import chosen_run, requests
+        from .explain import chosen_run, requests
 
         with self.database() as database:
             return requests(database, chosen_run(database, self.path, run))
@@ -190,7 +190,7 @@ class Ledger(Evidence):
         Raises:
             UsageError: The run has no such request, it has not failed, or not exactly one of both is named.
         """
-        from .explaining import account, chosen_run
+        from .explain import account, chosen_run
 
         with self.database() as database:
             return account(database, self.path, chosen_run(database, self.path, run), request, failure)
@@ -206,7 +206,7 @@ class Ledger(Evidence):
         """
         from fsar_ledger.metrics.results import MetricRow, metric_rows
 
-        from .about import of_judgement
+        from .provenance import of_judgement
         from .table import Table, of_structs
 
         per_scenario, pooled = by_scenario(by), pools_seeds(pool)
@@ -215,16 +215,16 @@ class Ledger(Evidence):
             rows = rows if per_scenario else rows.drop_columns(["scenario"])
             return Table(rows, of_judgement(database))
 
-    def statistics(self, pool: Pool = None) -> "Compared":
+    def statistics(self, pool: Pool = None) -> "Statistics":
         """Compare the architectures in pairs, and FSAR with itself without a mechanism.
 
         The answer has tests, effect sizes, and what is not compared.
         """
-        from .comparing import compared
+        from .statistics import compute_statistics
 
         pooled = pools_seeds(pool)
         with self.database() as database:
-            return compared(database, pooled=pooled)
+            return compute_statistics(database, pooled=pooled)
 
     def compare(
         self,
@@ -238,27 +238,27 @@ class Ledger(Evidence):
 
         The second side may be of another ledger.
         """
-        from .sides import compared_sides
+        from .compare import compare_sides
 
         ledgers = [self] if other is None else [self, other if isinstance(other, Ledger) else Ledger(other)]
-        return compared_sides(ledgers, (first, second), by_scenario=by_scenario(by), pooled=pools_seeds(pool))
+        return compare_sides(ledgers, (first, second), by_scenario=by_scenario(by), pooled=pools_seeds(pool))
 
-    def multiverse(self, metric: str | Sequence[str] | None = None, pool: Pool = None) -> "EveryWay":
+    def multiverse(self, metric: str | Sequence[str] | None = None, pool: Pool = None) -> "MultiverseResult":
         """Read the results table in every way that the paper's text allows."""
-        from .everyway import every_way
+        from .multiverse import read_multiverse
 
         pooled = pools_seeds(pool)
         with self.database() as database:
-            return every_way(database, names_of(metric), pools_seeds=pooled)
+            return read_multiverse(database, names_of(metric), pools_seeds=pooled)
 
     def audit(
         self, invariant: str | Sequence[str] | None = None, architecture: str | Sequence[str] | None = None
     ) -> "Audit":
         """Check the invariants I1 to I5 and A1 to A5, or those named, on all runs or those of these architectures."""
-        from .auditing import audited
+        from .audit import audit_runs
 
         with self.database() as database:
-            return audited(database, names_of(invariant) or (), names_of(architecture) or ())
+            return audit_runs(database, names_of(invariant) or (), names_of(architecture) or ())
 
     # --- files ---
 
@@ -283,7 +283,7 @@ class Ledger(Evidence):
         require_place(file)
         if query is not None:
             found = self.query(query, **(parameters or {}))
-            return Written(write_table(file, found.stored, raw=raw), found.about)
+            return Written(write_table(file, found.stored, raw=raw), found.provenance)
         if parameters:
             raise UsageError(f"export: found parameter {next(iter(parameters))} and no query, expected both or neither")
         return write_events(self.path, file, raw=raw, demanded=self._demanded)

@@ -1,4 +1,4 @@
-"""The limits of a SELECT of the user's own."""
+"""Limits for a SELECT of the user's own."""
 
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.metrics.sandbox import Limits
@@ -7,10 +7,10 @@ MEMORY_MIB_MIN = 1024
 
 
 def limits_of(seconds: int | None = None, memory_mib: int | None = None) -> Limits:
-    """Return the limits that are asked for, with defaults for the rest.
+    """Return these limits, with defaults for the rest.
 
     Raises:
-        UsageError: No second, or less memory than the process needs for the packaged queries.
+        UsageError: Less than a second, or less memory than the process needs for the packaged queries.
     """
     default = Limits()
     seconds = default.seconds if seconds is None else seconds

@@ -1,7 +1,6 @@
-"""Names that users give: of runs, robots, scenarios. An unknown one is an error that suggests the nearest."""
+"""Names that users give, of runs, robots and scenarios. An error about an unknown one suggests the nearest."""
 
 from collections.abc import Sequence
-from difflib import get_close_matches
 from os import PathLike
 from typing import Literal, TypeVar
 
@@ -16,52 +15,40 @@ By = Literal["scenario"] | None
 
 
 def by_scenario(asked: str | None) -> bool:
-    """Return whether each scenario has rows of its own. Raises: UsageError for another division."""
+    """Return whether to divide the rows by scenario. Raises: UsageError for another division."""
     if asked not in (None, "scenario"):
         raise UsageError(f"{option('by', asked)}: expected {option('by', 'scenario')}, or no {option('by')}")
     return asked is not None
 
 
 def pools_seeds(asked: str | None) -> bool:
-    """Return whether the runs of all seeds are taken together. Raises: UsageError for another pool."""
+    """Return whether to pool the runs of all seeds. Raises: UsageError for another pool."""
     if asked not in (None, "seeds"):
         raise UsageError(
-            f"{option('pool', asked)}: expected {option('pool', 'seeds')}, or no {option('pool')}; runs of other "
-            "constants, models or fleet sizes are "
-            "never taken together"
+            f"{option('pool', asked)}: expected {option('pool', 'seeds')}, or no {option('pool')}; runs of "
+            "other constants, models or fleet sizes are never pooled"
         )
     return asked is not None
 
 
 def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
-    """Return the names that were asked for, each once, in the order of `names`.
+    """Return the names asked for, each once, in the order of `names`.
 
     Raises:
-        InvalidExperiment: one of them is none of `names`; the message suggests the nearest.
+        InvalidExperiment: A name is unknown; the message suggests the nearest.
     """
     for name in asked or ():
         if name not in names:
-            nearest = get_close_matches(name.lower(), names, n=1, cutoff=0.4)
-            hint = f"; did you mean {nearest[0]!r}?" if nearest else ";"
-            raise InvalidExperiment(f"unknown {what} {name!r}{hint} expected one of {', '.join(names)}")
+            hint = printable.did_you_mean(name.lower(), names)
+            raise InvalidExperiment(f"unknown {what} {name!r}{hint or ';'} expected one of {', '.join(names)}")
     return tuple(name for name in names if name in (asked or ()))
 
 
-def did_you_mean(asked: str, names: Sequence[str]) -> str:
-    """Return a question about the nearest name: one that begins so, else one whose beginning is like it."""
-    ordered = sorted(names)
-    near = [name for name in ordered if name.startswith(asked)] or get_close_matches(
-        asked, [name[: len(asked)] for name in ordered], 1, 0.3
-    )
-    found = next((name for name in ordered if near and name.startswith(near[0])), None)
-    return "" if found is None else f"did you mean {printable.value(found)}? "
-
-
 def run_named(asked: str, names: Sequence[str]) -> str:
-    """Return the run of this name, or the one whose name has this part.
+    """Return the run of this name, or the only one whose name contains it.
 
     Raises:
-        UsageError: No run has it, or several do.
+        UsageError: No run matches, or several do.
     """
     if asked in names:
         return asked
@@ -71,12 +58,10 @@ def run_named(asked: str, names: Sequence[str]) -> str:
     if found:
         shown = printable.some(map(printable.value, found))
         raise UsageError(
-            f"run {printable.value(asked)}: found {len(found):,} runs that have this in their names, expected one of "
-            f"{shown}"
+            f"run {printable.value(asked)}: found {len(found):,} runs whose names contain this, expected one of {shown}"
         )
-    raise UsageError(
-        f"run {printable.value(asked)}: there is no such run; {did_you_mean(asked, names)}the query `runs` lists them"
-    )
+    hint = printable.did_you_mean(asked, names)
+    raise UsageError(f"run {printable.value(asked)}: there is no such run{hint or ';'} the query `runs` lists them")
 
 
 def robot_named(asked: str, names: Sequence[str]) -> str:
@@ -84,10 +69,9 @@ def robot_named(asked: str, names: Sequence[str]) -> str:
     name = asked if asked.startswith("robot/") else f"robot/{asked}"
     if name in names:
         return name
-    nearest = get_close_matches(name, names, 1, 0.3)
-    hint = f"did you mean {printable.value(nearest[0])}? " if nearest else ""
+    hint = printable.did_you_mean(name, names)
     raise UsageError(
-        f"robot {printable.value(asked)}: there is no such robot; {hint}expected one of "
+        f"robot {printable.value(asked)}: there is no such robot{hint or ';'} expected one of "
         f"{printable.some(map(printable.value, sorted(names))) or 'none: no robot is on record'}"
     )
 
@@ -98,7 +82,7 @@ def names_of(asked: str | Sequence[str] | None) -> list[str] | None:
 
 
 def microseconds(what: str, seconds: float | None) -> int | None:
-    """Convert seconds to whole microseconds; None stays None. Raises: UsageError if it is no time."""
+    """Convert seconds to whole microseconds; None stays None. Raises: UsageError if it is not a time."""
     if seconds is None:
         return None
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds <= 9_007_199_254:

@@ -1,4 +1,4 @@
-"""Opening a ledger, and the comparison with its root that an answer may demand."""
+"""Open a ledger, and compare its rows with its root where answers demand that."""
 
 from pathlib import Path
 
@@ -11,12 +11,12 @@ from .workload import Progress, readers_of
 
 
 def demanded_head(ledger: Path, *, verified: bool, progress: Progress | None = None) -> str | None:
-    """Return the newest record once its rows were compared with its root; None if `verified` is not demanded.
+    """Compare the rows with the root and return the newest record's SHA-256; None if `verified` is not demanded.
 
-    An earlier comparison that is remembered will do.
+    A remembered comparison is not repeated.
 
     Raises:
-        LedgerCorrupted: The look doubts something.
+        LedgerCorrupted: The comparison found something.
         NotALedger, FormatVersionMismatch: As `open_for_answers`.
     """
     if not verified:
@@ -30,12 +30,12 @@ def open_ledger(path: Place, *, verified: bool = False, progress: Progress | Non
 
     Args:
         path: The folder.
-        verified: Compare all rows with the root first, as `verify` does, unless that is remembered of this head;
-            answers about later commits are then refused.
-        progress: Called with segments compared and in all.
+        verified: Compare all rows with the root first, as `verify` does, unless an earlier comparison of this head is
+            remembered; answers about later commits are then refused.
+        progress: Called with the segments compared and their total.
 
     Raises:
-        NotALedger, FormatVersionMismatch: There is none that this version reads.
+        NotALedger, FormatVersionMismatch: The folder holds no ledger that this version reads.
         LedgerCorrupted: It contradicts itself.
     """
     if not verified:

@@ -1,4 +1,4 @@
-"""The plans of a ledger for people: what each names, in a few words, and the call that continues it."""
+"""Describe the plans of a ledger: what each names, and the command that continues it."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -16,24 +16,24 @@ if TYPE_CHECKING:
 
 MAX_RUNS = 9999  # of an experiment
 MAX_COUNTS = 32
-"""Of runs that `reproduce` may have been called with, which are tried, the largest first: each costs two milliseconds.
+"""How many values of `reproduce --runs` are tried, the largest first: each costs two milliseconds.
 
-`info` shows ledgers of others, too.
+`info` also reads ledgers that others wrote.
 """
 PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
 
 
 class Shown(NamedTuple):
-    """A ledger under the name that the user gave, and its content."""
+    """A ledger, by the path that the user gave, and its content."""
 
     path: Path
     view: LedgerView
 
 
 def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
-    """Return every plan, the largest first, with the call that continues it.
+    """Return every plan, the largest first, with the command that continues it.
 
-    The call is None where no run is missing or this version cannot make them.
+    The command is None where no run is missing, or where this version cannot make the missing runs.
     """
     rows = database.rows(EXPERIMENTS)
     constants = (
@@ -50,11 +50,10 @@ def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
 
 
 def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
-    """Return, by plan, the call of `reproduce` that continues a ledger that it made beside the results.
+    """Return, by plan, the call of `reproduce` that continues a ledger that it made besides the results.
 
-    No key signs such a ledger under its own name.
-
-    `counts` are the runs that the ledger's plans name: `reproduce` was called with one of these, or with none.
+    `simulate` cannot continue such a ledger, because no key signs under its name. `counts` are the numbers of runs in
+    the ledger's plans: `reproduce --runs` was one of these, or not given.
     """
     from fsar_ledger.runtime.experiments import NAMES, SEED, named
     from fsar_ledger.runtime.plan import plan_id
@@ -95,9 +94,9 @@ def _some(names: list[str], what: str) -> str:
 
 
 def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> str | None:
-    """Return the call that makes what is missing; None where no call of this version has this plan.
+    """Return the call of `simulate` that makes the missing runs; None if no call of this version has this plan.
 
-    That is so for another model, other constants or other names.
+    None has it where the model, the constants or the names differ.
     """
     from fsar_ledger.runtime.plan import plan_id
 
@@ -111,9 +110,9 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> s
 
 
 def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
-    """Return what `experiment_of` must be given for such a plan; None where its constants are not as they are written.
+    """Return the arguments of `experiment_of` for such a plan; None where its constants cannot be read.
 
-    A value is None where the default will do.
+    An argument is None where the default will do.
     """
     from fsar_ledger.constants import Load, read_constants
     from fsar_ledger.designs.registered import PAPER_SCENARIOS, workflows
@@ -142,7 +141,7 @@ def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
 
 
 def _options(asked: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the options of `simulate` that ask for this, without those at their defaults."""
+    """Yield the options of `simulate` for these arguments, without those at their defaults."""
     for option, name in (
         ("--architecture", "architectures"),
         ("--scenario", "scenarios"),
@@ -158,10 +157,7 @@ def _options(asked: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _name(view: LedgerView) -> Iterator[str]:
-    """Yield the options that let this ledger be written to.
-
-    A key where the newest commit is signed, else the origin where it is not the usual one.
-    """
+    """Yield the option that this ledger must be written with: its key if it is signed, else an unusual origin."""
     from fsar_ledger.runtime.experiment import ORIGIN
 
     if _is_signed(view):
@@ -171,5 +167,5 @@ def _name(view: LedgerView) -> Iterator[str]:
 
 
 def runs(count: int) -> str:
-    """Return so many runs, in words."""
+    """Return a number of runs, in words."""
     return printable.counted(count, "run")

@@ -1,4 +1,4 @@
-"""An answer as a table: Arrow, polars or plain rows, with the head of the ledger that it holds for."""
+"""An answer as a table: Arrow, polars or plain rows, with its provenance."""
 
 import html
 from collections.abc import Iterator, Sequence
@@ -12,33 +12,33 @@ from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.sandbox import slices
 
-from .about import About
+from .provenance import Provenance
 
 if TYPE_CHECKING:
     import polars as pl
 
 Row = dict[str, Any]
 
-NOTHING = About()
+NOTHING = Provenance()
 SHOWN_ROWS = 20
 """Rows that a notebook shows."""
 
 
 class Table:
-    """The rows of an answer. They are read-only; iterating gives a dictionary for each, with None for NULL.
+    """The rows of an answer, read-only. Iterating yields a dictionary for each row, with None for NULL.
 
-    `about` says which head of the ledger they hold for, whether the rows that were read were compared with its root
-    (`Ledger.verify` does that, and remembers it), which planned runs are missing, and what runs do not observe.
+    `provenance` says which head of the ledger they hold for, whether the rows that were read were compared with its
+    root (`Ledger.verify` does that, and remembers it), which planned runs are missing, and what runs do not observe.
     """
 
     def __init__(
         self,
         rows: pa.Table,
-        about: About = NOTHING,
+        provenance: Provenance = NOTHING,
     ) -> None:
         self.stored = rows
         """The rows as DuckDB gave them."""
-        self.about = about
+        self.provenance = provenance
 
     @property
     def columns(self) -> list[str]:
@@ -58,14 +58,14 @@ class Table:
         return frame
 
     def rows(self) -> list[Row]:
-        """Return all rows as dictionaries. Raises: as `parts`."""
+        """Return all rows as dictionaries. Raises: As `parts`."""
         return [row for part in self.parts() for row in part]
 
     def parts(self) -> Iterator[list[Row]]:
         """Yield the rows as dictionaries, some at a time.
 
         Raises:
-            QueryFailed: A date or time is none that Python has.
+            QueryFailed: Python cannot hold a date or time.
         """
         for batch in self.stored.to_batches():
             for part in slices(batch):
@@ -87,7 +87,7 @@ class Table:
         return f"<{type(self).__name__}: {printable.counted(len(self), 'row')} of {printable.some(self.columns)}>"
 
     def _repr_html_(self) -> str:
-        """Return the first rows as HTML, for notebooks; what a ledger holds is escaped."""
+        """Return the first rows as HTML, for notebooks; text from a ledger is escaped."""
         shown = plain_rows(self.stored.slice(0, SHOWN_ROWS))
         header = "".join(f"<th>{_cell(name)}</th>" for name in self.columns)
         body = "".join(f"<tr>{''.join(f'<td>{_cell(row[name])}</td>' for name in self.columns)}</tr>" for row in shown)
@@ -97,14 +97,14 @@ class Table:
 
 
 def of_structs(rows: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> pa.Table:
-    """Return typed rows as an Arrow table that has the columns of their type even where there are no rows."""
+    """Return typed rows as an Arrow table, with the columns of their type even if there are no rows."""
     fields = [(field.name, _arrow_type(field.type)) for field in msgspec.inspect.type_info(kind).fields]  # type: ignore[attr-defined]
     columns = [pa.array([getattr(row, name) for row in rows], type) for name, type in fields]
     return pa.Table.from_arrays(columns, names=[name for name, _ in fields])
 
 
 def _arrow_type(kind: msgspec.inspect.Type) -> pa.DataType | None:
-    """Return the Arrow type of a field; None where Arrow finds it out from the values."""
+    """Return the Arrow type of a field; None where Arrow infers it from the values."""
     options = kind.types if isinstance(kind, msgspec.inspect.UnionType) else (kind,)
     named: dict[type, pa.DataType] = {
         msgspec.inspect.StrType: pa.string(),
@@ -121,7 +121,7 @@ def _with_integers(table: pa.Table) -> pa.Table:
         if pa.types.is_decimal(field.type) and field.type.scale == 0:
             try:
                 table = table.set_column(at, field.name, table.column(at).cast(pa.int64()))
-            except pa.ArrowInvalid:  # too large for 64 bits: a decimal it stays
+            except pa.ArrowInvalid:  # too large for 64 bits: it stays a decimal
                 continue
     return table
 

@@ -8,20 +8,20 @@ from pathlib import Path
 from fsar_ledger.errors import UsageError, option
 
 Progress = Callable[[int, int], None]
-"""Called with how much is done, and of how much."""
+"""Called with the amount done and the total."""
 
 WORTH_ROBOTS = 320
-"""Robots to be simulated, over all runs, that take about as long as a process takes to start (0.4 s)."""
+"""Robots, summed over all runs, whose simulation takes about as long as a process takes to start (0.4 s)."""
 
 WORTH_BYTES = 400 << 10
-"""Bytes of segments that are verified in about the time that a process takes to start (0.4 s)."""
+"""Bytes of segments whose verification takes about as long as a process takes to start (0.4 s)."""
 
 
 def workers_of(asked: int | None, worth: int | None = None) -> int:
-    """Return the number of processes: as asked, else one a core, but no more than the work is worth.
+    """Return the number of processes: as asked, else one per core, but no more than the work is worth.
 
     Raises:
-        UsageError: fewer than one was asked for.
+        UsageError: Fewer than one was asked for.
     """
     if asked is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -32,7 +32,7 @@ def workers_of(asked: int | None, worth: int | None = None) -> int:
 
 
 def readers_of(asked: int | None, *ledgers: Path | None) -> int:
-    """Return the number of processes that read these ledgers: as asked, else one a core, if there is enough to do.
+    """Return the number of processes that read these ledgers: as asked, else one per core, if there is enough to do.
 
     Raises: As `workers_of`.
     """
@@ -40,14 +40,14 @@ def readers_of(asked: int | None, *ledgers: Path | None) -> int:
 
 
 def stored(*ledgers: Path | None) -> int:
-    """Return the bytes that the segments of these ledgers take, staged ones too."""
+    """Return the bytes of the segments of these ledgers, including staged ones."""
     from fsar_ledger.ledger.store.paths import SEGMENTS, STAGING
 
     return sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
 
 
 def _stored(folder: Path) -> int:
-    """Return the bytes that the files in the folder take; a sparse file takes what it holds."""
+    """Return the bytes that the files in the folder take; of a sparse file, only those allocated."""
     size = 0
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:

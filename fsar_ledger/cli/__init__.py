@@ -1,1 +1,1 @@
-"""The command line: one typer application (`app.py`) over the answers as text, files and contents of a ledger."""
+"""The command line: a typer application (`app.py`) with a file for each command, and answers as text."""

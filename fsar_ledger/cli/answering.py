@@ -1,4 +1,4 @@
-"""Opening the ledger that a command asks, and saying on stderr what its answer rests on and leaves open."""
+"""Open the ledger that a command reads, and warn on stderr of what its answer leaves open."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -7,12 +7,12 @@ from .progress import Progress
 from .terminal import say
 
 if TYPE_CHECKING:
-    from fsar_ledger.api.about import About
     from fsar_ledger.api.ledger import Ledger
+    from fsar_ledger.api.provenance import Provenance
 
 
 def opened(ledger: Path, *, verified: bool) -> "Ledger":
-    """Return the ledger; with `verified`, after comparing its rows with the root. Raises: As `demanded_head`."""
+    """Open the ledger; with `verified`, compare its rows with the root first. Raises: As `demanded_head`."""
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.opening import demanded_head
 
@@ -20,15 +20,15 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
         return Ledger(ledger, demanded=demanded_head(ledger, verified=verified, progress=progress))
 
 
-def warn(ledger: Path, about: "About") -> None:
-    """Say, a line each, what runs do not observe, that planned runs are missing, and that rows were not compared."""
+def warn(ledger: Path, provenance: "Provenance") -> None:
+    """Warn, a line each, of what runs do not observe, of missing planned runs, and of rows that were not compared."""
     from fsar_ledger.metrics.observing import told
 
-    if (line := told(about.not_observed)) is not None:
+    if (line := told(provenance.not_observed)) is not None:
         say(line)
-    if about.plans is not None and (missing := about.plans.warning()) is not None:
+    if provenance.plans is not None and (missing := provenance.plans.warning()) is not None:
         say(f"{ledger}: {missing}; `fsar-ledger info {ledger}` says how to go on")
-    if not about.rows_verified:
+    if not provenance.rows_verified:
         say(
             f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and "
             "--verified demands it"

@@ -1,15 +1,18 @@
-"""The command line: its commands, and `run`, which turns a call into an exit code.
+"""The typer application, and `run`, which turns a call into an exit code.
 
-Only `terminal.py` prints, and only this module, `progress.py` and the witness's server read a clock. Every command body
-imports what it needs, so that `--help` stays quick. A command that fails raises one of the errors of `errors.py`;
-`run` turns it into one message on stderr and its exit code: 0 fine, 1 a write failed, a worker was killed or an audit
-found something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
+Every module of `commands` is a command. Only `terminal.py` prints, and only this module, `progress.py` and the
+witness's server read a clock. Commands import what they need when they run, so that `--help` stays quick. A command
+that fails raises an error of `errors.py`; `run` turns it into one message on stderr and its exit code: 0 fine, 1 a
+write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130
+interrupted.
 """
 
 import errno
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
+from importlib import import_module
+from pkgutil import iter_modules
 from typing import Annotated
 
 import typer
@@ -17,42 +20,18 @@ import typer
 from fsar_ledger import printable
 from fsar_ledger.errors import FsarLedgerError, named_as_options
 
-from . import (
-    audit,
-    calibrate,
-    compare,
-    explain,
-    export,
-    info,
-    judge,
-    key,
-    metrics,
-    multiverse,
-    predict,
-    prove,
-    query,
-    recover,
-    report,
-    reproduce,
-    sensitivity,
-    simulate,
-    sql,
-    statistics,
-    verify,
-    verify_proof,
-    witness,
-)
+from . import commands
 from .memory import reading
 from .options import require_text
 from .terminal import Enough, say, show
 
 INTERRUPTED = 130
-CONTINUES = "what is committed stays, and the same command continues there"
-AFTER_INTERRUPTION = {
-    "simulate": CONTINUES,
-    "reproduce": CONTINUES,
-    "recover": "what was mended stays; run it again",
-} | sensitivity.AFTER_INTERRUPTION
+ORDER = (
+    *("simulate", "info", "metrics", "statistics", "compare", "multiverse", "query", "sql", "export", "explain"),
+    *("audit", "verify", "prove", "verify_proof", "key", "witness", "recover", "report"),
+    *("calibrate", "predict", "judge", "sensitivity", "reproduce"),
+)
+"""The commands in the order of the help; those that are not named here follow."""
 
 app = typer.Typer(
     name="fsar-ledger",
@@ -79,39 +58,29 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
         raise typer.Exit(0)
 
 
-app.command(epilog=simulate.EXAMPLES)(simulate.simulate)
-app.command(epilog=info.EXAMPLES)(reading(info.info))
-app.command(epilog=metrics.EXAMPLES)(reading(metrics.metrics))
-app.command(epilog=statistics.EXAMPLES)(reading(statistics.statistics))
-app.command(epilog=compare.EXAMPLES)(reading(compare.compare))
-app.command(epilog=multiverse.EXAMPLES)(reading(multiverse.multiverse))
-app.command(epilog=query.EXAMPLES)(query.query)
-app.command(epilog=sql.EXAMPLES)(sql.sql)
-app.command(epilog=export.EXAMPLES)(reading(export.export))
-app.command(epilog=audit.EXAMPLES)(reading(audit.audit))
-app.command(epilog=verify.EXAMPLES)(reading(verify.verify))
-app.command(epilog=prove.EXAMPLES)(reading(prove.prove))
-app.command("verify-proof", epilog=verify_proof.EXAMPLES)(verify_proof.verify_proof)
-app.add_typer(key.keys, name="key")
-app.add_typer(witness.witnesses, name="witness")
-app.command(epilog=recover.EXAMPLES)(reading(recover.recover))
-app.command(epilog=explain.EXAMPLES)(reading(explain.explain))
-app.command(epilog=report.EXAMPLES)(reading(report.report))
-app.command(epilog=calibrate.EXAMPLES)(calibrate.calibrate)
-app.command(epilog=predict.EXAMPLES)(predict.predict)
-app.command(epilog=judge.EXAMPLES)(judge.judge)
-app.command(epilog=sensitivity.EXAMPLES)(sensitivity.sensitivity)
-app.command(epilog=reproduce.EXAMPLES)(reproduce.reproduce)
+def _register() -> Iterator[tuple[str, str]]:
+    """Register every module of `commands`; yield each command that says what an interruption leaves, with that."""
+    names = {module.name: len(ORDER) for module in iter_modules(commands.__path__)}
+    names |= {name: place for place, name in enumerate(ORDER)}
+    for name in sorted(names, key=lambda one: (names[one], one)):
+        module = import_module(f"{commands.__name__}.{name}")
+        if hasattr(module, "group"):
+            app.add_typer(module.group, name=name)
+        else:
+            app.command(name.replace("_", "-"), epilog=module.EXAMPLES)(reading(getattr(module, name)))
+        if hasattr(module, "AFTER_INTERRUPTION"):
+            yield name, module.AFTER_INTERRUPTION
 
 
+AFTER_INTERRUPTION = dict(_register())
 _commands = cache(lambda: typer.main.get_command(app))
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""Why a help text that is written by others does not arrive."""
+"""Errors of writing that name no file: typer could not write a help text."""
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run a command; return its exit code. What a user can cause is one message on stderr, never a traceback."""
+    """Run a command and return its exit code. A user's mistake is one message on stderr, never a traceback."""
     try:
         require_text(arguments)
         with named_as_options():
@@ -131,7 +100,7 @@ def run(arguments: Sequence[str]) -> int:
         say(f"{problem.format_message()} (see `{context.command_path if context else 'fsar-ledger'} --help`)")
         return problem.exit_code
     except MemoryError:
-        say("memory: the system gave no more of it; close other programs, or do less at once")
+        say("out of memory; close other programs, or do less at once")
         return 1
     except OSError as problem:
         if problem.filename is None and problem.errno not in NO_ROOM:

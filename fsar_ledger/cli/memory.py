@@ -32,7 +32,10 @@ MACHINE_SHARE = 0.8
 
 
 def reading(command: Callable[..., None]) -> Callable[..., None]:
-    """Give the command the option --memory, and hold it to that much."""
+    """Give a command that reads LEDGER the option --memory, and hold it to that much, unless it has its own."""
+    signature = inspect.signature(command)
+    if "ledger" not in signature.parameters or "memory" in signature.parameters:
+        return command
 
     @wraps(command)
     def limited(memory: int | None, **given: Any) -> None:
@@ -41,7 +44,6 @@ def reading(command: Callable[..., None]) -> Callable[..., None]:
             command(**given)
 
     option = inspect.Parameter("memory", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=ReadingMemoryOption)
-    signature = inspect.signature(command)
     limited.__signature__ = signature.replace(parameters=[*signature.parameters.values(), option])  # type: ignore[attr-defined]
     limited.__annotations__ = {**command.__annotations__, "memory": ReadingMemoryOption}
     return limited

@@ -1,13 +1,12 @@
 """Answers as text: a table for people, JSON and CSV for programs. Nothing here prints.
 
-A row is a mapping from column to value; all rows of an answer have the same columns. NULL is `-` in a
-table, `null` in JSON and an empty field in CSV. Lists are JSON text in CSV and in tables.
-
-Text of a ledger is escaped where it becomes a cell, a field or a line (`printable`): what is returned can be shown.
+A row is a mapping from column to value; all rows of an answer have the same columns. NULL is `-` in a table, `null` in
+JSON and an empty field in CSV. Lists are JSON text in CSV and in tables. Text from a ledger is escaped when it becomes
+a cell, a field or a line (`printable`), so whatever these functions return is safe to show.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 from msgspec import to_builtins
@@ -17,12 +16,15 @@ from fsar_ledger.api.fields import Row, csv_text, encodable, field_text
 from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import Shown
 
+if TYPE_CHECKING:
+    from fsar_ledger.api.provenance import Provenance
+
 SETTING = ("family", "family_tests", "seed", "seeds", "kind", "source", "model_version", "constants")
-"""Columns that a table for people has only where they tell rows apart."""
+"""Columns that a table for people shows only where they tell rows apart."""
 
 
 class HeadLike(Protocol):
-    """The tree head that an answer was given for: number of events and root hash, in hexadecimal."""
+    """The tree head that an answer holds for: the number of events and the root hash in hex."""
 
     @property
     def size(self) -> int: ...  # noqa: D102
@@ -31,7 +33,7 @@ class HeadLike(Protocol):
 
 
 def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> Shown:
-    """Align the rows under their columns, numbers to the right; after `limit` rows (0: all) only count the rest."""
+    """Align the rows under their columns, numbers to the right; count the rows beyond `limit` (0: show all)."""
     if not columns:
         return Shown("")
     shown = rows[:limit] if limit else rows
@@ -54,21 +56,21 @@ def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> S
 
 
 def more_text(count: int) -> Shown:
-    """Return the line that says how many rows are not shown."""
+    """Return the line that counts the rows that are not shown."""
     return printable.line(f"... {count:,} more rows; --limit 0 shows all, --csv and --json always do")
 
 
 def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified: bool | None = None) -> Shown:
     """Return one JSON object: the head (size, root) that the answer holds for, or null, then the answer.
 
-    Of an answer from rows, `rows_verified` says whether they were compared with that root.
+    For an answer from rows, `rows_verified` says whether they were compared with that root.
     """
     standing = {} if rows_verified is None else {"rows_verified": rows_verified}
     return pretty({"head": head and {"size": head.size, "root": head.root}, **standing, **answer})
 
 
 def signature_text(state: str, signer: str | None) -> str:
-    """Say for people what the signature of a note is worth.
+    """Return what the signature of a note is worth, in words.
 
     `signer` is the trusted key that made it, or the one that the note names.
     """
@@ -81,37 +83,18 @@ def signature_text(state: str, signer: str | None) -> str:
     )
 
 
-def answer_text(
-    head: HeadLike | None,
-    rows: Sequence[Row],
-    columns: Sequence[str] = (),
-    *,
-    rows_verified: bool | None,
-    as_json: bool,
-    as_csv: bool,
-    raw: bool = False,
-    limit: int = 0,
-    more: Mapping[str, object] | None = None,
-) -> Shown:
-    """Return the rows as a table for people, or as --json or --csv asks for; `more` is for JSON.
-
-    Raises:
-        UsageError: Both are asked for, or --raw without --csv.
-    """
-    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
-    names = columns or (list(rows[0]) if rows else ())
-    if as_json:
-        return json_text(head, {**(more or {}), "rows": rows}, rows_verified)
-    return csv_text(rows, names, raw=raw) if as_csv else table_text(rows, names, limit) or Shown("(no rows)\n")
+def answer_json(provenance: "Provenance", answer: Mapping[str, object]) -> Shown:
+    """Return one JSON object: what the answer holds for, then the answer."""
+    return json_text(provenance.head, {**provenance.answer(), **answer}, provenance.rows_verified)
 
 
 def telling(rows: Sequence[Row]) -> list[str]:
-    """Return the columns without those of a setting that is the same in every row."""
+    """Return the columns, without those of a setting that is the same in every row."""
     return [name for name in (rows[0] if rows else ()) if name not in SETTING or len({row[name] for row in rows}) > 1]
 
 
 def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
-    """Check that an answer can have the form that was asked for. Raises: UsageError if it cannot."""
+    """Check the form of an answer. Raises: UsageError for --json with --csv, or --raw without --csv."""
     if as_json and as_csv:
         raise UsageError("found --json and --csv, expected one of them")
     if raw and not as_csv:
@@ -121,7 +104,7 @@ def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
 
 
 def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
-    """Return every packaged query with its title and parameters. Raises: As `answer_text`."""
+    """Return every packaged query with its title and parameters. Raises: As `check_form`."""
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     from fsar_ledger.metrics.library import library
 
@@ -151,7 +134,7 @@ def pretty(document: object) -> Shown:
 
 
 def _cell(value: object) -> str:
-    """Return the value as people see it in a table."""
+    """Return the value as a cell of a table."""
     if isinstance(value, str):
         return printable.cell(value)
     if value is None:

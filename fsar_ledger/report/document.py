@@ -328,8 +328,8 @@ def _drawers(findings: Findings) -> dict[str, sections.Drawer]:
         "effects": partial(figures.effects, findings.tests),
     }
     flows = findings.workflows
-    if flows is not None and flows.story:
-        found["workflow-door-relay"] = partial(sequence.sequence, flows.story)
+    if flows is not None and flows.timeline:
+        found["workflow-door-relay"] = partial(sequence.sequence, flows.timeline)
     if flows is not None and flows.recovery:
         found["workflow-layered-recovery"] = partial(sequence.ladder, flows.recovery)
     if findings.multiverse is not None:

@@ -35,7 +35,7 @@ class Workflows(msgspec.Struct, frozen=True):
     coverage: one row per mechanism: its cell in the paper and ours for each workflow, and the verdict; None where
     nothing exercises it.
     others: runs of workflows under another setting than most (seed, constants, model), which are left out.
-    story: the timeline of the first request of the door relay; recovery: that of the first failure of the layered
+    timeline: the steps of the first request of the door relay; recovery: those of the first failure of the layered
     recovery; empty without such a run.
     """
 
@@ -44,7 +44,7 @@ class Workflows(msgspec.Struct, frozen=True):
     root: str
     run_count: int
     coverage: tuple[Row, ...]
-    story: tuple[Row, ...]
+    timeline: tuple[Row, ...]
     recovery: tuple[Row, ...]
     others: int = 0
 

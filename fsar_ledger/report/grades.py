@@ -14,8 +14,8 @@ from fsar_ledger.report.findings import ARCHITECTURES, MAIN_CONFIGURATION, Row, 
 QUERIES = (
     "tables/mechanism_coverage",
     "audit/requests",
-    "audit/request_story",
-    "audit/failure_story",
+    "audit/request_timeline",
+    "audit/failure_timeline",
 )  # what is read from a ledger of workflows
 NOT_RUN = ("RoboOS", "JADE", "ALLIANCE")  # systems of the paper's table that no ledger holds
 WORKFLOWS = {
@@ -112,8 +112,8 @@ def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
             run_count=sum(row["runs"] for row in database.rows("SELECT count(*) AS runs FROM runs")),
             coverage=_coverage(database, main),
             others=sum(row["runs"] for row in groups[1:]),
-            story=_first(database, "request_story", runs.get("workflow-door-relay"), "RequestIssued.v1"),
-            recovery=_first(database, "failure_story", runs.get("workflow-layered-recovery"), "ExecutionFailed.v1"),
+            timeline=_first(database, "request_timeline", runs.get("workflow-door-relay"), "RequestIssued.v1"),
+            recovery=_first(database, "failure_timeline", runs.get("workflow-layered-recovery"), "ExecutionFailed.v1"),
         )
 
 

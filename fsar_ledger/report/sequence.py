@@ -1,8 +1,8 @@
 """Draw the timeline of a request and of the recovery of a failure. The same rows give the same bytes.
 
 Texts from a ledger are escaped and cut (`figures.label`), and only as many steps are drawn as keep a figure below a
-megabyte; the rest is counted. `sequence` draws life lines and messages (`queries/audit/request_story.sql`), `ladder`
-the levels of recovery (`queries/audit/failure_story.sql`). Lengths are in inches; a figure grows with its rows.
+megabyte; the rest is counted. `sequence` draws life lines and messages (`queries/audit/request_timeline.sql`), `ladder`
+the levels of recovery (`queries/audit/failure_timeline.sql`). Lengths are in inches; a figure grows with its rows.
 """
 
 import textwrap

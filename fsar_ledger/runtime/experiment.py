@@ -4,7 +4,6 @@ import gc
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from difflib import get_close_matches
 from itertools import filterfalse
 from math import ceil
 from pathlib import Path
@@ -22,7 +21,6 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.store.append import Staged, Writer, stage
 from fsar_ledger.ledger.store.read import Head
-from fsar_ledger.printable import some
 from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
@@ -83,7 +81,7 @@ class Experiment(msgspec.Struct, frozen=True):
             )
         self._require_mechanisms()
         if wrong := negatives(self.constants):
-            raise InvalidExperiment(f"constants: found {some(wrong)}, expected 0 or more")
+            raise InvalidExperiment(f"constants: found {printable.some(wrong)}, expected 0 or more")
         self._require_workflows_as_written()
         self._require_possible_load()
         self._put_in_order()
@@ -253,8 +251,7 @@ class Experiment(msgspec.Struct, frozen=True):
 def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...]) -> None:
     unknown = [name for name in found if name not in expected]
     if unknown or not found or len(set(found)) != len(found):
-        near = get_close_matches(unknown[0], expected, 1, 0.4) if unknown else []
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = printable.did_you_mean(unknown[0], expected) if unknown else ""
         raise InvalidExperiment(
             f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once{hint}"
         )

@@ -27,7 +27,7 @@ def test_a_folder_that_is_no_ledger_is_refused_at_once(tmp_path: Path) -> None:
 def test_a_run_is_found_by_a_part_that_only_one_has(ledger: fsar_ledger.Ledger) -> None:
     names = {row["run_id"] for row in ledger.runs()}
     assert {logged.run for logged in ledger.events(run=RUN)} == {next(name for name in names if RUN in name)}
-    with pytest.raises(UsageError, match="found 3 runs that have this in their names"):
+    with pytest.raises(UsageError, match="found 3 runs whose names contain this"):
         ledger.events(run="r0001")
     with pytest.raises(UsageError, match=r"no such run; did you mean fsar\.full\.door-relay"):
         ledger.events(run="fsar.full.dor-relay")
@@ -120,7 +120,7 @@ def test_sql_reads_this_ledger_and_nothing_else(ledger: fsar_ledger.Ledger) -> N
 
 def test_a_table_says_what_it_holds_for_and_shows_text_harmlessly(ledger: fsar_ledger.Ledger) -> None:
     table = ledger.sql("SELECT '<script>' || chr(27) || '[31m' AS evil, NULL AS nothing FROM range(30)")
-    assert table.about.head == ledger.head
+    assert table.provenance.head == ledger.head
     shown = table._repr_html_()
     assert "&lt;script&gt;" in shown
     assert "<script>" not in shown
@@ -160,7 +160,7 @@ def test_damage_is_told_and_refused(ledger: fsar_ledger.Ledger, copy: Path) -> N
 
 
 def test_an_answer_says_whether_its_rows_were_compared(copy: Path) -> None:
-    assert fsar_ledger.open_ledger(copy, verified=True).runs().about.rows_verified is True
+    assert fsar_ledger.open_ledger(copy, verified=True).runs().provenance.rows_verified is True
 
 
 def test_a_proof_of_an_event_shows_that_event(ledger: fsar_ledger.Ledger, tmp_path: Path) -> None:

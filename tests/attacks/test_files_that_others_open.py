@@ -46,15 +46,15 @@ def test_no_cell_of_an_exported_file_is_a_formula(tmp_path: Path, command: Attac
 def test_a_figure_is_well_formed_whatever_a_name_holds(tmp_path: Path, command: Attack, behind: str) -> None:
     ledger = ledger_of(tmp_path / "ledger", "", behind.replace("\x00", "\x01"))
     action = "A1-1/1.1" + behind.replace("\x00", "\x01")
-    called = command("explain", ledger, "--request", action, "--svg", tmp_path / "story.svg")
+    called = command("explain", ledger, "--request", action, "--svg", tmp_path / "timeline.svg")
     assert called.code == 0, called.err
-    ElementTree.fromstring((tmp_path / "story.svg").read_bytes())
+    ElementTree.fromstring((tmp_path / "timeline.svg").read_bytes())
 
 
 @pytest.mark.slow
 def test_a_figure_is_small_however_long_a_name(tmp_path: Path, command: Attack) -> None:
     behind = " w" * 1_900  # a record carries the name, so no longer one is accepted
     ledger = ledger_of(tmp_path / "ledger", "", behind)
-    called = command("explain", ledger, "--request", "A1-1/1.1" + behind, "--svg", tmp_path / "story.svg")
+    called = command("explain", ledger, "--request", "A1-1/1.1" + behind, "--svg", tmp_path / "timeline.svg")
     assert called.code == 0, called.err
-    assert (tmp_path / "story.svg").stat().st_size < 1_000_000
+    assert (tmp_path / "timeline.svg").stat().st_size < 1_000_000

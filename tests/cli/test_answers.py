@@ -205,7 +205,7 @@ def test_reproduce_makes_the_experiments_that_are_asked_for(call: Call, tmp_path
 
 def test_an_experiment_that_is_not_known_is_refused_before_anything_is_made(call: Call, tmp_path: Path) -> None:
     said = call("reproduce", "--out", tmp_path / "out", "--only", "ablations")
-    assert (said.code, "did you mean 'ablation'?" in said.err) == (2, True)
+    assert (said.code, "did you mean ablation?" in said.err) == (2, True)
     assert not (tmp_path / "out").exists()
 
 

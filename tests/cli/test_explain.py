@@ -92,7 +92,7 @@ def test_requests_of_every_architecture_can_be_told(call: Call, ledger: Path, ar
     for row in listed["requests"][:2] + failed[:1]:
         told = json.loads(call("explain", ledger, "--run", listed["run"], "--request", row["action_id"], "--json").out)
         assert told["parties"] == row
-        assert [step["step"] for step in told["story"]] == list(range(1, len(told["story"]) + 1))
+        assert [step["step"] for step in told["timeline"]] == list(range(1, len(told["timeline"]) + 1))
         assert (row["failures"] > 0) == bool(told["recovery"])
 
 

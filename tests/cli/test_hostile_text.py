@@ -153,7 +153,7 @@ def more_calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, 
         ("explain", ledger, "--run", EVIL),
     )
     yield from (("explain", ledger, "--run", run, "--request", EVIL), ("explain", ledger, "--failure", EVIL))
-    yield "explain", ledger, "--run", run, "--failure", action, "--svg", out / "story.svg"
+    yield "explain", ledger, "--run", run, "--failure", action, "--svg", out / "timeline.svg"
     yield from (
         ("query", EVIL, ledger),
         ("query", "runs", ledger, "--param", EVIL),

@@ -84,7 +84,7 @@ def test_the_figure_is_written_and_never_into_the_ledger(call: Call, ledger: Pat
 def test_a_metric_that_is_none_is_an_error_that_names_the_nearest(call: Call, ledger: Path) -> None:
     called = call("multiverse", ledger, "--metric", "human_interventions")
     assert (called.code, called.out) == (2, "")
-    assert "unknown metric 'human_interventions'; did you mean 'human_intervention'?" in called.err
+    assert "unknown metric 'human_interventions'; did you mean human_intervention?" in called.err
 
 
 def test_a_ledger_in_which_nothing_can_be_ranked_says_so(call: Call, tmp_path: Path) -> None:

@@ -127,4 +127,4 @@ def test_an_architecture_of_somebody_elses_can_be_asked_for_by_its_name(call: Ca
         row["architecture"]
         for row in json.loads(call("audit", tmp_path / "ledger", "--architecture", "open-rmf", "--json").out)["rows"]
     } == {"open-rmf"}
-    one_message(call("audit", tmp_path / "ledger", "--architecture", "open-rfm"), 2, "did you mean 'open-rmf'")
+    one_message(call("audit", tmp_path / "ledger", "--architecture", "open-rfm"), 2, "did you mean open-rmf")

@@ -6,14 +6,15 @@ from itertools import pairwise
 
 import pytest
 
-from fsar_ledger.api.fields import Row
-from fsar_ledger.cli.output import answer_text
-from fsar_ledger.cli.pieces import KEPT_BYTES, Kept, answer_pieces
+from fsar_ledger.api.fields import Row, csv_text
+from fsar_ledger.api.provenance import Provenance
+from fsar_ledger.cli.output import json_text, table_text
+from fsar_ledger.cli.streaming import KEPT_BYTES, Form, Kept
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.read import Head
 from fsar_ledger.printable import Shown
 
-HEAD = Head(3, 1000, "ab" * 32)
+ABOUT = Provenance(Head(3, 1000, "ab" * 32), rows_verified=False)
 COLUMNS = ["seq", 'a "name"\nof two lines', "path"]
 ROWS: list[Row] = [
     {COLUMNS[0]: seq, COLUMNS[1]: f"a,b\n[]{seq}\r\n" if seq % 3 else None, COLUMNS[2]: [str(seq)] * (seq % 4)}
@@ -21,18 +22,35 @@ ROWS: list[Row] = [
 ]
 
 
-@pytest.mark.parametrize("kind", [{"as_json": True}, {"as_csv": True}, {}, {"limit": 3}, {"limit": 10}, {"limit": 11}])
+def at_once(form: Form, rows: list[Row], columns: list[str]) -> str:
+    """The answer made of all rows."""
+    if form.as_json:
+        return json_text(ABOUT.head, {"rows": rows}, rows_verified=False)
+    return csv_text(rows, columns, raw=form.raw) if form.as_csv else table_text(rows, columns, form.limit)
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        Form(as_json=True),
+        Form(as_csv=True),
+        Form(as_csv=True, raw=True),
+        Form(),
+        Form(limit=3),
+        Form(limit=10),
+        Form(limit=11),
+    ],
+)
 @pytest.mark.parametrize("cuts", [[], [0, 10], [0, 3, 3, 10], [0, 1, 4, 10, 10], [0, 0], [10, 10]])
-def test_the_pieces_are_the_answer(kind: dict[str, bool | int], cuts: list[int]) -> None:
+def test_the_pieces_are_the_answer(form: Form, cuts: list[int]) -> None:
     parts = [ROWS[one:other] for one, other in pairwise(cuts)]
     rows = [row for part in parts for row in part]
-    options = {"as_json": False, "as_csv": False, "limit": 0, "rows_verified": False, **kind}
-    assert "".join(answer_pieces(HEAD, COLUMNS, parts, **options)) == answer_text(HEAD, rows, COLUMNS, **options)  # type: ignore[arg-type]
+    assert "".join(form.pieces(ABOUT, COLUMNS, parts)) == at_once(form, rows, COLUMNS)
 
 
 def test_an_answer_has_one_form() -> None:
     with pytest.raises(UsageError, match="--json and --csv"):
-        answer_pieces(HEAD, COLUMNS, [], rows_verified=None, as_json=True, as_csv=True)
+        Form(as_json=True, as_csv=True)
 
 
 @pytest.mark.parametrize("longest", [0, 10, KEPT_BYTES // 20])
@@ -53,8 +71,6 @@ def test_what_breaks_off_is_not_shown() -> None:
 
 
 def test_a_table_without_rows_says_so_under_its_columns() -> None:
-    assert (
-        answer_text(None, [], ["run_id"], rows_verified=None, as_json=False, as_csv=False)
-        == "run_id\n------\n(no rows)\n"
-    )
-    assert answer_text(None, [], ["run_id"], rows_verified=None, as_json=False, as_csv=True) == "run_id\n"
+    assert "".join(Form().pieces(ABOUT, ["run_id"], [])) == "run_id\n------\n(no rows)\n"
+    assert "".join(Form(as_csv=True).pieces(ABOUT, ["run_id"], [])) == "run_id\n"
+    assert "".join(Form().pieces(ABOUT, [], [])) == "(no rows)\n"

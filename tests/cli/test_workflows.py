@@ -33,7 +33,7 @@ def test_one_workflow_is_simulated_as_often_as_asked(call: Call, tmp_path: Path)
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (("--workflow", "door-rely"), ("unknown workflow 'door-rely'", "did you mean 'door-relay'")),
+        (("--workflow", "door-rely"), ("unknown workflow 'door-rely'", "did you mean door-relay")),
         (
             ("--workflow", "door-relay", "--scenario", "door-relay"),
             ("--workflow and --scenario door-relay", "one or the other"),

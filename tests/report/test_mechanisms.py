@@ -140,7 +140,7 @@ def test_a_mechanism_is_looked_for_in_the_architecture_that_has_it() -> None:
 @pytest.mark.parametrize(
     ("architectures", "asked", "why"),
     [
-        (None, ["synced-copy"], "did you mean 'synced-copies'"),
+        (None, ["synced-copy"], "did you mean synced-copies"),
         (["fsar"], [COPIES], "without synced-copies: found architecture fsar, expected cfc alone"),
         (None, [COPIES, "hop-latency"], "found architecture cfc, expected dhma alone"),
         (None, [f"{COPIES}+hop-latency"], "expected full, or without- and some of .*, of one architecture"),

@@ -17,7 +17,7 @@ from fsar_ledger.api.files import _write_tables
 from fsar_ledger.cli import output
 from fsar_ledger.report import document, printing, sequence, typeset
 from fsar_ledger.report.findings import Findings
-from tests.report.test_sequence import STORY, told
+from tests.report.test_sequence import TIMELINE, told
 from tests.terminal import PAINT, painted
 
 FORMULAS = (
@@ -76,8 +76,8 @@ TAGS = {"svg", "defs", "g", "path", "use", "style", "metadata", "RDF", "Work", "
 
 
 def drawn(kind: str, payloads: Sequence[str]) -> Iterator[bytes]:
-    """A story and a ladder with these payloads in every text."""
-    story = [
+    """A timeline and a ladder with these payloads in every text."""
+    timeline = [
         told(number, one, "robot/B1", one, "evaluation" if number % 2 else "message", note=one)
         for number, one in enumerate(payloads)
     ]
@@ -92,8 +92,8 @@ def drawn(kind: str, payloads: Sequence[str]) -> Iterator[bytes]:
     }
     rungs = [rung | dict.fromkeys(("level", "what", "result", "achieved", "decided_by"), one) for one in payloads]
     rungs[-1]["to_level"] = payloads[-1]
-    assert not sequence.drawable(story)[1]
-    yield from (sequence.sequence(story, kind), sequence.ladder(rungs, kind))
+    assert not sequence.drawable(timeline)[1]
+    yield from (sequence.sequence(timeline, kind), sequence.ladder(rungs, kind))
 
 
 def assert_only_a_picture(svg: bytes) -> None:
@@ -119,7 +119,7 @@ def test_no_figure_breaks_and_none_grows() -> None:
         assert not re.search(rb"/(?:URI|JavaScript|Launch)\b", pdf)
 
 
-def test_a_long_story_says_what_it_leaves_out() -> None:
+def test_a_long_timeline_says_what_it_leaves_out() -> None:
     many = [
         told(number, f"robot/{number}", f"robot/{number + 1}", "x" * 1_000, note="y" * 1_000)
         for number in range(1, 5_000)
@@ -128,7 +128,7 @@ def test_a_long_story_says_what_it_leaves_out() -> None:
     assert_only_a_picture(svg)
     assert re.search(rb"4,9\d\d more steps, which are not drawn", svg)
     assert b"others" in svg
-    assert len(sequence.drawable(STORY)[0]) == len(STORY)
+    assert len(sequence.drawable(TIMELINE)[0]) == len(TIMELINE)
 
 
 def test_no_answer_holds_a_formula_or_paints() -> None:

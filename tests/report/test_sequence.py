@@ -1,4 +1,4 @@
-"""What the drawn story and the drawn recovery show, that nothing is clipped, and that they are the same bytes each
+"""What the drawn timeline and the drawn recovery show, that nothing is clipped, and that they are the same bytes each
 time."""
 
 from typing import Any
@@ -33,7 +33,7 @@ def told(
     }
 
 
-STORY = [
+TIMELINE = [
     told(1, A, REGISTRY, "query: lift"),
     told(2, REGISTRY, A, f"candidates: {B}"),
     told(3, A, B, "request: lift", note="carries policy allow"),
@@ -45,7 +45,7 @@ STORY = [
 
 
 def test_every_principal_has_one_life_line_in_order_of_appearance() -> None:
-    assert sequence.lanes(STORY) == [A, REGISTRY, B]
+    assert sequence.lanes(TIMELINE) == [A, REGISTRY, B]
     assert sequence.lanes([told(1, None, None, "lacks: lift", "deed"), told(2, A, None, "request: lift")]) == [
         sequence.NOBODY,
         A,
@@ -53,7 +53,7 @@ def test_every_principal_has_one_life_line_in_order_of_appearance() -> None:
 
 
 def test_the_sequence_shows_principals_messages_times_and_the_evaluation() -> None:
-    drawn = words(sequence.sequence(STORY))
+    drawn = words(sequence.sequence(TIMELINE))
     for text in (
         "robot",
         "A1",
@@ -71,13 +71,13 @@ def test_the_sequence_shows_principals_messages_times_and_the_evaluation() -> No
 
 
 def test_an_instant_is_written_once() -> None:
-    same = [{**row, "time_s": 1.25} for row in STORY]
+    same = [{**row, "time_s": 1.25} for row in TIMELINE]
     assert words(sequence.sequence(same)).count("1.250 s") == 1
 
 
 def test_a_record_that_only_its_cause_ties_is_dashed() -> None:
-    assert b"stroke-dasharray" not in sequence.sequence(STORY)
-    assert b"stroke-dasharray" in sequence.sequence([*STORY, told(8, A, B, "hands over", is_tied=False)])
+    assert b"stroke-dasharray" not in sequence.sequence(TIMELINE)
+    assert b"stroke-dasharray" in sequence.sequence([*TIMELINE, told(8, A, B, "hands over", is_tied=False)])
 
 
 def edges_inches(figure: Any) -> tuple[float, float, float, float]:
@@ -110,13 +110,13 @@ def test_long_words_are_wrapped_and_nothing_leaves_the_figure() -> None:
     with sequence.drawn_sequence(rows) as figure:
         assert_nothing_is_clipped(figure)
         assert max(text.get_text().count("\n") for text in figure.axes[0].texts) >= 4
-    with sequence.drawn_sequence(STORY) as figure:
+    with sequence.drawn_sequence(TIMELINE) as figure:
         assert_nothing_is_clipped(figure)
 
 
 def test_many_principals_make_a_wider_figure() -> None:
     rows = [told(number, f"agent/A1/{number}", f"agent/A1/{number + 1}", "hands over") for number in range(1, 10)]
-    with sequence.drawn_sequence(rows) as wide, sequence.drawn_sequence(STORY) as narrow:
+    with sequence.drawn_sequence(rows) as wide, sequence.drawn_sequence(TIMELINE) as narrow:
         assert wide.get_size_inches()[0] > narrow.get_size_inches()[0]
         assert_nothing_is_clipped(wide)
 
@@ -185,7 +185,7 @@ def test_a_second_failure_is_told_apart() -> None:
 
 @pytest.mark.parametrize("kind", ["svg", "pdf", "png"])
 def test_drawings_are_the_same_bytes_twice_and_carry_no_date(kind: str) -> None:
-    for draw, rows in ((sequence.sequence, STORY), (sequence.ladder, RECOVERY)):
+    for draw, rows in ((sequence.sequence, TIMELINE), (sequence.ladder, RECOVERY)):
         once = draw(rows, kind)
         assert once == draw(rows, kind)
         assert b"CreationDate" not in once

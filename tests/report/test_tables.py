@@ -170,10 +170,10 @@ def test_the_tables_name_their_queries_and_the_appendix_the_heads_that_were_aske
     assert findings.workflows is not None
     data = printed(findings)
     assert data["tables"]["mechanism-coverage"]["source"] == "queries/tables/mechanism_coverage.sql"
-    assert data["figures"]["workflow-door-relay"]["source"] == "queries/audit/request_story.sql"
+    assert data["figures"]["workflow-door-relay"]["source"] == "queries/audit/request_timeline.sql"
     assert [(one["name"], one["root"]) for one in data["heads"]] == [("Workflows", findings.workflows.root)]
     assert data["head"]["root"] == findings.root != findings.workflows.root
-    assert {"tables/mechanism_coverage", "audit/request_story", "facts/messages"} <= {
+    assert {"tables/mechanism_coverage", "audit/request_timeline", "facts/messages"} <= {
         source.name for source in findings.sources
     }
 
@@ -192,7 +192,7 @@ def test_a_ledger_with_one_workflow_shows_what_it_has(ledger: Path, tmp_path: Pa
     simulate(tmp_path / "one", workflow_experiment(7, 1, ("workflow-layered-recovery",)), 1)
     found = gather(ledger, tmp_path / "one")
     assert found.workflows is not None
-    assert (found.workflows.story, bool(found.workflows.recovery)) == ((), True)
+    assert (found.workflows.timeline, bool(found.workflows.recovery)) == ((), True)
     assert {row["verdict"] for row in found.workflows.coverage} == {"agrees"}
     assert set(printed(found)["figures"]) == {"overview", "evaluation-results", "effects", "workflow-layered-recovery"}
 

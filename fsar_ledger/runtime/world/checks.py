@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Collection, Iterator, Sequence
-from difflib import get_close_matches
 from math import isfinite
 from typing import NamedTuple
 
@@ -197,6 +196,5 @@ def _each(field: Field, names: Sequence[str], known: Collection[str], what: str)
 
 def _known(field: Field, name: str, known: Collection[str], what: str) -> Iterator[Problem]:
     if name not in known:
-        near = get_close_matches(name, known, 1, 0.4)
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = printable.did_you_mean(name, known)
         yield Problem(field, printable.value(name), f"one of {what} ({', '.join(known) or 'none'}){hint}")

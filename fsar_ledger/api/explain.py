@@ -1,0 +1,113 @@
+"""List the requests of a run, and give an account of one of them.
+
+The rows are those of `queries/audit/requests.sql`, `request_timeline.sql` and `failure_timeline.sql`.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError, option
+from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.database import Database, plain_rows
+
+from .names import run_named
+from .provenance import Provenance, of_rows
+from .table import Table
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+Rows = list[dict[str, Any]]
+Choose = Callable[[str, Sequence[str]], str]
+"""Finds the run of a name among the names of all runs. Raises: UsageError."""
+
+
+class Account(msgspec.Struct, frozen=True):
+    """The account of one request: who asked, who allowed, who acted, who supervised.
+
+    `timeline` has a row for each step, `recovery` one for each attempt after a failure, level by level.
+    """
+
+    run: str
+    action: str
+    parties: dict[str, Any]
+    timeline: Rows
+    recovery: Rows
+    is_failure: bool
+    provenance: Provenance
+
+    def draw(self, file: "str | PathLike[str]", kind: Literal["svg", "pdf"] | None = None) -> None:
+        """Draw the timeline, or the levels of a failure's recovery, as SVG or PDF; the file is replaced if it exists.
+
+        `kind` decides the format, else the suffix of the file.
+
+        Raises:
+            UsageError: Neither gives a format, or the file lies inside a ledger.
+            WriteFailed: The file cannot be written.
+        """
+        from fsar_ledger.report import sequence, typeset
+
+        place = Path(file)
+        form = place.suffix[1:] if kind is None else kind
+        if form not in ("svg", "pdf"):
+            raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
+        require_outside(place, str(place))
+        rows, figure = (self.recovery, sequence.ladder) if self.is_failure else (self.timeline, sequence.sequence)
+        typeset.publish(place, figure(rows, form))
+
+
+def account(database: Database, ledger: Path, run: str, request: str | None, failure: str | None) -> Account:
+    """Give an account of this action, as a request or as a failure.
+
+    Raises:
+        UsageError: The run has no such action, the action has not failed, or both or neither are named.
+    """
+    action = request or failure
+    if action is None or (request is not None and failure is not None):
+        raise UsageError(
+            "explain: expected the name of a request or of a failure; requests() lists the requests of a run"
+        )
+    timeline = _asked(database, "request_timeline", run, action)
+    if not timeline:
+        raise UsageError(_no_action(database, ledger, run, action))
+    (parties,) = _asked(database, "requests", run, action)
+    recovery = _asked(database, "failure_timeline", run, action)
+    if failure is not None and not recovery:
+        raise UsageError(
+            f"{option('failure', failure)}: found no failure of this action in run {run}; "
+            f"{option('request', failure)} shows what happened"
+        )
+    return Account(run, action, parties, timeline, recovery, failure is not None, _about(database, run))
+
+
+def requests(database: Database, run: str) -> Table:
+    """Return the requests of a run, one row each."""
+    return Table(database.query("audit/requests", {"run": run, "action": "all"}), _about(database, run))
+
+
+def chosen_run(database: Database, ledger: Path, asked: str | None, choose: Choose = run_named) -> str:
+    """Return the run that was asked for, or the first of the ledger. Raises: UsageError if there is none."""
+    names = [str(row["run_id"]) for row in database.rows("SELECT run_id FROM run_started")]
+    if not names:
+        raise UsageError(f"{ledger}: found no run, so there is nothing to explain")
+    return names[0] if asked is None else choose(asked, names)
+
+
+def _about(database: Database, run: str) -> Provenance:
+    return of_rows(database, database.library.find("audit/request_timeline"), run)
+
+
+def _asked(database: Database, query: str, run: str, action: str) -> Rows:
+    return plain_rows(database.query(f"audit/{query}", {"run": run, "action": action}))
+
+
+def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
+    sql = "SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL"
+    known = [row["action_id"] for row in database.rows(sql, {"run": run})]
+    way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)}` lists them"
+    hint = printable.did_you_mean(asked, known) or ";"
+    return f"{asked}: there is no such request in run {printable.value(run)}{hint} {way}"

@@ -1,0 +1,324 @@
+"""What a ledger holds, in short: what was planned, what of it is there, and which worlds met which architectures.
+
+A plan that is on record says what is missing. Where there is none (live runs, ledgers from before plans were recorded)
+nothing in a ledger does: then the shape of what is there is told, and never that it is complete.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import structs
+
+from fsar_ledger import printable
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.models import Model, lettered, models
+from fsar_ledger.metrics.observing import Unobserved, never_observed, shown
+from fsar_ledger.metrics.plans import completeness
+
+from .plans import Shown, plans, runs, shape
+from .provenance import Provenance
+
+# Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture and
+# configuration; NULL where runs have none.
+# A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there;
+# runs without a number make none.
+GROUPS = """
+WITH sizes AS (
+    SELECT run_id, count(*) AS event_count FROM events GROUP BY run_id
+),
+
+planned AS (
+    SELECT DISTINCT run_id FROM planned_runs
+),
+
+groups AS (
+    SELECT
+        runs.kind,
+        runs.source,
+        runs.model_version,
+        settings.parameter_set,
+        runs.seed,
+        runs.fleet_size,
+        runs.architecture,
+        runs.configuration,
+        coalesce(list(DISTINCT runs.scenario) FILTER (runs.scenario IS NOT NULL), []) AS scenarios,
+        max(runs.run) AS last,
+        count(DISTINCT (runs.scenario, runs.run)) FILTER (
+            runs.scenario IS NOT NULL AND runs.run IS NOT NULL
+        ) AS numbered,
+        settings.kind AS made_as,
+        count(*) AS runs,
+        count(*) FILTER (planned.run_id IS NULL) AS runs_unplanned,
+        sum(sizes.event_count)::BIGINT AS events
+    FROM runs
+    INNER JOIN sizes ON runs.run_id = sizes.run_id
+    INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+    LEFT JOIN planned ON runs.run_id = planned.run_id
+    GROUP BY
+        runs.kind,
+        runs.source,
+        runs.model_version,
+        settings.parameter_set,
+        runs.seed,
+        runs.fleet_size,
+        runs.architecture,
+        runs.configuration,
+        settings.kind
+)
+
+SELECT
+    kind,
+    source,
+    model_version,
+    parameter_set,
+    seed,
+    fleet_size,
+    architecture,
+    configuration,
+    len(scenarios) AS scenarios,
+    runs,
+    runs_unplanned,
+    len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT
+    * (max(last) OVER world + 1)::HUGEINT - numbered AS runs_to_rectangle,
+    events
+FROM groups
+WINDOW world AS (PARTITION BY kind, source, model_version, parameter_set, seed, fleet_size, made_as)
+ORDER BY ALL
+"""
+
+MAX_DIFFERING = 1_000
+"""Characters of the constants of one model that differ from those of others."""
+
+COLUMNS = (
+    "constants",
+    "seed",
+    "fleet_size",
+    "architecture",
+    "configuration",
+    "scenarios",
+    "runs",
+    "runs_unplanned",
+    "runs_to_rectangle",
+    "events",
+)
+"""Of `groups`, what people are shown."""
+
+
+class Contents(msgspec.Struct, frozen=True):
+    """The runs of a ledger: groups of like runs, their models with constants, and the plans.
+
+    `groups` are by model, seed, fleet size, architecture and configuration; `plans` by what they name.
+
+    `not_observed` are the concerns that some runs do not observe.
+    """
+
+    groups: list[dict[str, Any]]
+    models: list[dict[str, Any]]
+    plans: list[dict[str, Any]]
+    missing: int | None
+    """Runs that were planned and are missing, each counted once; None where plans name too much to tell."""
+
+    provenance: Provenance
+    not_observed: tuple[Unobserved, ...] = ()
+
+    @property
+    def run_count(self) -> int:
+        """Count all runs, whatever their group."""
+        return sum(group["runs"] for group in self.groups)
+
+    @property
+    def unplanned(self) -> dict[str, int]:
+        """Count, by kind, the runs that no plan names."""
+        found: dict[str, int] = {}
+        for group in self.groups:
+            found[group["kind"]] = found.get(group["kind"], 0) + group["runs_unplanned"]
+        return {kind: count for kind, count in found.items() if count}
+
+    @property
+    def is_complete(self) -> bool | None:
+        """Return whether every run of every plan is there; None where a run has no plan, or there is no plan."""
+        if any(plan["missing_count"] for plan in self.plans):
+            return False
+        return None if self.unplanned or not self.plans else True
+
+    def answer(self) -> dict[str, object]:
+        """Return all of it, for programs."""
+        return {
+            "groups": self.groups,
+            "models": self.models,
+            "plans": self.plans,
+            "runs": self.run_count,
+            "runs_unplanned": self.unplanned,
+            "is_complete": self.is_complete,
+            "missing_count": self.missing,
+            "not_observed": self.not_observed,
+        }
+
+    def summary(self) -> list[str]:
+        """Return some lines for people; the parameters are too many for that."""
+        return [
+            *self._standing(),
+            *self._unfinished(),
+            *self._enlarged(),
+            *self._unlike(),
+            *self._models(),
+            *self._unseen(),
+        ]
+
+    def _standing(self) -> list[str]:
+        held = runs(self.run_count)
+        if not self.plans:
+            nothing = "no plan is on record, so nothing says whether they are all that was meant"
+            return [f"{held}; {nothing}" if self.groups else "no runs yet, and no plan on record"]
+        lacking = (
+            "not complete"
+            if self.missing is None
+            else f"not complete: {printable.counted(self.missing, 'planned run')} {_are(self.missing)} missing"
+        )
+        of_plans = lacking if self.is_complete is False else "complete: all that was planned is there"
+        if not self.unplanned:
+            return [f"{held}, {of_plans}"]
+        kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
+        return [
+            held,
+            f"planned runs: {of_plans}",
+            f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant",
+        ]
+
+    def _unfinished(self) -> list[str]:
+        """Return a line for each plan that lacks runs, except those that a larger plan covers."""
+        lines = []
+        for plan in self.plans:
+            if plan["missing_count"] and not plan["larger_plans"]:
+                of_plan = f"{plan['there_count']:,} of {plan['planned_count']:,} runs of {shape(plan)}"
+                further = (
+                    f"go on with: {plan['continues_with']}"
+                    if plan["continues_with"]
+                    else "go on with the version and the constants that began it"
+                )
+                lines.append(f"interrupted, or still at work: {of_plan}; {further}")
+        return lines
+
+    def _enlarged(self) -> list[str]:
+        smaller = sum(bool(plan["larger_plans"]) for plan in self.plans)
+        if not smaller:
+            return []
+        of_all = f"{smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one"
+        return [
+            (
+                f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the "
+                "root "
+                "is not"
+            )
+        ]
+
+    def _unlike(self) -> list[str]:
+        """Describe the shape of what is there, where no plan says what is missing."""
+        if self.is_complete is False:
+            return []
+        measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
+        missing = sum(measured)
+        if missing:
+            return [
+                (
+                    f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its "
+                    "model, seed and fleet size"
+                )
+            ]
+        return (
+            ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"]
+            if measured and not self.plans
+            else []
+        )
+
+    def _models(self) -> list[str]:
+        if len(self.models) == 1:
+            return [_described(self.models[0])]
+        more = len(self.models) - printable.NAMED
+        return [
+            *map(_among_others, self.models[: printable.NAMED]),
+            *([f"and {more:,} more, --json names all"] if more > 0 else []),
+        ]
+
+    def _unseen(self) -> list[str]:
+        return [f"not observed, so that no answer is about it: {shown(self.not_observed)}"] if self.not_observed else []
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the groups as people are shown them: only columns that say something."""
+        is_dull = {"constants": len(self.models) == 1, "runs_unplanned": not self.plans or not self.unplanned}
+        return [{name: group[name] for name in COLUMNS if not is_dull.get(name)} for group in self.groups]
+
+
+def contents(ledger: Path, demanded: str | None = None) -> Contents:
+    """Return the plans of the ledger and its runs, counted by SQL.
+
+    Raises:
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`, and `models`.
+    """
+    with connect(ledger, demanded=demanded) as database:
+        assert database.head is not None  # only a database over rows in memory has none
+        found = lettered(models(database))
+        letters = {_key(structs.asdict(one)): letter for one, letter in found}
+        groups = [{"constants": letters.get(_key(row)), **row} for row in database.rows(GROUPS)]
+        planned = plans(database, Shown(ledger, open_ledger(ledger)))
+        named = [_of_model(one, letter) for one, letter in found]
+        missing = completeness(database).missing
+        provenance = Provenance(database.head, database.rows_verified)
+        return Contents(groups, named, planned, missing, provenance, tuple(never_observed(database)))
+
+
+def _are(number: int) -> str:
+    return "is" if number == 1 else "are"
+
+
+def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:
+    return row["kind"], row["source"], row["model_version"], row["parameter_set"]
+
+
+def _of_model(one: Model, letter: str | None) -> dict[str, Any]:
+    """Describe a model for programs.
+
+    `differing` names the constants in which other runs of its kind, source and version differ.
+    """
+    return {
+        "constants": letter,
+        "kind": one.kind,
+        "source": one.source,
+        "model_version": one.model_version,
+        "runs": one.runs,
+        "differing": one.constants,
+        "parameters": one.parameters,
+        "parameters_sha256": one.sha256,
+    }
+
+
+def _described(model: Mapping[str, Any]) -> str:
+    """Describe a model in words."""
+    version = (
+        "no model" if model["model_version"] is None else f"model version {printable.value(model['model_version'])}"
+    )
+    unread = (
+        f"parameters that cannot be read, SHA-256 {model['parameters_sha256'][:12]}"
+        if model["parameters"] is None
+        else None
+    )
+    return ", ".join(
+        filter(
+            None,
+            (printable.value(model["kind"]), model["source"] and printable.value(model["source"]), version, unread),
+        )
+    )
+
+
+def _among_others(model: Mapping[str, Any]) -> str:
+    """Describe a model beside others: its letter, and the constants that differ from theirs."""
+    letter = "no constants on record" if model["constants"] is None else f"constants {model['constants']}"
+    differing = (
+        f": {printable.value(model['differing'], MAX_DIFFERING)}"
+        if model["differing"] and model["parameters"] is not None
+        else ""
+    )
+    return f"{letter}: {_described(model)}, {runs(model['runs'])}{differing}"

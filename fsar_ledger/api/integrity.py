@@ -1,0 +1,104 @@
+"""The methods of `Ledger` that rest on hashes, signatures and witnesses."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .names import Place
+from .workload import Progress, readers_of
+
+if TYPE_CHECKING:
+    from fsar_ledger.ledger.store.proof import Proof
+    from fsar_ledger.ledger.verify.recover import Recovery
+    from fsar_ledger.witness.cosign import Cosigned
+
+    from .verify import Verification
+
+
+class Integrity:
+    """The part of `Ledger` that verifies, proves and recovers."""
+
+    path: Path
+    _demanded: str | None
+
+    def verify(
+        self,
+        *,
+        quick: bool = False,
+        anchor: Place | None = None,
+        trusted_key: str | None = None,
+        witness_policy: Place | None = None,
+        cosigned: Sequence[Place] = (),
+        replay: bool = False,
+        workers: int | None = None,
+        progress: Progress | None = None,
+        now_s: int | None = None,
+    ) -> "Verification":
+        """Derive every hash, count and record again; damage does not raise, but is in `ok` and `problems`.
+
+        Args:
+            quick: Read no rows.
+            anchor: A copy of `checkpoint` kept elsewhere; since then the ledger must only have grown.
+            trusted_key: A public key that must have signed, as a .pub file or text.
+            witness_policy: A C2SP tlog-policy; enough of its witnesses must have seen the ledger. Needs `now_s`.
+            cosigned: Notes that show what the witnesses saw; without any, they are asked.
+            replay: Also play every run again.
+            workers: Processes at once; None: one per core, if there is enough to do.
+            progress: Called with the segments done and their total.
+            now_s: The present time in seconds since 1970.
+
+        Raises:
+            NotALedger: There is none.
+            UsageError: The arguments contradict each other.
+        """
+        from .verify import verify_ledger
+
+        return verify_ledger(
+            self.path, quick, anchor, trusted_key, (witness_policy, cosigned, now_s), replay, workers, progress
+        )
+
+    def prove(self, event: str | int) -> "Proof":
+        """Prove that an event, given as `RUN:SEQ` or by its number, is in the ledger.
+
+        `str` of the answer is a C2SP tlog-proof.
+
+        Raises:
+            UsageError: There is no such event, or more than one such run.
+        """
+        from .prove import prove_event
+
+        return prove_event(self.path, str(event), self._demanded)
+
+    def recover(
+        self,
+        into: Place | None = None,
+        *,
+        anchor: Place | None = None,
+        trusted_key: str | None = None,
+        workers: int | None = None,
+        progress: Progress | None = None,
+    ) -> "Recovery":
+        """Repair what a crash left; after tampering, find what can be trusted, and copy that `into` a new folder.
+
+        Raises:
+            UsageError: `into` exists.
+            LedgerCorrupted: No commit can be trusted.
+            WriteFailed: Another writer is at work, or a write failed.
+        """
+        from fsar_ledger.ledger.verify.recover import recover
+        from fsar_ledger.ledger.verify.verify import Asked
+
+        from .keys import anchor_of, trusted_of
+
+        asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
+        return recover(self.path, readers_of(workers, self.path), progress, asked, None if into is None else Path(into))
+
+    def witness_ask(self, policy: Place) -> "Cosigned":
+        """Have the newest checkpoint cosigned by the witnesses of a C2SP tlog-policy; no event leaves.
+
+        Raises:
+            NotCosigned: Fewer cosigned than the policy demands.
+        """
+        from .witness import cosigned
+
+        return cosigned(self.path, Path(policy))

@@ -1,0 +1,213 @@
+"""The command `explain`: the requests of a run, or one of them as text, JSON or a figure."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from fsar_ledger import printable
+from fsar_ledger.cli.options import (
+    FailureOption,
+    JsonOption,
+    LedgerArgument,
+    PdfOption,
+    RequestOption,
+    RunOption,
+    SvgOption,
+    VerifiedOption,
+    examples,
+)
+from fsar_ledger.cli.terminal import show
+from fsar_ledger.errors import UsageError
+
+if TYPE_CHECKING:
+    from fsar_ledger.api.table import Table
+
+EXAMPLES = examples(
+    "fsar-ledger explain out/ledger",
+    "fsar-ledger explain out/ledger --request A1-1/2.1",
+    "fsar-ledger explain out/ledger --run cfc.full.door-relay --request A1-1/2.1 --svg out/request.svg",
+    "fsar-ledger explain out/ledger --run fsar.full.failure-recovery-chain --json",
+)
+
+Kind = Literal["svg", "pdf"]
+Timeline = list[dict[str, Any]]
+
+COLUMNS = (
+    "began_s",
+    "action_id",
+    "capability",
+    "asked_by",
+    "allowed_by",
+    "executed_by",
+    "supervised_by",
+    "failures",
+    "result",
+)
+PARTIES = ("asked_by", "allowed_by", "executed_by", "supervised_by")
+UNKNOWN = "not on record"
+WORDS, MAX_WORDS = ("message", "note"), 1_000
+
+
+def explain(
+    ledger: LedgerArgument,
+    run: RunOption = None,
+    request: RequestOption = None,
+    failure: FailureOption = None,
+    svg: SvgOption = None,
+    pdf: PdfOption = None,
+    verified: VerifiedOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Show the timeline of a request: who asked, who allowed, who acted, who supervised.
+
+    For a request that failed, also what recovery tried at each level, for how long, and why it moved on. Without
+    --request and --failure, list the requests of the run.
+    """
+    from fsar_ledger.api.explain import account, chosen_run, requests
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import json_text
+    from fsar_ledger.ledger.store.paths import require_outside
+
+    kinds: tuple[tuple[Kind, Path | None], ...] = (("svg", svg), ("pdf", pdf))
+    files = {kind: path for kind, path in kinds if path is not None}
+    if request is not None and failure is not None:
+        raise UsageError(
+            f"--request {request} and --failure {failure}: expected one of them; --request shows a failure, too"
+        )
+    if files and request is None and failure is None:
+        raise UsageError(f"--{next(iter(files))}: found no request to draw; give --request ACTION or --failure ACTION")
+    for kind, path in files.items():
+        require_outside(path, f"--{kind} {path}")
+    asked = opened(ledger, verified=verified)
+    with asked.database() as database:
+        name = chosen_run(database, ledger, run, lambda part, names: _first(ledger, part, names))
+        if request is None and failure is None:
+            listed = requests(database, name)
+        else:
+            told = account(database, ledger, name, request, failure)
+    if request is None and failure is None:
+        warn(ledger, listed.provenance)
+        _list(ledger, name, listed, as_json=as_json)
+        return
+    for kind, path in files.items():
+        told.draw(path, kind=kind)
+    warn(ledger, told.provenance)
+    if as_json:
+        answer = {"parties": told.parties, "timeline": told.timeline, "recovery": told.recovery}
+        provenance = told.provenance
+        show(
+            json_text(
+                provenance.head,
+                {**provenance.answer(), "run": name, "action": told.action, **answer},
+                provenance.rows_verified,
+            )
+        )
+        return
+    lines = _told(name, told.action, shown(told.timeline if failure is None else []), shown([told.parties])[0])
+    show(printable.lines(*lines, *_recovered(shown(told.recovery)), *map(str, files.values())))
+
+
+def shown(rows: Sequence[Mapping[str, Any]]) -> Timeline:
+    """Return the rows with each text as people see it: `MAX_WORDS` characters of messages, fewer of names."""
+    return [
+        {
+            name: printable.value(found, MAX_WORDS if name in WORDS else printable.MAX_VALUE)
+            if isinstance(found, str)
+            else found
+            for name, found in row.items()
+        }
+        for row in rows
+    ]
+
+
+def _first(ledger: Path, asked: str, names: Sequence[str]) -> str:
+    """Return the run of this name, else the first whose name begins so."""
+    if asked in names:
+        return asked
+    beginning = sorted(name for name in names if name.startswith(asked)) if asked else []
+    if not beginning:
+        raise UsageError(
+            f"--run {asked}: there is no such run in {ledger}{printable.did_you_mean(asked, names) or ';'} "
+            f"`fsar-ledger query runs {printable.word(ledger)}` lists them"
+        )
+    return beginning[0]
+
+
+def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
+    """Show the requests of a run."""
+    from fsar_ledger.cli.output import json_text, table_text
+
+    provenance, rows = found.provenance, found.rows()
+    if as_json:
+        show(
+            json_text(provenance.head, {**provenance.answer(), "run": run, "requests": rows}, provenance.rows_verified)
+        )
+    elif not rows:
+        nothing = (
+            "no requests on record; not all that a request leaves was observed"
+            if provenance.not_observed
+            else "no requests"
+        )
+        show(printable.lines(f"run {printable.value(run)}", nothing))
+    else:
+        began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
+        hint = (
+            f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request "
+            f"{printable.word(rows[0]['action_id'])}` tells one of them"
+        )
+        table = table_text(began, COLUMNS)
+        show(printable.joined(printable.lines(f"run {printable.value(run)}", ""), table, printable.lines("", hint)))
+
+
+def _told(run: str, action: str, timeline: Timeline, parties: Mapping[str, Any]) -> Iterator[str]:
+    """Yield run and action, a line for each step, and the parties."""
+    yield f"run {printable.value(run)}"
+    yield f"action {printable.value(action)}" + (f", {parties['capability']}" if parties["capability"] else "")
+    between = [_between(row) for row in timeline]
+    width = max(map(len, between), default=0)
+    for row, names in zip(timeline, between, strict=True):
+        note = f"  ({row['note']})" if row["note"] else ""
+        if row["step"] <= 1:
+            yield ""
+        yield f"{row['time_s']:>10.3f} s {' ' if row['is_tied'] else '*'} {names:<{width}}  {row['message']}{note}"
+    if not all(row["is_tied"] for row in timeline):
+        yield "* the record names no action; its cause does"
+    yield ""
+    yield from (f"{name.replace('_', ' '):<14} {parties[name] or UNKNOWN}" for name in PARTIES)
+    took = "" if parties["ended_s"] is None else f", {parties['ended_s'] - parties['began_s']:.3f} s after it began"
+    yield f"{'result':<14} {parties['result']}{took}"
+
+
+def _between(row: Mapping[str, Any]) -> str:
+    """Return who told whom; one name for a deed."""
+    sender = row["sender"] or "?"
+    return f"{sender} -> {row['receiver'] or '?'}" if row["kind"] == "message" else sender
+
+
+def _recovered(recovery: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield each failure, level by level: how long, what was tried with which result, and why the level was left."""
+    for failure, steps in groupby(recovery, key=lambda row: row["failure"]):
+        yield ""
+        yield f"failure {failure}"
+        for (number, level, spent_s), rows in groupby(
+            steps, key=lambda row: (row["level_number"], row["level"], row["spent_s"])
+        ):
+            stay = list(rows)
+            yield f"  {number} {level:<6}{spent_s:>9.3f} s"
+            for row in stay:
+                by = f", by {row['decided_by']}" if row["decided_by"] else ""
+                yield f"{row['time_s']:>10.3f} s    {row['what']}{by}{_result(row, stay)}"
+
+
+def _result(row: Mapping[str, Any], stay: Sequence[Mapping[str, Any]]) -> str:
+    result = f": {row['result']}" if row["result"] else ""
+    if row["achieved"]:
+        result += f" ({row['achieved']})"
+    if row["to_level"] is not None:
+        attempts = sum(one["budget_s"] is not None for one in stay)
+        budget = next((one["budget_s"] for one in stay if one["budget_s"] is not None), None)
+        result += (
+            "" if budget is None else f" ({attempts} {'attempt' if attempts == 1 else 'attempts'} within {budget:g} s)"
+        )
+    return result

@@ -1,0 +1,45 @@
+"""The command `export`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fsar_ledger import printable
+from fsar_ledger.cli.options import LedgerArgument, ParameterOption, RawOption, VerifiedOption, examples, parameters_of
+from fsar_ledger.cli.terminal import show
+
+EXAMPLES = examples(
+    "fsar-ledger export out/ledger --out out/events.parquet",
+    "fsar-ledger export out/ledger --query metrics/run_metrics --out out/run_metrics.csv",
+)
+
+
+def export(
+    ledger: LedgerArgument,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="A .csv or .parquet file; replaced if it exists.", show_default=False
+        ),
+    ],
+    name: Annotated[
+        str | None,
+        typer.Option("--query", metavar="NAME", help="Export the answer of this query.", show_default="every event"),
+    ] = None,
+    param: ParameterOption = None,
+    raw: RawOption = False,
+    verified: VerifiedOption = False,
+) -> None:
+    """Write events, or the answer of a query, to a file.
+
+    The name of the file decides the format, CSV or Parquet. In CSV, lists are JSON text, and text is made harmless for
+    spreadsheets and terminals unless --raw is given. Parquet always holds the values themselves.
+    """
+    from fsar_ledger.api.files import require_place
+    from fsar_ledger.cli.answering import opened, warn
+
+    require_place(out)
+    written = opened(ledger, verified=verified).export(out, name, parameters_of(param), raw=raw)
+    warn(ledger, written.provenance)
+    show(printable.line(f"{out}: {written.row_count:,} rows"))

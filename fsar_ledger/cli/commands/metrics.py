@@ -1,0 +1,51 @@
+"""The command `metrics`."""
+
+from typing import Annotated
+
+import typer
+
+from fsar_ledger.cli.options import (
+    CsvOption,
+    JsonOption,
+    LedgerArgument,
+    PoolOption,
+    RawOption,
+    VerifiedOption,
+    examples,
+)
+
+EXAMPLES = examples(
+    "fsar-ledger metrics out/ledger",
+    "fsar-ledger metrics out/ledger --by scenario",
+    "fsar-ledger metrics out/ledger --pool seeds",
+    "fsar-ledger metrics out/ledger --verified --json",
+)
+
+
+def metrics(
+    ledger: LedgerArgument,
+    by: Annotated[
+        str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)
+    ] = None,
+    pool: PoolOption = None,
+    verified: VerifiedOption = False,
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+    raw: RawOption = False,
+) -> None:
+    """Judge a ledger by the eight metrics of the paper.
+
+    Shows mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size; runs of different
+    seeds, constants, models or kinds have rows of their own. Shares are in [0,1], latency is in seconds. Where a metric
+    is not defined, a table shows `-` and JSON null.
+    """
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import telling
+    from fsar_ledger.cli.streaming import Form
+
+    form = Form(as_json=as_json, as_csv=as_csv, raw=raw)
+    found = opened(ledger, verified=verified).metrics(by, pool)  # type: ignore[arg-type]  # it refuses any other text
+    rows = found.rows()
+    columns = found.columns if rows and (as_json or as_csv) else telling(rows)
+    form.show(form.pieces(found.provenance, columns, [rows]))
+    warn(ledger, found.provenance)

@@ -1,0 +1,155 @@
+"""The command `query`: a packaged query, or a SELECT in a file."""
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fsar_ledger import printable
+from fsar_ledger.cli.memory import bounded
+from fsar_ledger.cli.options import (
+    SHOWN_ROWS,
+    CsvOption,
+    FileOption,
+    JsonOption,
+    LimitOption,
+    ParameterOption,
+    QueryMemoryOption,
+    RawOption,
+    SecondsOption,
+    VerifiedOption,
+    examples,
+    parameters_of,
+)
+from fsar_ledger.cli.terminal import show
+from fsar_ledger.errors import QueryFailed, UsageError
+from fsar_ledger.printable import Shown
+
+if TYPE_CHECKING:
+    from fsar_ledger.cli.streaming import Form
+
+EXAMPLES = examples(
+    "fsar-ledger query --list",
+    "fsar-ledger query metrics/policy_violations out/ledger --csv",
+    "fsar-ledger query failures out/ledger --limit 20",
+    "fsar-ledger query --file question.sql out/ledger --seconds 10",
+)
+
+
+def query(
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="NAME", help="A name of `query --list`; its last part is enough.", show_default=False),
+    ] = None,
+    ledger: Annotated[
+        Path | None, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)
+    ] = None,
+    param: ParameterOption = None,
+    file: FileOption = None,
+    list_all: Annotated[bool, typer.Option("--list", help="List every query with its title and parameters.")] = False,
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+    raw: RawOption = False,
+    limit: LimitOption = SHOWN_ROWS,
+    verified: VerifiedOption = False,
+    seconds: SecondsOption = None,
+    memory: QueryMemoryOption = None,
+) -> None:
+    """Answer a packaged query, or a SELECT in a file.
+
+    The packaged queries are SQL files; the header of each says what its rows and its NULLs mean. They have no time
+    limit, only that of --memory. A file of your own runs locked down, as with `sql`.
+    """
+    from fsar_ledger.cli.output import queries_text
+    from fsar_ledger.cli.streaming import Form
+
+    form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
+    if list_all:
+        show(queries_text(as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
+    elif file is not None:
+        form.show(_of_file(name, ledger, file, param, (seconds, memory), form, verified=verified))
+    else:
+        if seconds is not None:
+            raise UsageError(
+                f"--seconds {seconds}: expected only with --file; a packaged query takes as long as it takes"
+            )
+        with bounded(memory, ledger):
+            form.show(_of_name(name, ledger, param, form, verified=verified))
+
+
+def _of_name(
+    name: str | None, ledger: Path | None, param: list[str] | None, form: "Form", *, verified: bool
+) -> Iterable[Shown]:
+    """Answer the packaged query."""
+    from fsar_ledger.cli.answering import opened, warn
+
+    parameters = parameters_of(param)
+    if name is None or ledger is None:
+        raise UsageError(
+            "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query "
+            "--list` shows the names"
+        )
+    found = opened(ledger, verified=verified).query(name, **parameters)
+    warn(ledger, found.provenance)
+    return form.pieces(found.provenance, found.columns, found.parts())
+
+
+def _of_file(
+    name: str | None,
+    ledger: Path | None,
+    file: Path,
+    param: list[str] | None,
+    most: tuple[int | None, int | None],
+    form: "Form",
+    *,
+    verified: bool,
+) -> Iterable[Shown]:
+    """Answer the SELECT in the file; LEDGER is then the first argument."""
+    from fsar_ledger.api.limits import limits_of
+
+    from .sql import answer_select
+
+    if parameters := parameters_of(param):
+        raise UsageError(
+            f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the "
+            "value into the file"
+        )
+    if name is None or ledger is not None:
+        raise UsageError(
+            f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file "
+            f"{printable.word(file)} out/ledger`"
+        )
+    limits = limits_of(*most)
+    try:
+        return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, form, verified=verified)
+    except QueryFailed as problem:
+        raise QueryFailed(f"{file}: {problem}") from problem
+
+
+def _text_of(file: Path, most: int) -> str:
+    """Read the SELECT in the file, or in standard input.
+
+    Raises:
+        UsageError: The file cannot be read.
+        QueryFailed: It is too long, or not UTF-8.
+    """
+    try:
+        if str(file) == "-":
+            data = sys.stdin.buffer.read(most + 1)
+        else:
+            with file.open("rb") as stream:
+                data = stream.read(most + 1)
+    except OSError as problem:
+        raise UsageError(
+            f"{file}: cannot be read ({problem.strerror}), expected a file that holds one SELECT"
+        ) from problem
+    if len(data) > most:
+        raise QueryFailed(f"SQL: found more than {most:,} bytes of text, the limit; split the question")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        raise QueryFailed(
+            f"SQL: found a byte that is not UTF-8 at {problem.start}, expected text; save it as UTF-8"
+        ) from problem

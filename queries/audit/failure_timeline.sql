@@ -1,0 +1,44 @@
+-- Title: The recovery of a failure, level by level: what was tried, what came of it, how long each level took and why
+--   it was left
+-- Paper: fig:wf3, eq:recovery
+-- Grain: one row per step that recovery took about a failure; the resolution is the last
+-- Key: run_id, action_id, failure, seq
+-- Units: step counts from 1 within the failure; level_number 1 local to 4 human; time_s, until_s seconds of run time;
+--   spent_s seconds at the level in all; budget_s seconds from detection to the deadline of the attempt
+-- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_s of the last
+--   step; budget_s where no attempt has a deadline; achieved when not even a part was
+-- Example: fsar-ledger query audit/failure_timeline LEDGER --param run=RUN --param action=A1-1/2.1
+--   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196,
+--   0.571 and 24.384 s
+-- Parameters: run = all, action = all
+WITH steps AS (
+    SELECT
+        run_id, action_id, failure, detected_us, seq, time_us, until_us, decided_by, level, to_level, deadline_us, what,
+        result, achieved,
+        row_number() OVER in_order AS step,
+        -- A step that follows an escalation began with it; the first began with the detection.
+        CASE
+            WHEN lag(seq) OVER in_order IS NULL THEN detected_us
+            WHEN lag(type) OVER in_order = 'RecoveryEscalated.v1' THEN lag(time_us) OVER in_order
+            ELSE time_us
+        END AS since_us,
+        CASE WHEN type = 'RecoveryEscalated.v1' OR until_us IS NULL THEN time_us ELSE until_us END AS over_us
+    FROM recovery_steps
+    WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
+    WINDOW in_order AS (PARTITION BY run_id, action_id, failure ORDER BY seq)
+)
+
+SELECT
+    run_id, action_id, failure, step, seq,
+    list_position(['local', 'peer', 'fleet', 'human'], level) AS level_number,
+    level, to_level,
+    time_us / 1000000 AS time_s,
+    until_us / 1000000 AS until_s,
+    decided_by, what, result, achieved,
+    (deadline_us - detected_us) / 1000000 AS budget_s,
+    (
+        max(over_us) OVER (PARTITION BY run_id, action_id, failure, level)
+        - min(since_us) OVER (PARTITION BY run_id, action_id, failure, level)
+    )
+    / 1000000 AS spent_s
+FROM steps

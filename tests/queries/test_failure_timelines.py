@@ -1,0 +1,94 @@
+"""The timeline of a failure, told level by level: given rows, expected rows."""
+
+from typing import Any
+
+from tests.queries.histories import Row, S, event
+from tests.queries.test_timelines import B, C, about, asked, failed
+
+
+def step(name: str, time_us: int, level: str | None = None, **fields: Any) -> Row:
+    return event(name, time_us, **about(by=B, robot=B, failure=1, level=level, failed_action="t1/1.1"), **fields)
+
+
+def ended(time_us: int, number: int, result: str, *achieved: str) -> Row:
+    return event(
+        "RecoveryAttemptFailed",
+        time_us,
+        task_id="t1",
+        action_id="t1/1.1",
+        robot=B,
+        failure=1,
+        number=number,
+        result=result,
+        achieved=list(achieved),
+    )
+
+
+CALLED = event(
+    "SupervisorCalled", 50 * S, task_id="t1", action_id="t1/1.1", supervisor="supervisor/fleet", purpose="recovery"
+)
+RESOLVED = event("FailureResolved", 80 * S, task_id="t1", action_id="t1/1.1", robot=B, failure=1, level="human")
+TO_THE_END = (
+    failed(10 * S),
+    step("RecoveryAttempted", 11 * S, "local", number=1, deadline_us=40 * S),
+    ended(20 * S, 1, "partial", "gripped"),
+    step("RecoveryAttempted", 20 * S, "local", number=2, deadline_us=40 * S),
+    ended(30 * S, 2, "failure"),
+    step("RecoveryEscalated", 30 * S, "local", to_level="peer", reason="budget exhausted"),
+    event("RegistryQueried", 31 * S, **about(), capability="grasp.*", candidates=[], rejected=[], rejected_by=[]),
+    step("RecoveryEscalated", 31 * S, "peer", to_level="fleet", reason="no capable peer"),
+    event("ReassignmentDecided", 50 * S, **about(by="service/recovery"), robot=B, failure=1, reason="no checkpoint"),
+    step("RecoveryEscalated", 50 * S, "fleet", to_level="human"),
+    CALLED,
+    RESOLVED,
+)
+
+
+def test_a_failure_is_told_level_by_level_with_results_reasons_and_times() -> None:
+    assert asked("failure_timeline", "level what result spent_s", *TO_THE_END) == [
+        ("local", "attempt 1", "partial", 20.0),
+        ("local", "attempt 2", "failure", 20.0),
+        ("local", "leaves local for peer", "budget exhausted", 20.0),
+        ("peer", "asks the registry for grasp.*", "no peer", 1.0),
+        ("peer", "leaves peer for fleet", "no capable peer", 1.0),
+        ("fleet", "evaluates reassignment", "infeasible: no checkpoint", 19.0),
+        ("fleet", "leaves fleet for human", None, 19.0),
+        ("human", "asks supervisor/fleet", "resolved", 30.0),
+        ("human", "resolved", None, 30.0),
+    ]
+    assert asked("failure_timeline", "step achieved budget_s until_s", *TO_THE_END)[:2] == [
+        (1, "gripped", 30.0, 20.0),
+        (2, None, 30.0, 30.0),
+    ]
+
+
+def test_the_last_attempt_succeeded_when_the_failure_is_resolved_after_it_and_is_open_otherwise() -> None:
+    begun = TO_THE_END[:2]
+    assert asked("failure_timeline", "result", *begun) == [(None,)]
+    resolved = {**RESOLVED, "level": "local", "time_us": 12 * S}
+    assert asked("failure_timeline", "what result spent_s", *begun, resolved) == [
+        ("attempt 1", "success", 2.0),
+        ("resolved", None, 2.0),
+    ]
+
+
+def test_a_helper_helped_or_was_busy_and_a_reassignment_names_its_checkpoint() -> None:
+    helped = step("AssistanceRequested", 31 * S, "peer", helper=C)
+    resolved = {**RESOLVED, "level": "peer"}
+    assert asked("failure_timeline", "what result", failed(10 * S), helped, resolved)[0] == (
+        f"asks {C} for help",
+        "helped",
+    )
+    busy = event("AssistanceDeclined", 32 * S, task_id="t1", action_id="t1/1.1", robot=B, helper=C, failure=1)
+    assert asked("failure_timeline", "result", failed(10 * S), helped, busy, resolved)[0] == ("busy",)
+    moved = event(
+        "ReassignmentDecided", 50 * S, **about(by="service/recovery"), robot=B, failure=1, helper=C, checkpoint="t1/1"
+    )
+    assert asked("failure_timeline", "result", failed(10 * S), moved, resolved)[0] == (f"to {C} from t1/1",)
+
+
+def test_each_failure_of_an_action_has_its_own_timeline() -> None:
+    second = {**step("RecoveryAttempted", 91 * S, "local", number=1, deadline_us=120 * S), "failure": 2}
+    rows = asked("failure_timeline", "failure step what", *TO_THE_END, failed(90 * S, 2), second)
+    assert [row for row in rows if row[0] == 2] == [(2, 1, "attempt 1")]
+    assert len(rows) == 10
