@@ -2,6 +2,8 @@
 
 import re
 import tomllib
+from collections.abc import Collection
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -62,6 +64,12 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
 def at_line(where: str, text: str, field: Field) -> str:
     """Return `my.toml:12: tasks[2].steps[0]`, for the beginning of a message."""
     return f"{where}:{line_of(text, field)}: {field_name(field)}"
+
+
+def nearest(name: str, names: Collection[str]) -> str:
+    """Return `; did you mean NAME?` for the end of a message, or nothing if none of the names is near."""
+    near = [one for one in names if one.casefold() == name.casefold()] or get_close_matches(name, names, 1, 0.4)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def field_name(field: Field) -> str:
@@ -147,7 +155,11 @@ def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) ->
     if named := _NAMED.search(what):
         field = (*field, named[1])
         if "unknown" in what:
-            return f"{at_line(where, text, field)}: found a field of this name, expected one of {_fields(kind, field)}"
+            known = _fields(kind, field)
+            return (
+                f"{at_line(where, text, field)}: found a field of this name, expected one of {', '.join(known)}"
+                f"{nearest(named[1], known)}"
+            )
         return f"{at_line(where, text, field)}: found nothing, expected a value: this field has no default"
     value: Any = found
     for part in field:
@@ -157,8 +169,12 @@ def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) ->
     )
     if what.startswith("Invalid enum value"):
         expected = f"one of {', '.join(_choices(kind, field))}"
+        expected += nearest(str(value), _choices(kind, field))
     about = f"{at_line(where, text, field)}: " if field else f"{where}: "
-    return f"{about}found {printable.value(str(value))}, expected {_type(expected)}"
+    shown = printable.value(str(value))
+    if isinstance(value, str) and not what.startswith("Invalid enum value"):
+        shown = f'"{shown}"'  # a text where another type is expected
+    return f"{about}found {shown}, expected {_type(expected)}"
 
 
 _TYPES = {
@@ -197,8 +213,8 @@ def _choices(kind: Any, field: Field) -> tuple[str, ...]:
     return tuple(map(str, _inside(kind, field).__args__))
 
 
-def _fields(kind: Any, field: Field) -> str:
-    return ", ".join(_inside(kind, field[:-1]).__struct_fields__)
+def _fields(kind: Any, field: Field) -> tuple[str, ...]:
+    return tuple(_inside(kind, field[:-1]).__struct_fields__)
 
 
 def _what(kind: type[Any]) -> str:

@@ -7,7 +7,6 @@ import gc
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from difflib import get_close_matches
 from itertools import filterfalse
 from math import ceil
 from pathlib import Path
@@ -18,6 +17,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.designs import Fleet, Scenario, Workflow, registered
+from fsar_ledger.designs.files import nearest
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, Configuration, is_known, lacks, rank
 from fsar_ledger.events.experiment import ExperimentPlanned
@@ -32,7 +32,7 @@ from fsar_ledger.workers import WorkerPool
 
 from .architectures import REGISTERED
 from .capacity import Cell, Expected, expected, fits, largest_fleet
-from .world.checks import problems_of_fleet, problems_of_scenario
+from .world.checks import problems_of_design, problems_of_fleet
 from .world.founding import team_size
 from .world.schedule import happening
 
@@ -126,21 +126,22 @@ class Experiment(msgspec.Struct, frozen=True):
     def _require_designs(self) -> None:
         """Check that the designer's own designs are well made and every scenario can happen to the fleet."""
         own, fleet = self.constants.scenario, self.constants.fleet
-        if own is None and fleet is None:
-            return
         require_designs(own, fleet)
         for name in self.scenarios:
             scenario = happening(self.constants, name)
-            if isinstance(scenario, Workflow):
+            if isinstance(scenario, Workflow) and fleet is not None:
                 raise InvalidExperiment(f"workflow {name}: found a fleet of your own, expected the paper's")
             if fleet is not None and name in registered.PAPER_SCENARIOS:
                 raise InvalidExperiment(
                     f"scenario {name}: found fleet {printable.value(fleet.name)}, expected the paper's, whose scenario "
                     "it is; give your own --scenario to your own --fleet"
                 )
-            for problem in problems_of_scenario(scenario, fleet or registered.fleet()):
-                raise InvalidExperiment(f"scenario {printable.value(scenario.name)}: {problem}")
-        if (found := len(write_constants(self.constants))) > MAX_OWN:
+            for problem in problems_of_design(scenario, fleet or registered.fleet()):
+                if own is not None:
+                    raise InvalidExperiment(f"scenario {printable.value(own.name)}: {problem}")
+                where = registered.at(scenario, problem.field)
+                raise InvalidExperiment(f"{where}: found {problem.found}, expected {problem.expected}")
+        if (own or fleet) and (found := len(write_constants(self.constants))) > MAX_OWN:
             raise InvalidExperiment(f"fleet and scenario: found {found:,} characters, expected at most {MAX_OWN:,}")
 
     def _require_mechanisms(self) -> None:
@@ -256,8 +257,7 @@ class Experiment(msgspec.Struct, frozen=True):
 def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...]) -> None:
     unknown = [name for name in found if name not in expected]
     if unknown or not found or len(set(found)) != len(found):
-        near = get_close_matches(unknown[0], expected, 1, 0.4) if unknown else []
-        hint = f"; did you mean {near[0]}?" if near else ""
+        hint = nearest(unknown[0], expected) if unknown else ""
         raise InvalidExperiment(
             f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once{hint}"
         )

@@ -6,7 +6,6 @@ files.
 
 import re
 from collections.abc import Iterator, Sequence
-from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.constants import SIGNED, Constants, Load, Outages
 from fsar_ledger.designs import Fleet, Scenario, registered
-from fsar_ledger.designs.files import at_line, read_design
+from fsar_ledger.designs.files import at_line, nearest, read_design
 from fsar_ledger.errors import InvalidExperiment, UsageError
 from fsar_ledger.metrics.naming import names_of_constants
 
@@ -76,7 +75,7 @@ def _fleet(asked: str | None) -> Fleet | None:
         return fleet
     if asked not in registered.fleets():
         names = ", ".join(registered.fleets())
-        hint = _nearest(asked, registered.fleets())
+        hint = nearest(asked, registered.fleets())
         raise InvalidExperiment(
             f"unknown fleet {printable.value(asked)}{hint}; expected a .toml file, or one of {names}"
         )
@@ -109,7 +108,7 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
                 f"--set {setting}: {name} already has the value {given[name]}, expected one value for each name"
             )
         if name not in names_of_constants():
-            hint = _nearest(name, names_of_constants()) or "; `fsar-ledger info LEDGER --json` prints all names"
+            hint = nearest(name, names_of_constants()) or "; `fsar-ledger info LEDGER --json` prints all names"
             raise UsageError(f"--set {setting}: unknown constant {printable.value(name)}{hint}")
         given[name] = value
         _put(tree, name, _number(setting, name, value))
@@ -124,11 +123,6 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
                 f"--set: found {name} from {low_s:g} to {high_s:g} s, expected the shorter first; set both"
             )
     return constants
-
-
-def _nearest(name: str, names: Sequence[str]) -> str:
-    near = get_close_matches(name, names, 1, 0.4)
-    return f"; did you mean {near[0]}?" if near else ""
 
 
 def _number(setting: str, name: str, value: str) -> float | int:
