@@ -21,7 +21,9 @@ from typing import get_args
 
 import msgspec
 
-from fsar_ledger.errors import UnknownQuery
+from fsar_ledger import printable
+from fsar_ledger.designs.files import nearest
+from fsar_ledger.errors import InvalidQuery, UnknownQuery
 from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.world import WorldEvent
@@ -104,14 +106,10 @@ class Query(msgspec.Struct, frozen=True):
 
 
 def parse(name: str, sql: str) -> Query:
-    """The query of this text.
-
-    Raises:
-        ValueError: A required key is missing or empty, or a key is unknown or given twice.
-    """
+    """Return the query of this text. Raises: InvalidQuery where a key is missing, empty, unknown or given twice."""
     header: dict[str, str] = {}
     last = None
-    for line in sql.splitlines():
+    for number, line in enumerate(sql.splitlines(), start=1):
         if not (match := _HEADER_LINE.match(line)):
             break
         key, text = match.groups()
@@ -119,13 +117,15 @@ def parse(name: str, sql: str) -> Query:
             header[last] += " " + text
             continue
         if key not in KEYS or key in header:
-            raise ValueError(f"{name}: header line {line!r}: expected each of {', '.join(KEYS)} at most once")
+            expected = f"each of {', '.join(KEYS)} at most once{nearest(str(key), set(KEYS) - header.keys())}"
+            found = f"found {printable.value(line)} in the header"
+            raise InvalidQuery(f"queries/{name}.sql:{number}: {found}, expected {expected}")
         header[key] = text
         last = key
     required = (*REQUIRED_KEYS, *READING_KEYS) if name.startswith(READINGS) else REQUIRED_KEYS
     missing = [key for key in required if not header.get(key)]
     if missing:
-        raise ValueError(f"{name}: header lacks {', '.join(missing)}")
+        raise InvalidQuery(f"queries/{name}.sql:1: the header lacks {', '.join(missing)}")
     return Query(name, sql, header, _parameters(header.get("Parameters", "")))
 
 
