@@ -2,10 +2,13 @@
 
 import pytest
 
+from fsar_ledger.constants import Constants
 from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.definitions import metrics, metrics_in
 from fsar_ledger.metrics.library import Query, library
-from tests.recycled import from_rows
+from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from tests.recycled import from_rows, from_table
 
 MEASURED = ("run_id", "numerator", "denominator", "value", "not_observed")
 """Columns of every query that measures a metric, beside those without routine operations."""
@@ -57,6 +60,21 @@ def test_every_query_with_the_numbers_of_a_run_is_a_metric_and_every_metric_has_
             columns = set(database.query(f"metrics/{metric.name}").column_names)
             assert columns >= set(MEASURED), metric.name
             assert ("value_without_routine" in columns) == metric.counts_routine, metric.name
+
+
+def test_values_are_numerators_over_denominators_on_the_scale_that_the_registry_names() -> None:
+    specs = [RunSpec(42, one, "full", "failure-recovery-chain", 4, run) for one in ARCHITECTURES for run in range(4)]
+    with from_table(encode([simulate_run(spec, Constants()) for spec in specs])) as database:
+        for metric in metrics():
+            rows = database.query(f"metrics/{metric.name}").to_pylist()
+            counted = [row for row in rows if row["denominator"]]
+            assert [row["value"] for row in counted] == pytest.approx(
+                [row["numerator"] / row["denominator"] / metric.numerator_units for row in counted]
+            ), metric.name
+            values = {row["value"] for row in counted}
+            assert all(value >= 0 for value in values), metric.name
+            assert metric.scale != "share" or all(value <= 1 for value in values), metric.name
+            assert metric.scale != "yes-no" or values <= {0, 1}, metric.name
 
 
 def _is_of_runs(query: Query) -> bool:
