@@ -6,6 +6,7 @@ FsarLedgerError            every error that a user can meet          exit code
 │   ├── InvalidExperiment      unknown or impossible parameters
 │   ├── InvalidRun             a run that may not be stored; also a ValueError
 │   ├── UnknownQuery           no query of that name
+│   ├── InvalidQuery           a packaged query with a wrong header; also a ValueError
 │   ├── QueryFailed            SQL or its parameters are wrong
 │   ├── LimitReached           more memory is needed than was allowed
 │   ├── NotALedger             the path does not exist or is no ledger
@@ -77,6 +78,10 @@ class InvalidRun(UsageError, ValueError):
 
 class UnknownQuery(UsageError):
     """No query has that name."""
+
+
+class InvalidQuery(UsageError, ValueError):
+    """The header of a query of the package lacks something, or says it twice."""
 
 
 class QueryFailed(UsageError):

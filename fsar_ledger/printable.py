@@ -150,14 +150,15 @@ def some(parts: Iterable[str], what: str = "more") -> str:
 def did_you_mean(asked: str, names: Collection[str]) -> str:
     """Return `; did you mean NAME?` for the nearest name, or nothing where none is near.
 
-    The nearest is the first name that begins like the one asked for, else the most similar one, else the first with the
-    most similar beginning.
+    The nearest is the name in other capitals, else the first that begins like the one asked for, else the most similar
+    one, else the first with the most similar beginning.
     """
     from difflib import get_close_matches
 
     ordered = sorted(names)
     found = (
-        [name for name in ordered if name.startswith(asked)]
+        [name for name in ordered if name.casefold() == asked.casefold()]
+        or [name for name in ordered if name.startswith(asked)]
         or get_close_matches(asked, ordered, 1, 0.4)
         or [
             name

@@ -9,6 +9,14 @@ import typer
 from fsar_ledger.errors import QueryFailed, UsageError
 
 SHOWN_ROWS = 100
+SCENARIOS = Path(__file__).parents[1] / "runtime/world/scenarios"
+
+
+def named_in(folder: Path) -> str:
+    """List the designs in a folder of the package by name; to import them would slow `--help` down."""
+    *names, last = sorted(file.stem for file in folder.glob("*.toml"))
+    return f"{', '.join(names)} or {last}"
+
 
 LedgerArgument = Annotated[Path, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)]
 NewLedgerArgument = Annotated[
@@ -130,9 +138,7 @@ ScenarioOption = Annotated[
     typer.Option(
         "--scenario",
         metavar="NAME",
-        help="door-relay, collaborative-delivery, failure-recovery-chain, mixed-trust-inspection or fleet-contention; "
-        "may be repeated. "
-        "Or one of your own: a .toml file (docs/own-fleet.md).",
+        help=f"{named_in(SCENARIOS)}; may be repeated. Or one of your own: a .toml file (docs/own-fleet.md).",
         show_default="the paper's five",
     ),
 ]

@@ -147,7 +147,11 @@ def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) ->
     if named := _NAMED.search(what):
         field = (*field, named[1])
         if "unknown" in what:
-            return f"{at_line(where, text, field)}: found an unknown field, expected one of {_fields(kind, field)}"
+            known = _fields(kind, field)
+            return (
+                f"{at_line(where, text, field)}: found an unknown field, expected one of {', '.join(known)}"
+                f"{printable.did_you_mean(named[1], known)}"
+            )
         return f"{at_line(where, text, field)}: found nothing, expected a value: this field has no default"
     value: Any = found
     for part in field:
@@ -157,8 +161,12 @@ def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) ->
     )
     if what.startswith("Invalid enum value"):
         expected = f"one of {', '.join(_choices(kind, field))}"
+        expected += printable.did_you_mean(str(value), _choices(kind, field))
     about = f"{at_line(where, text, field)}: " if field else f"{where}: "
-    return f"{about}found {printable.value(str(value))}, expected {_type(expected)}"
+    shown = printable.value(str(value))
+    if isinstance(value, str) and not what.startswith("Invalid enum value"):
+        shown = f'"{shown}"'  # a text where another type is expected
+    return f"{about}found {shown}, expected {_type(expected)}"
 
 
 _TYPES = {
@@ -197,8 +205,8 @@ def _choices(kind: Any, field: Field) -> tuple[str, ...]:
     return tuple(map(str, _inside(kind, field).__args__))
 
 
-def _fields(kind: Any, field: Field) -> str:
-    return ", ".join(_inside(kind, field[:-1]).__struct_fields__)
+def _fields(kind: Any, field: Field) -> tuple[str, ...]:
+    return tuple(_inside(kind, field[:-1]).__struct_fields__)
 
 
 def _what(kind: type[Any]) -> str:

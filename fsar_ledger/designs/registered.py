@@ -1,16 +1,20 @@
 """The fleets, scenarios and workflows that come with the package, one file each.
 
-Adding a file registers another one; nothing else changes. Each is read once, when first used.
+Adding a file, named after what is in it, registers another one; nothing else changes. Each is read once, when first
+used.
 """
 
 from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
-from . import Fleet, Scenario, Workflow
-from .files import decoded
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
 
-_T = TypeVar("_T")
+from . import Fleet, Scenario, Workflow
+from .files import Field, at_line, decoded
+
+_T = TypeVar("_T", Fleet, Scenario, Workflow)
 
 PAPER_FLEET = "paper"
 PAPER_SCENARIOS = (
@@ -60,6 +64,12 @@ def workflow(name: str) -> Workflow:
     return _read("workflows", name, Workflow)
 
 
+def at(design: Fleet | Scenario | Workflow, field: Field) -> str:
+    """Return the file, the line and the field of a registered design, for the beginning of a message."""
+    file = _folder(f"{type(design).__name__.lower()}s") / f"{design.name}.toml"
+    return at_line(str(file), file.read_text("utf-8"), field)
+
+
 def _names(folder: str, first: tuple[str, ...]) -> tuple[str, ...]:
     there = {file.stem for file in _folder(folder).glob("*.toml")}
     return (*first, *sorted(there.difference(first)))
@@ -67,7 +77,12 @@ def _names(folder: str, first: tuple[str, ...]) -> tuple[str, ...]:
 
 def _read(folder: str, name: str, kind: type[_T]) -> _T:
     file = _folder(folder) / f"{name}.toml"
-    return decoded(file.read_text("utf-8"), kind, str(file))
+    text = file.read_text("utf-8")
+    found = decoded(text, kind, str(file))
+    if found.name != name:
+        where = at_line(str(file), text, ("name",))
+        raise UsageError(f"{where}: found {printable.value(found.name)}, expected the name of the file, {name}")
+    return found
 
 
 def _folder(name: str) -> Path:

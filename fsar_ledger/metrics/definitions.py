@@ -4,12 +4,19 @@ The file is the one list of metrics. What SQL needs of it becomes relations here
 `metric_concerns`, `metric_measurements`); the report, the statistics and the pages read the same rows.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from functools import cache
 from importlib.resources import files
 from typing import Literal
 
 import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.designs.files import Field, at_line, decoded
+from fsar_ledger.errors import UsageError
+from fsar_ledger.events.concerns import CONCERNS
+
+FILE = "reports/metrics.toml"
 
 
 class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -58,12 +65,45 @@ class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.paper
 
 
+class Registry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The file: its metrics in their order."""
+
+    metric: tuple[Metric, ...]
+
+
 @cache
 def metrics() -> tuple[Metric, ...]:
     """Return every metric: those of the paper in its order, then the others."""
-    text = files("fsar_ledger.reports").joinpath("metrics.toml").read_bytes()
-    found = msgspec.toml.decode(text, type=dict[str, tuple[Metric, ...]])["metric"]
+    text = files("fsar_ledger.reports").joinpath("metrics.toml").read_text("utf-8")
+    queries = files("fsar_ledger.queries").joinpath("metrics").iterdir()
+    return metrics_in(text, [file.name.removesuffix(".sql") for file in queries])
+
+
+def metrics_in(text: str, queries: Collection[str]) -> tuple[Metric, ...]:
+    """Return the metrics of this registry, each measured by one of these queries; those of the paper come first.
+
+    Raises:
+        UsageError: a field is missing, unknown or of another type, a name stands twice or is that of no query, or a
+            concern is unknown; with line and field.
+    """
+    found = decoded(text, Registry, FILE).metric
+    names: list[str] = []
+    for at, metric in enumerate(found):
+        if metric.name in names:
+            raise _wrong(text, ("metric", at, "name"), f"another metric of this name: {metric.name}", "each once")
+        if metric.name not in queries:
+            expected = f"the name of a query in queries/metrics{printable.did_you_mean(metric.name, queries)}"
+            raise _wrong(text, ("metric", at, "name"), metric.name, expected)
+        for number, concern in enumerate(metric.rests_on):
+            if concern not in CONCERNS:
+                expected = f"one of the concerns ({', '.join(CONCERNS)}){printable.did_you_mean(concern, CONCERNS)}"
+                raise _wrong(text, ("metric", at, "rests_on", number), concern, expected)
+        names.append(metric.name)
     return tuple(sorted(found, key=lambda one: one.paper is None))
+
+
+def _wrong(text: str, field: Field, found: str, expected: str) -> UsageError:
+    return UsageError(f"{at_line(FILE, text, field)}: found {printable.value(found)}, expected {expected}")
 
 
 @cache

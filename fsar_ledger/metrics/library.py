@@ -21,7 +21,8 @@ from typing import get_args
 
 import msgspec
 
-from fsar_ledger.errors import UnknownQuery
+from fsar_ledger import printable
+from fsar_ledger.errors import InvalidQuery, UnknownQuery
 from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.world import WorldEvent
@@ -104,11 +105,11 @@ def parse(name: str, sql: str) -> Query:
     """Parse the text of a query file.
 
     Raises:
-        ValueError: A required key is missing or empty, or a key is unknown or given twice.
+        InvalidQuery: A required key is missing or empty, or a key is unknown or given twice.
     """
     header: dict[str, str] = {}
     last = None
-    for line in sql.splitlines():
+    for number, line in enumerate(sql.splitlines(), start=1):
         if not (match := _HEADER_LINE.match(line)):
             break
         key, text = match.groups()
@@ -116,13 +117,17 @@ def parse(name: str, sql: str) -> Query:
             header[last] += " " + text
             continue
         if key not in KEYS or key in header:
-            raise ValueError(f"{name}: header line {line!r}: expected each of {', '.join(KEYS)} at most once")
+            expected = (
+                f"each of {', '.join(KEYS)} at most once{printable.did_you_mean(str(key), set(KEYS) - header.keys())}"
+            )
+            found = f"found {printable.value(line)} in the header"
+            raise InvalidQuery(f"queries/{name}.sql:{number}: {found}, expected {expected}")
         header[key] = text
         last = key
     required = (*REQUIRED_KEYS, *READING_KEYS) if name.startswith(READINGS) else REQUIRED_KEYS
     missing = [key for key in required if not header.get(key)]
     if missing:
-        raise ValueError(f"{name}: header lacks {', '.join(missing)}")
+        raise InvalidQuery(f"queries/{name}.sql:1: the header lacks {', '.join(missing)}")
     return Query(name, sql, header, _parameters(header.get("Parameters", "")))
 
 

@@ -71,7 +71,9 @@ DRAWN_SQL = """
         AND constants IS NOT DISTINCT FROM $constants
     GROUP BY metric, architecture
 """
-BACKGROUND_SQL = "SELECT * FROM background"
+BACKGROUND_SQL = """
+    SELECT * FROM background ORDER BY constants, seed, list_position(['fsar', 'cfc', 'dhma'], architecture)
+"""
 CASES_SQL = "SELECT * FROM case_claims"
 CHOSEN_SQL = """
     SELECT runs.run_id

@@ -27,7 +27,7 @@ from fsar_ledger.workers import WorkerPool
 
 from .architectures import REGISTERED
 from .capacity import Cell, Expected, expected, fits, largest_fleet
-from .world.checks import problems_of_fleet, problems_of_scenario
+from .world.checks import problems_of_design, problems_of_fleet
 from .world.founding import team_size
 from .world.schedule import happening
 
@@ -121,21 +121,22 @@ class Experiment(msgspec.Struct, frozen=True):
     def _require_designs(self) -> None:
         """Check that the designer's own designs are well formed and that every scenario suits the fleet."""
         own, fleet = self.constants.scenario, self.constants.fleet
-        if own is None and fleet is None:
-            return
         require_designs(own, fleet)
         for name in self.scenarios:
             scenario = happening(self.constants, name)
-            if isinstance(scenario, Workflow):
+            if isinstance(scenario, Workflow) and fleet is not None:
                 raise InvalidExperiment(f"workflow {name}: found a fleet of your own, expected the paper's")
             if fleet is not None and name in registered.PAPER_SCENARIOS:
                 raise InvalidExperiment(
                     f"scenario {name}: found fleet {printable.value(fleet.name)}, expected the paper's, for which the "
                     "scenario is written; use your own --scenario with your own --fleet"
                 )
-            for problem in problems_of_scenario(scenario, fleet or registered.fleet()):
-                raise InvalidExperiment(f"scenario {printable.value(scenario.name)}: {problem}")
-        if (found := len(write_constants(self.constants))) > MAX_OWN:
+            for problem in problems_of_design(scenario, fleet or registered.fleet()):
+                if own is not None:
+                    raise InvalidExperiment(f"scenario {printable.value(own.name)}: {problem}")
+                where = registered.at(scenario, problem.field)
+                raise InvalidExperiment(f"{where}: found {problem.found}, expected {problem.expected}")
+        if (own or fleet) and (found := len(write_constants(self.constants))) > MAX_OWN:
             raise InvalidExperiment(f"fleet and scenario: found {found:,} characters, expected at most {MAX_OWN:,}")
 
     def _require_mechanisms(self) -> None:

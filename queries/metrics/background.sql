@@ -57,6 +57,3 @@ WHERE hidden.run_id IS NULL
 GROUP BY
     runs.architecture, runs.configuration, settings.kind, runs.source, runs.model_version, runs.fleet_size, runs.seed,
     settings.setting, settings.constants
-ORDER BY
-    runs.configuration <> 'full', runs.configuration, runs.fleet_size, settings.constants, settings.setting, runs.seed,
-    list_position(['fsar', 'cfc', 'dhma'], runs.architecture)

@@ -1,4 +1,4 @@
--- Title: The eight metrics over the runs of each seed and over those of all seeds, with intervals
+-- Title: Every metric over the runs of each seed and over those of all seeds, with intervals
 -- Paper: tab:results
 -- Grain: one row per architecture, configuration, setting (kind, source, model version, constants, fleet size), metric,
 --   scenario or all scenarios, and seed or all seeds (pools_seeds)

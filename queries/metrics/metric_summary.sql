@@ -1,4 +1,4 @@
--- Title: The eight metrics over runs, with intervals
+-- Title: Every metric over runs, with intervals
 -- Paper: tab:results
 -- Grain: one row per architecture, configuration, seed, setting (kind, source, model version, constants, fleet size),
 --   metric, and scenario or all scenarios: runs of different ones are never in one row

@@ -1,4 +1,4 @@
--- Title: The eight metrics over runs, with the dials that the paper leaves open
+-- Title: Every metric over runs, with the dials that the paper leaves open
 -- Paper: tab:ablation
 -- Grain: one row per architecture, configuration, setting (kind, source, model version, constants, fleet size), metric,
 --   scenario or all scenarios, and seed or all seeds (pools_seeds), as in metric_summaries

@@ -1,7 +1,7 @@
 -- Title: Pairwise tests over the pairs in which the metric is defined for both runs, over all seeds
 -- Paper: tab:significance
 -- Grain: one row per comparison, configuration, setting (kind, source, model version, constants, fleet size) and
---   metric: 24 where all three architectures have run, and 8 for each ablation
+--   metric: three a metric where all three architectures have run, and one for each ablation
 -- Key: comparison, configuration, seed?, fleet_size?, kind, source?, model_version?, constants?, metric
 -- Units: first_mean, second_mean, mean_difference in the metric's unit; n pairs; the rest without unit
 -- NULL: tests and effect sizes where nothing varies; McNemar columns for metrics that are not 0 or 1 per run,

@@ -15,6 +15,7 @@ from fsar_ledger.errors import (
     UnknownQuery,
     UsageError,
 )
+from fsar_ledger.metrics import definitions
 from fsar_ledger.projections.fold import fold
 from tests.api.conftest import RUN
 
@@ -133,7 +134,8 @@ def test_a_table_says_what_it_holds_for_and_shows_text_harmlessly(ledger: fsar_l
 def test_metrics_have_their_columns_and_types_in_every_form(ledger: fsar_ledger.Ledger) -> None:
     table = ledger.metrics()
     assert isinstance(table, Table)
-    assert len(table) == 24
+    assert [row["metric"] for row in table] == [one.name for one in definitions.metrics() for _ in range(3)]
+    assert 3 * len(definitions.published_metrics()) == 24
     assert "scenario" not in table.columns
     assert set(ledger.metrics(by="scenario").polars()["scenario"]) == {"door-relay"}
     assert str(table.arrow().schema.field("mean").type) == "double"

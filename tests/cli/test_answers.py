@@ -11,6 +11,8 @@ import polars as pl
 import pytest
 
 from fsar_ledger import __version__
+from fsar_ledger.cli.options import SCENARIOS, named_in
+from fsar_ledger.designs import registered
 from fsar_ledger.metrics.definitions import metrics
 from tests.cli.conftest import SMALL, Call, Called, in_a_process
 
@@ -30,6 +32,15 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr.split() == []
+
+
+def test_help_lists_every_registered_scenario(call: Call, tmp_path: Path) -> None:
+    said = " ".join(call("simulate", "--help").out.split()).replace("- ", "-")
+    assert all(name in said for name in registered.scenarios())
+    for name in ("night", "a-sixth"):
+        (tmp_path / f"{name}.toml").touch()
+    assert named_in(tmp_path) == "a-sixth or night"
+    assert {path.stem for path in SCENARIOS.glob("*.toml")} == set(registered.scenarios())
 
 
 def test_the_version_is_told_without_typer() -> None:

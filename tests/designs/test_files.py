@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.designs import Fleet, Scenario, registered
 from fsar_ledger.designs.files import MAX_BYTES, decoded, line_of, read_design
 from fsar_ledger.errors import UsageError
-from fsar_ledger.runtime.world.checks import problems_of_fleet, problems_of_scenario
+from fsar_ledger.runtime.world.checks import problems_of_design, problems_of_fleet, problems_of_scenario
 
 FLEET = """\
 name = "ward"
@@ -53,8 +53,10 @@ def test_every_registered_fleet_scenario_and_workflow_is_well_made_and_named_as_
     for name in registered.fleets():
         assert registered.fleet(name).name == name
         assert [str(problem) for problem in problems_of_fleet(registered.fleet(name))] == []
-    for name in registered.PAPER_SCENARIOS:
-        assert [str(problem) for problem in problems_of_scenario(registered.scenario(name), registered.fleet())] == []
+    for name in registered.scenarios():
+        assert [str(problem) for problem in problems_of_design(registered.scenario(name), registered.fleet())] == []
+    for name in registered.workflows():
+        assert [str(problem) for problem in problems_of_design(registered.workflow(name), registered.fleet())] == []
     assert [registered.scenario(name).name for name in registered.scenarios()] == list(registered.scenarios())
     assert [registered.workflow(name).name for name in registered.workflows()] == list(registered.workflows())
     assert registered.scenarios()[:5] == registered.PAPER_SCENARIOS
@@ -94,12 +96,13 @@ def test_the_line_of_a_field_is_found_in_tables_inside_a_list_and_under_dotted_k
         (
             'bodies = ["porter"]',
             'boddies = ["porter"]',
-            "my.toml:2: boddies: found an unknown field, expected one of name,",
+            "my.toml:2: boddies: found an unknown field, expected one of name, robots, capabilities, bodies, "
+            "substitutes, trust, policies, off_shift; did you mean bodies?",
         ),
-        ('bodies = ["porter"]', 'bodies = "porter"', "my.toml:2: bodies: found porter, expected a list in [ ]"),
+        ('bodies = ["porter"]', 'bodies = "porter"', 'my.toml:2: bodies: found "porter", expected a list in [ ]'),
         ('"door.lock",\n]', "7,\n]", "my.toml:12: robots[1].capabilities[1]: found 7, expected text in quotes"),
         ('name = "door"\n', "", "my.toml:8: robots[1].name: found nothing, expected a value"),
-        ("from_s = 5", 'from_s = "5"', "my.toml:27: off_shift[0].from_s: found 5, expected a number"),
+        ("from_s = 5", 'from_s = "5"', 'my.toml:27: off_shift[0].from_s: found "5", expected a number'),
         (
             "lasts_s = [1, 2.5]",
             "lasts_s = [1]",

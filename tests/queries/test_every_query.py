@@ -8,6 +8,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
+from fsar_ledger.errors import InvalidQuery
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, generated, library, parse
@@ -49,6 +50,10 @@ def test_header_with_an_empty_unknown_or_repeated_key_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match="header"):
             parse("facts/x", text + "SELECT 1")
+    with pytest.raises(
+        InvalidQuery, match=r"^queries/facts/x\.sql:4: found -- Keys: a in the header, .*; did you mean Key\?$"
+    ):
+        parse("facts/x", HEADER.replace("Key: something", "Keys: a"))
     assert "Parameters" in KEYS
 
 

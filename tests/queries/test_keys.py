@@ -1,4 +1,7 @@
-"""No query fans out or captures: its key tells rows apart, no star stands beside columns, few read all events."""
+"""No query fans out or captures: its key tells rows apart, no star stands beside columns, few read all events.
+
+None ends in ORDER BY either.
+"""
 
 import re
 from collections.abc import Iterator
@@ -16,7 +19,7 @@ from tests.runtime.commanded import commanded
 
 KEPT = sorted((Path(__file__).parent.parent / "ledgers").glob("*/ledger"))
 FILES = {name: query for name, query in library().queries.items() if not query.tags}
-CHEAP = ("facts/", "audit/", "invariants/", "readings/")
+CHEAP = ("facts/", "metrics/", "audit/", "invariants/", "readings/")
 DRAWN = {query.name for query in FILES.values() if query.relation.startswith(("drawn_", "cluster_"))}
 """Millions of rows drawn from few: a second each."""
 READ_ALL_EVENTS = {
@@ -138,6 +141,17 @@ def test_a_star_beside_columns_is_found_wherever_it_stands(columns: str) -> None
     )
     assert starred("facts/x", f"-- SELECT {columns} FROM a\nSELECT ', *', count(*), 2 * 3 FROM a") == []
     assert starred("facts/x", "SELECT * EXCLUDE (x) FROM a UNION ALL SELECT b.* FROM b") == []
+
+
+ORDERED = re.compile(r"^ORDER BY\b(?!.*\bLIMIT\b)", re.MULTILINE | re.DOTALL)
+"""The last step of a query is not indented."""
+
+
+def test_no_query_orders_its_rows_which_come_out_in_the_order_of_all_their_columns() -> None:
+    assert [name for name, query in FILES.items() if ORDERED.search(COMMENT.sub("", query.sql))] == []
+    assert ORDERED.search("SELECT a\nFROM b\nORDER BY a\n")
+    assert not ORDERED.search("SELECT a\nFROM b\nORDER BY a\nLIMIT 1\n")
+    assert not ORDERED.search("SELECT\n    sum(a) OVER (\n        ORDER BY b\n    )\nFROM b\n")
 
 
 def test_only_staging_reads_all_events() -> None:

@@ -348,7 +348,9 @@ def test_what_stands_behind_the_numbers_is_said_where_they_stand(ledger: Path, p
     with connect(ledger) as database:
         rows = [
             row
-            for row in database.rows("SELECT * FROM background")
+            for row in database.rows(
+                "SELECT * FROM background ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture)"
+            )
             if (row["configuration"], row["fleet_size"]) == ("full", 4)
         ]
         beside = {(row.metric, row.architecture): row.mean_without_routine for row in metric_rows(database)}

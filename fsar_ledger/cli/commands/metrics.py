@@ -33,7 +33,7 @@ def metrics(
     as_csv: CsvOption = False,
     raw: RawOption = False,
 ) -> None:
-    """Judge a ledger by the eight metrics of the paper.
+    """Judge a ledger by the metrics: the eight of the paper, then any that were added.
 
     Shows mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size; runs of different
     seeds, constants, models or kinds have rows of their own. Shares are in [0,1], latency is in seconds. Where a metric

@@ -46,7 +46,7 @@ WHERE_ANY = ("undefined", "runs_not_observed")
 
 MetricOption = Annotated[
     list[str] | None,
-    typer.Option("--metric", metavar="NAME", help="Only this metric; may be repeated.", show_default="all eight"),
+    typer.Option("--metric", metavar="NAME", help="Only this metric; may be repeated.", show_default="all"),
 ]
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.constants import DURATIONS, END_US
-from fsar_ledger.designs import Fleet, Robot, Scenario
+from fsar_ledger.designs import Fleet, Robot, Scenario, Task, Workflow
 from fsar_ledger.designs.files import Field, field_name
 
 _NAME = re.compile(r"[a-z][a-z0-9-]{0,38}[a-z0-9]")
@@ -106,27 +106,20 @@ def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:
             yield Problem(about, "a spell that concerns no supervisor", "robots that have a supervisor of their own")
 
 
+def problems_of_design(design: Scenario | Workflow, fleet: Fleet) -> Iterator[Problem]:
+    """Return why the scenario or the workflow cannot happen to the fleet, in the order of its fields."""
+    return problems_of_workflow(design, fleet) if isinstance(design, Workflow) else problems_of_scenario(design, fleet)
+
+
 def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
     """Yield the problems of the scenario, by itself or for this fleet, in the order of its fields."""
     yield from _named(("name",), scenario.name, _NAME, "a name of lowercase letters, digits and -, such as night-shift")
     if scenario.name.startswith("workflow-"):
         yield Problem(("name",), printable.value(scenario.name), "a name that does not begin like those of workflows")
     robots = {robot.name: robot for robot in fleet.robots}
-    if not scenario.tasks:
-        yield Problem(("tasks",), "none", "at least one task")
-    for at, task in enumerate(scenario.tasks):
-        about: Field = ("tasks", at)
-        yield from _known((*about, "owner"), task.owner, robots, f"the robots of fleet {fleet.name}")
-        if not (isfinite(task.offset_s) and 0 <= task.offset_s <= END_US / 1e6):
-            yield Problem((*about, "offset_s"), f"{task.offset_s:g}", f"seconds from 0 to {END_US / 1e6:g}")
-        if not task.steps:
-            yield Problem((*about, "steps"), "none", "at least one step")
-        for number, step in enumerate(task.steps):
-            yield from _problems_of_step((*about, "steps", number), step, robots, fleet)
-        numbers = [str(number) for number in range(1, len(task.steps) + 1)]
-        yield from _each((*about, "checkpoints"), task.checkpoints or (), numbers, "the numbers of its steps")
+    yield from _problems_of_tasks(scenario.tasks, robots, fleet)
     for at, injection in enumerate(scenario.injections):
-        about = ("injections", at)
+        about: Field = ("injections", at)
         yield from _known((*about, "requester"), injection.requester, robots, f"the robots of fleet {fleet.name}")
         yield from _known((*about, "target"), injection.target, robots, f"the robots of fleet {fleet.name}")
         if injection.requester in robots and injection.target in robots:
@@ -141,6 +134,32 @@ def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
     if (asked_times := sum(one.times for one in scenario.injections)) > MOST_TIMES:
         yield Problem(("injections",), f"{asked_times:,} requests per team", f"at most {MOST_TIMES:,}")
     yield from _each(("degradable",), scenario.degradable, robots, f"the robots of fleet {fleet.name}")
+
+
+def problems_of_workflow(workflow: Workflow, fleet: Fleet) -> Iterator[Problem]:
+    """Yield why the workflow cannot happen to the fleet, or is none, in the order of its fields."""
+    if not workflow.name.startswith("workflow-"):
+        yield Problem(("name",), printable.value(workflow.name), "a name that begins with workflow-")
+    robots = {robot.name: robot for robot in fleet.robots}
+    yield from _problems_of_tasks(workflow.tasks, robots, fleet)
+    for at, wear in enumerate(workflow.wear):
+        yield from _known(("wear", at, "robot"), wear.robot, robots, f"the robots of fleet {fleet.name}")
+
+
+def _problems_of_tasks(tasks: Sequence[Task], robots: dict[str, Robot], fleet: Fleet) -> Iterator[Problem]:
+    if not tasks:
+        yield Problem(("tasks",), "none", "at least one task")
+    for at, task in enumerate(tasks):
+        about: Field = ("tasks", at)
+        yield from _known((*about, "owner"), task.owner, robots, f"the robots of fleet {fleet.name}")
+        if not (isfinite(task.offset_s) and 0 <= task.offset_s <= END_US / 1e6):
+            yield Problem((*about, "offset_s"), f"{task.offset_s:g}", f"seconds from 0 to {END_US / 1e6:g}")
+        if not task.steps:
+            yield Problem((*about, "steps"), "none", "at least one step")
+        for number, step in enumerate(task.steps):
+            yield from _problems_of_step((*about, "steps", number), step, robots, fleet)
+        numbers = [str(number) for number in range(1, len(task.steps) + 1)]
+        yield from _each((*about, "checkpoints"), task.checkpoints or (), numbers, "the numbers of its steps")
 
 
 def _problems_of_step(field: Field, step: str, robots: dict[str, Robot], fleet: Fleet) -> Iterator[Problem]:
