@@ -1,11 +1,14 @@
-"""Where an event, or a part of one, is made, and which two arguments could have been written in each other's place."""
+"""Where an event, or a part of one, is made, and which two arguments could have been written in each other's place.
+
+A function that makes such a part from principals by name (`HELPERS`) counts as the part does.
+"""
 
 import ast
 import copy
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple, get_args, get_type_hints
 
 import msgspec
 
@@ -22,10 +25,12 @@ from fsar_ledger.events.envelope import (
     Subject,
     Supervisor,
 )
+from fsar_ledger.runtime.handlers.attribution import recorded_by
 
 PACKAGE = Path(__file__).resolve().parents[2] / "fsar_ledger"
 PARTS: tuple[type[Part], ...] = (Subject, RequestSubject, Parties, Principals)
 MADE: dict[str, type[msgspec.Struct]] = {cls.__name__: cls for cls in (*EVENT_TYPES, *PARTS)}
+HELPERS: dict[str, dict[str, Any]] = {helper.__name__: get_type_hints(helper) for helper in (recorded_by,)}
 PRINCIPALS = frozenset({Robot, Supervisor, Service, Agent, Coordinator})
 
 
@@ -96,8 +101,9 @@ def _swaps_in(file: Path) -> Iterator[Swap]:
         name = call.func.id if isinstance(call.func, ast.Name) else ""
         if isinstance(call.func, ast.Attribute) and call.func.attr == "decided":
             fields = [(f"path {place}", frozenset[Any](PRINCIPALS)) for place in range(len(call.args))]
-        elif name in MADE:
-            declared = {field.name: _kinds(field.type) for field in msgspec.structs.fields(MADE[name])}
+        elif name in MADE or name in HELPERS:
+            types = HELPERS.get(name) or {field.name: field.type for field in msgspec.structs.fields(MADE[name])}
+            declared = {field: _kinds(kind) for field, kind in types.items()}
             names = [*list(declared)[: len(call.args)], *(str(keyword.arg) for keyword in call.keywords)]
             fields = [(one, declared[one]) for one in names]
         else:

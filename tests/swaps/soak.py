@@ -38,7 +38,7 @@ EQUIVALENT: dict[str, str] = {
         ),
         "what is admitted may be requested, may be executed and is audited: all three are true",
     ),
-    "runtime/architectures/fsar/helpers.py Parties: requested_by, executed_by": (
+    "runtime/architectures/fsar/helpers.py recorded_by: requested_by, executed_by": (
         "the robot that failed asks for help, and it is on record as the executor"
     ),
 }
