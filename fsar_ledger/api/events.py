@@ -24,14 +24,11 @@ if TYPE_CHECKING:
 
 _ENVELOPE = {field.name for field in ENVELOPE}
 NAMING = {name: kind for name, kind in COLUMNS.items() if name not in _ENVELOPE and kind in ("string", "strings")}
-"""The columns that may name a robot."""
+"""The columns that can name a robot."""
 
 
 class LoggedEvent(NamedTuple):
-    """An event with its envelope.
-
-    The run, its seq there, when it happened, and the seq of the event that caused it (None: none did).
-    """
+    """An event with its run, its seq there, its time, and the seq of the event that caused it (None: none did)."""
 
     run: str
     seq: int
@@ -41,12 +38,12 @@ class LoggedEvent(NamedTuple):
 
     @property
     def time_s(self) -> float:
-        """Return when it happened, in seconds of run time."""
+        """Return the time in seconds of run time."""
         return self.time_us / 1_000_000
 
 
 class Filter(NamedTuple):
-    """The events that are meant; None takes all. Times are microseconds, from `since_us` and before `until_us`."""
+    """Which events to take; None takes all. Times are microseconds, from `since_us` and before `until_us`."""
 
     run: str | None = None
     since_us: int | None = None
@@ -54,7 +51,7 @@ class Filter(NamedTuple):
     robot: str | None = None
 
     def takes(self, time_us: int, event: Event) -> bool:
-        """Return whether an event of the run is meant."""
+        """Return whether to take an event of the run."""
         return (
             (self.since_us is None or time_us >= self.since_us)
             and (self.until_us is None or time_us < self.until_us)
@@ -87,7 +84,7 @@ def _naming(name: str, kind: str) -> str:
 
 
 def _agents(robot: str) -> str:
-    """Return the beginning of the principals of a robot's agents (DHMA splits a robot into four)."""
+    """Return the prefix of the principals of a robot's agents (DHMA splits a robot into four)."""
     return f"agent/{robot.removeprefix('robot/')}/"
 
 
@@ -102,10 +99,10 @@ def names(event: Event, robot: str) -> bool:
 
 
 class Events:
-    """Some events of a ledger; each way to take them reads the ledger anew.
+    """Some events of a ledger; every method reads the ledger anew.
 
-    Iterating yields a `LoggedEvent` for each, run by run in commit order, as its newest version, and holds one commit
-    in memory at a time.
+    Iterating yields a `LoggedEvent` for each, run by run in commit order, with one commit in memory at a time. Events
+    of retired types come as their newest version.
     """
 
     def __init__(self, path: Path, meant: Filter, demanded: str | None = None) -> None:
@@ -126,7 +123,7 @@ class Events:
                         yield LoggedEvent(run.run_id, seq, time_us, caused_by, event)
 
     def table(self) -> Table:
-        """Return them as a table: one row an event, by run and seq, NULL in columns that its type does not have."""
+        """Return a row for each event, by run and seq; columns that its type does not have are NULL."""
         sql, values = self._meant.sql()
         with connect(self._path, demanded=self._demanded) as database:
             return Table(database.table(sql, values).cast(SCHEMA), of_rows(database))

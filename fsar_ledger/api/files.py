@@ -1,7 +1,7 @@
-"""Files that an answer is written to for other tools: CSV and Parquet, each whole or not there.
+"""Write answers to CSV and Parquet files, each whole or not at all.
 
-Each is written under a temporary name beside its place and renamed when it is complete, so that neither
-Ctrl-C nor a full disk leaves half of one.
+A file is written under a temporary name beside its place and renamed when it is complete, so that neither Ctrl-C nor a
+full disk leaves half of one.
 """
 
 import os
@@ -26,14 +26,14 @@ from .provenance import Provenance
 
 
 class Written(msgspec.Struct, frozen=True):
-    """How many rows were written to a file, and what they hold for."""
+    """The number of rows that were written to a file, and their provenance."""
 
     row_count: int
     provenance: Provenance
 
 
 def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | None = None) -> Written:
-    """Write every event as it is stored, retired types too, in commit order; return how many.
+    """Write every event as it is stored, retired types too, in commit order; return their number.
 
     Text in CSV is as `printable.field` makes it, unless `raw`.
 
@@ -48,7 +48,7 @@ def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | 
 
 
 def write_table(out: Path, table: pa.Table, *, raw: bool = False) -> int:
-    """Write the rows, text as in `write_events`; return how many. Raises: As `write_events`."""
+    """Write the rows, text as in `write_events`; return their number. Raises: As `write_events`."""
     return _write_tables(out, table.schema, [table], raw=raw)
 
 
@@ -56,16 +56,16 @@ def write_text(out: Path, text: str) -> None:
     """Write the text in UTF-8.
 
     Raises:
-        WriteFailed: the file cannot be written.
+        WriteFailed: The file cannot be written.
     """
     with _whole_file(out) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def require_place(out: Path) -> None:
-    """Check that rows can be written there, before any reading: a wrong name should not cost minutes.
+    """Check the name of a file before anything is read, because a wrong name should not cost minutes.
 
-    Raises: UsageError if they cannot.
+    Raises: UsageError if rows cannot be written there.
     """
     _format_of(out)
     require_outside(out, option("out", out))
@@ -96,8 +96,7 @@ def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iter
         with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
             yield lambda table: writer.write_table(table)
     else:
-        # Text stands in quotes and NULL does not, so that an empty text can be told from NULL; names of columns need no
-        # quotes.
+        # Text is quoted and NULL is not, so that an empty text differs from NULL; names of columns need no quotes.
         options = pa_csv.WriteOptions(quoting_header="none")
         with pa_csv.CSVWriter(temporary, _flat(schema.empty_table()).schema, write_options=options) as writer:
             yield lambda table: writer.write_table(_flat(table) if raw else _harmless(_flat(table)))
@@ -116,7 +115,7 @@ def _flat(table: pa.Table) -> pa.Table:
 
 
 def _harmless(table: pa.Table) -> pa.Table:
-    """Return the table with each text as `printable.field` makes it; each different text is looked at once."""
+    """Return the table with each text as `printable.field` makes it; each distinct text is escaped once."""
     for at, field in enumerate(table.schema):
         if pa.types.is_string(field.type):
             chunks = [_harmless_chunk(chunk) for chunk in table.column(at).chunks]
@@ -145,6 +144,6 @@ def _whole_file(out: Path) -> Iterator[Path]:
             "choose another place"
         ) from problem
     finally:
-        with suppress(OSError):  # where it could not be made, it cannot be taken away either
+        with suppress(OSError):  # it may never have been made
             temporary.unlink(missing_ok=True)
         unfinished.discard(temporary)

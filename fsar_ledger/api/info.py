@@ -1,7 +1,7 @@
-"""What a ledger holds, in short: what was planned, what of it is there, and which worlds met which architectures.
+"""Summarize what a ledger holds: its plans, which of their runs are there, and which worlds met which architectures.
 
-A plan that is on record says what is missing. Where there is none (live runs, ledgers from before plans were recorded)
-nothing in a ledger does: then the shape of what is there is told, and never that it is complete.
+A plan on record says what is missing. Without one (live runs, ledgers from before plans were recorded) nothing does;
+then the summary describes the shape of what is there, and never says that it is complete.
 """
 
 from collections.abc import Mapping
@@ -90,7 +90,7 @@ ORDER BY ALL
 """
 
 MAX_DIFFERING = 1_000
-"""Characters of the constants of one model that differ from those of others."""
+"""Characters shown of the constants in which a model differs from others."""
 
 COLUMNS = (
     "constants",
@@ -104,22 +104,21 @@ COLUMNS = (
     "runs_to_rectangle",
     "events",
 )
-"""Of `groups`, what people are shown."""
+"""The columns of `groups` that people are shown."""
 
 
 class Contents(msgspec.Struct, frozen=True):
-    """The runs of a ledger: groups of like runs, their models with constants, and the plans.
+    """The runs of a ledger in groups, their models with constants, and the plans.
 
-    `groups` are by model, seed, fleet size, architecture and configuration; `plans` by what they name.
-
-    `not_observed` are the concerns that some runs do not observe.
+    A group has one model, seed, fleet size, architecture and configuration. `not_observed` names the concerns that some
+    runs do not observe.
     """
 
     groups: list[dict[str, Any]]
     models: list[dict[str, Any]]
     plans: list[dict[str, Any]]
     missing: int | None
-    """Runs that were planned and are missing, each counted once; None where plans name too much to tell."""
+    """Planned runs that are missing, each counted once; None where the plans name too many to count."""
 
     provenance: Provenance
     not_observed: tuple[Unobserved, ...] = ()
@@ -139,13 +138,13 @@ class Contents(msgspec.Struct, frozen=True):
 
     @property
     def is_complete(self) -> bool | None:
-        """Return whether every run of every plan is there; None where a run has no plan, or there is no plan."""
+        """Return whether all planned runs are there; None without a plan, or beside runs that no plan names."""
         if any(plan["missing_count"] for plan in self.plans):
             return False
         return None if self.unplanned or not self.plans else True
 
     def answer(self) -> dict[str, object]:
-        """Return all of it, for programs."""
+        """Return all of it, for JSON."""
         return {
             "groups": self.groups,
             "models": self.models,
@@ -158,7 +157,7 @@ class Contents(msgspec.Struct, frozen=True):
         }
 
     def summary(self) -> list[str]:
-        """Return some lines for people; the parameters are too many for that."""
+        """Return lines for people, without the parameters, which are too many."""
         return [
             *self._standing(),
             *self._unfinished(),
@@ -208,11 +207,8 @@ class Contents(msgspec.Struct, frozen=True):
             return []
         of_all = f"{smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one"
         return [
-            (
-                f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the "
-                "root "
-                "is not"
-            )
+            f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root "
+            "is not"
         ]
 
     def _unlike(self) -> list[str]:
@@ -223,10 +219,8 @@ class Contents(msgspec.Struct, frozen=True):
         missing = sum(measured)
         if missing:
             return [
-                (
-                    f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its "
-                    "model, seed and fleet size"
-                )
+                f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its "
+                "model, seed and fleet size"
             ]
         return (
             ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"]
@@ -247,13 +241,13 @@ class Contents(msgspec.Struct, frozen=True):
         return [f"not observed, so that no answer is about it: {shown(self.not_observed)}"] if self.not_observed else []
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return the groups as people are shown them: only columns that say something."""
+        """Return the groups as people are shown them, without columns that say nothing."""
         is_dull = {"constants": len(self.models) == 1, "runs_unplanned": not self.plans or not self.unplanned}
         return [{name: group[name] for name in COLUMNS if not is_dull.get(name)} for group in self.groups]
 
 
 def contents(ledger: Path, demanded: str | None = None) -> Contents:
-    """Return the plans of the ledger and its runs, counted by SQL.
+    """Return the runs of the ledger, counted by SQL, and its plans.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`, and `models`.
@@ -279,10 +273,7 @@ def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:
 
 
 def _of_model(one: Model, letter: str | None) -> dict[str, Any]:
-    """Describe a model for programs.
-
-    `differing` names the constants in which other runs of its kind, source and version differ.
-    """
+    """Describe a model for JSON; `differing` names its constants that differ from others of its kind and version."""
     return {
         "constants": letter,
         "kind": one.kind,

@@ -1,4 +1,4 @@
-"""A ledger in Python: every question that the command line answers, under the same names."""
+"""A ledger in Python: a method for every command that reads one, under the same name."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -32,14 +32,15 @@ if TYPE_CHECKING:
 
 
 class Ledger(Integrity):
-    """A ledger that can be asked. Each answer is about its newest commit at that moment, and says which in `head`.
+    """A ledger to query. Each answer holds for the newest commit at that moment, and names its head.
 
-    Runs are given by name, or by a part of it that only one has; robots as `B1` or `robot/B1`; times in seconds of run
-    time.
+    A run is given by its name, or a part of it that no other run has; a robot as `B1` or `robot/B1`; a time in seconds
+    of run time.
 
     Args:
         path: The folder of the ledger.
-        demanded: The newest record that a look at all rows just found right; answers about any other head are refused.
+        demanded: The SHA-256 of the newest record, whose rows were just compared with its root; answers about any other
+            head are refused.
     """
 
     def __init__(self, path: Place, *, demanded: str | None = None) -> None:
@@ -51,19 +52,19 @@ class Ledger(Integrity):
 
     @property
     def head(self) -> "Head":
-        """Return how far the ledger goes now: commits, events, and the root over them. Raises: As `open_ledger`."""
+        """Return the present head: commits, events and the root over them. Raises: As `open_ledger`."""
         return open_for_answers(self.path).head
 
     # --- what it holds ---
 
     def info(self) -> "Contents":
-        """Return what was planned, what of it is there, and the parameters of its worlds."""
+        """Return the plans, which of their runs are there, and the parameters of their worlds."""
         from .info import contents
 
         return contents(self.path, self._demanded)
 
     def runs(self) -> "Table":
-        """Return the runs, one row each, with architecture, configuration, scenario, seed and fleet size."""
+        """Return a row for each run, with architecture, configuration, scenario, seed and fleet size."""
         return self.query("staging/runs")
 
     def events(
@@ -73,10 +74,10 @@ class Ledger(Integrity):
         until: float | None = None,
         robot: str | None = None,
     ) -> "Events":
-        """Return the events of a run, from one time and before another, that name a robot; None: of all.
+        """Return the events of a run, from `since` and before `until`, that name a robot; None: all.
 
         Raises:
-            UsageError: There is no such run or robot, or no time between the two.
+            UsageError: There is no such run or robot, or `until` is not after `since`.
         """
         from .events import Events, Filter
 
@@ -92,10 +93,10 @@ class Ledger(Integrity):
         return Events(self.path, Filter(run, since_us, until_us, robot), self._demanded)
 
     def state(self, run: str, at: float | None = None) -> "State":
-        """Return the state of a run at this time, or at its end: tasks, queues, trust, policies.
+        """Return the state of a run at a time, or at its end: tasks, queues, trust, policies.
 
         Raises:
-            UsageError: There is no such run, or `at` is no time.
+            UsageError: There is no such run, or `at` is not a time.
         """
         from fsar_ledger.projections.fold import fold
 
@@ -106,7 +107,7 @@ class Ledger(Integrity):
     # --- questions ---
 
     def query(self, name: str, /, **parameters: object) -> "Table":
-        """Answer a packaged question (`queries()` lists them); `at=`, in seconds, sets its parameter `at_us`.
+        """Answer a packaged query (`queries()` lists them); `at=`, in seconds, sets its parameter `at_us`.
 
         Raises:
             UnknownQuery: There is no query or parameter of this name.
@@ -123,9 +124,9 @@ class Ledger(Integrity):
             return Table(rows, of_rows(database, query))
 
     def queries(self) -> "Table":
-        """Return every packaged question: its name, title, and parameters.
+        """Return every packaged query with its title and its parameters.
 
-        Parameters come with their defaults; None: a value must be given.
+        Parameters have their defaults; None means that a value must be given.
         """
         import pyarrow as pa
 
@@ -142,16 +143,16 @@ class Ledger(Integrity):
         return Table(pa.table(columns))
 
     def sql(self, select: str, *, seconds: int | None = None, memory_mib: int | None = None) -> "Table":
-        """Answer a SELECT of your own, in a locked-down process that can read this ledger and nothing else.
+        """Answer a SELECT of your own in a locked-down process that can read this ledger and nothing else.
 
         Args:
             select: One SELECT in DuckDB's SQL, over `events`, a view for each event type, and the packaged queries by
-                their last names.
-            seconds: When to give it up; None: 60.
-            memory_mib: The most memory that it may take, at least 1024; None: 4096.
+                the last parts of their names.
+            seconds: The time limit; None: 60.
+            memory_mib: The memory limit, at least 1024; None: 4096.
 
         Raises:
-            QueryFailed: It is not one SELECT, does not run, reaches for something outside, or meets a limit.
+            QueryFailed: It is not one SELECT, fails, needs something outside the ledger, or meets a limit.
         """
         from fsar_ledger.metrics.untrusted import table_untrusted
 
@@ -166,7 +167,7 @@ class Ledger(Integrity):
     def stream(
         self, select: str, limits: "Limits"
     ) -> "Iterator[tuple[Provenance, list[str], Iterator[list[dict[str, Any]]]]]":
-        """Yield the answer of `sql` in parts, so that a long one is never held as a whole."""
+        """Yield the answer of `sql` in parts, so that a long one is never in memory at once."""
         from fsar_ledger.metrics.untrusted import stream_untrusted
 
         from .provenance import Provenance
@@ -175,20 +176,17 @@ class Ledger(Integrity):
             yield Provenance(found.head, found.rows_verified), found.columns, found.parts
 
     def requests(self, run: str | None = None) -> "Table":
-        """Return the requests of a run, the first by default.
-
-        Each row says who asked, allowed, executed and supervised, and with what result.
-        """
+        """Return the requests of a run, the first by default: who asked, allowed, executed, supervised; the result."""
         from .explain import chosen_run, requests
 
         with self.database() as database:
             return requests(database, chosen_run(database, self.path, run))
 
     def explain(self, run: str | None = None, request: str | None = None, failure: str | None = None) -> "Account":
-        """Tell what happened to a request of a run (the first by default), or to a failure, level by level.
+        """Give an account of a request of a run (the first by default), or of a failure, level by level.
 
         Raises:
-            UsageError: The run has no such request, it has not failed, or not exactly one of both is named.
+            UsageError: The run has no such request, it has not failed, or both or neither are named.
         """
         from .explain import account, chosen_run
 
@@ -198,11 +196,11 @@ class Ledger(Integrity):
     # --- judgement ---
 
     def metrics(self, by: By = None, pool: Pool = None) -> "Table":
-        """Judge the ledger by the eight metrics of the paper, one row for each, architecture and setting.
+        """Judge the ledger by the eight metrics of the paper, a row for each metric, architecture and setting.
 
         Args:
-            by: `scenario` for a row each.
-            pool: `seeds` to take the runs of all seeds together.
+            by: `scenario` for a row for each scenario.
+            pool: `seeds` to pool the runs of all seeds.
         """
         from fsar_ledger.metrics.results import MetricRow, metric_rows
 
@@ -218,7 +216,7 @@ class Ledger(Integrity):
     def statistics(self, pool: Pool = None) -> "Statistics":
         """Compare the architectures in pairs, and FSAR with itself without a mechanism.
 
-        The answer has tests, effect sizes, and what is not compared.
+        The answer has tests and effect sizes, and says what is not compared.
         """
         from .statistics import compute_statistics
 
@@ -244,7 +242,7 @@ class Ledger(Integrity):
         return compare_sides(ledgers, (first, second), by_scenario=by_scenario(by), pooled=pools_seeds(pool))
 
     def multiverse(self, metric: str | Sequence[str] | None = None, pool: Pool = None) -> "MultiverseResult":
-        """Read the results table in every way that the paper's text allows."""
+        """Compute the results table under every reading that the paper's text allows."""
         from .multiverse import read_multiverse
 
         pooled = pools_seeds(pool)
@@ -254,7 +252,7 @@ class Ledger(Integrity):
     def audit(
         self, invariant: str | Sequence[str] | None = None, architecture: str | Sequence[str] | None = None
     ) -> "Audit":
-        """Check the invariants I1 to I5 and A1 to A5, or those named, on all runs or those of these architectures."""
+        """Check the invariants I1 to I5 and A1 to A5, or those named, on the runs of all or these architectures."""
         from .audit import audit_runs
 
         with self.database() as database:
@@ -265,17 +263,17 @@ class Ledger(Integrity):
     def export(
         self, out: Place, query: str | None = None, parameters: Mapping[str, object] | None = None, *, raw: bool = False
     ) -> "Written":
-        """Write every event, or the answer of a query, to a .csv or .parquet file; return how many rows.
+        """Write every event, or the answer of a query, to a .csv or .parquet file; return the number of rows.
 
         Args:
             out: The file; replaced if it exists.
-            query: The name of the query; None: every event as it is stored.
-            parameters: Those of the query.
-            raw: Leave text in CSV as it is, also where a terminal or a spreadsheet would act on it.
+            query: The name of a query; None: every event as it is stored.
+            parameters: The parameters of the query.
+            raw: Do not escape text in CSV that a terminal or a spreadsheet would act on.
 
         Raises:
-            UsageError: The name ends otherwise, or the file lies inside a ledger.
-            WriteFailed: It cannot be written.
+            UsageError: The file has another suffix, or lies inside a ledger.
+            WriteFailed: The file cannot be written.
         """
         from .files import Written, require_place, write_events, write_table
 
@@ -300,14 +298,14 @@ class Ledger(Integrity):
         workers: int | None = None,
         progress: Progress | None = None,
     ) -> None:
-        """Typeset the evaluation as a PDF; all rows are first compared with their root.
+        """Typeset the evaluation as a PDF, after comparing all rows with their root.
 
         Args:
             out: The PDF; replaced if it exists.
-            beside: Other ledgers that it shows: of ablations, of larger fleets, of workflows.
+            beside: Other ledgers to show, of ablations, larger fleets or workflows.
             workflows: A ledger of the workflows.
             sensitivity: A file of `fsar-ledger sensitivity`.
-            numbers: Where all its numbers go, as JSON.
+            numbers: A file for all its numbers, as JSON.
             pool: As in `metrics`.
             workers: As in `verify`.
             progress: As in `verify`.

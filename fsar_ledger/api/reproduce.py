@@ -28,7 +28,7 @@ Showing = Callable[[str, str], AbstractContextManager[Progress | None]]
 
 
 class Reproduced(msgspec.Struct, frozen=True):
-    """The result of `reproduce`: by experiment what was added to its ledger, and the metrics of the results."""
+    """The result of `reproduce`: what was added to each ledger, by experiment, and the metrics of the results."""
 
     folder: Path
     made: Mapping[Name, Made]

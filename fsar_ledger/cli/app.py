@@ -9,7 +9,7 @@ interrupted.
 
 import errno
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from pkgutil import iter_modules
@@ -58,8 +58,8 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
         raise typer.Exit(0)
 
 
-def _register() -> Iterator[tuple[str, str]]:
-    """Register every module of `commands`; yield each command that says what an interruption leaves, with that."""
+def _register() -> None:
+    """Register every module of `commands`."""
     names = {module.name: len(ORDER) for module in iter_modules(commands.__path__)}
     names |= {name: place for place, name in enumerate(ORDER)}
     for name in sorted(names, key=lambda one: (names[one], one)):
@@ -69,10 +69,13 @@ def _register() -> Iterator[tuple[str, str]]:
         else:
             app.command(name.replace("_", "-"), epilog=module.EXAMPLES)(reading(getattr(module, name)))
         if hasattr(module, "AFTER_INTERRUPTION"):
-            yield name, module.AFTER_INTERRUPTION
+            AFTER_INTERRUPTION[name] = module.AFTER_INTERRUPTION
 
 
-AFTER_INTERRUPTION = dict(_register())
+AFTER_INTERRUPTION: dict[str, str] = {}
+"""By command, what an interrupted call leaves; other commands change nothing."""
+
+_register()
 _commands = cache(lambda: typer.main.get_command(app))
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)

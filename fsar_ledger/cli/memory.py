@@ -1,4 +1,4 @@
-"""The memory that a command which reads ledgers may take, and the message when that is not enough."""
+"""The memory limit of commands that read ledgers, and the message when it is exceeded."""
 
 import inspect
 import os
@@ -19,14 +19,12 @@ from .terminal import say
 LEAST_MIB = 256
 BASE_BYTES = 576 << 20
 PER_BYTE = 16
-"""By default a command may take so much, and so many bytes for each that the segments take on disk: `audit` needs 300
-MiB and 10, and no other more.
+"""By default a command may take `BASE_BYTES`, and `PER_BYTE` bytes for each byte of the segments on disk. `audit` needs
+300 MiB and 10, and no other command more.
 """
 
 PER_WORKER_BYTES = 192 << 20
-"""And so much for each core or worker beyond two, which have processes or threads with buffers of their own: `verify`
-takes 150 MiB for each.
-"""
+"""Memory for each core or worker beyond two, since each has buffers of its own: `verify` takes 150 MiB for each."""
 
 MACHINE_SHARE = 0.8
 
@@ -53,11 +51,11 @@ def reading(command: Callable[..., None]) -> Callable[..., None]:
 def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = None) -> Iterator[None]:
     """Limit the memory of the command to what was asked for, or to what ledgers of this size need.
 
-    Beyond that it ends with one message and exit code 2.
+    Beyond that the command ends with one message and exit code 2.
 
     Raises:
-        UsageError: It asks for less than a command needs to begin.
-        LimitReached: The system, or a library that counts for itself, gave no more.
+        UsageError: The limit is less than a command needs to begin.
+        LimitReached: The system, or a library with a limit of its own, refused more.
     """
     if asked_mib is not None and asked_mib < LEAST_MIB:
         raise UsageError(f"--memory {asked_mib}: expected at least {LEAST_MIB} (MiB)")
@@ -81,10 +79,7 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
 
 
 def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
-    """Return the memory that a command over these ledgers may take, given its workers.
-
-    It grows with what their segments take on disk, and is never all of the machine.
-    """
+    """Return the default limit, which grows with the segments and workers, and is never all of the machine's memory."""
     more = max(0, (workers_of(None) if workers is None else workers) - 2)
     return min(
         BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers),

@@ -1,4 +1,4 @@
-"""The arguments and options of the commands, and checks of their text."""
+"""The arguments and options that commands share, and checks of their text."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,55 +21,48 @@ def named_in(folder: Path) -> str:
 LedgerArgument = Annotated[Path, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)]
 NewLedgerArgument = Annotated[
     Path,
-    typer.Argument(
-        metavar="OUT", help="The folder of the ledger: new, or one to continue or to enlarge.", show_default=False
-    ),
+    typer.Argument(metavar="OUT", help="A new folder, or that of a ledger to continue or enlarge.", show_default=False),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Answer as comma-separated values.")]
 RawOption = Annotated[
     bool,
-    typer.Option(
-        "--raw", help="In CSV give text as it is, with control characters, and what a spreadsheet reads as a formula."
-    ),
+    typer.Option("--raw", help="Do not escape text in CSV, not even control characters and spreadsheet formulas."),
 ]
 VerifiedOption = Annotated[
     bool,
     typer.Option(
         "--verified",
-        help="Answer only from rows that were compared with the root: as `verify` does it, now, unless it found this "
-        "head right before. "
-        "That takes some 4 s for a million events on two cores.",
+        help="Answer only from rows that were compared with the root, as `verify` does. Unless `verify` has checked "
+        "this head before, that takes some 4 s for a million events on two cores.",
     ),
 ]
 LimitOption = Annotated[
-    int, typer.Option("--limit", metavar="N", help="Rows of the table that are shown; 0 shows all.")
+    int, typer.Option("--limit", metavar="N", help="Show at most N rows of the table; 0 shows all.")
 ]
 PoolOption = Annotated[
     str | None,
-    typer.Option(
-        "--pool", metavar="seeds", help="Take the runs of all seeds together.", show_default="each seed by itself"
-    ),
+    typer.Option("--pool", metavar="seeds", help="Pool the runs of all seeds.", show_default="each seed by itself"),
 ]
 FileOption = Annotated[
     Path | None,
     typer.Option(
         "--file",
         metavar="FILE",
-        help="Answer the SELECT in this file instead of a NAME; `-` reads standard input.",
+        help="Answer the SELECT in this file instead of NAME; `-` reads standard input.",
         show_default=False,
     ),
 ]
 SecondsOption = Annotated[
     int | None,
-    typer.Option("--seconds", metavar="N", help="Give a SELECT of your own up after so long.", show_default="60"),
+    typer.Option("--seconds", metavar="N", help="The time limit for a SELECT of your own.", show_default="60"),
 ]
 MemoryOption = Annotated[
     int | None,
     typer.Option(
         "--memory",
         metavar="MIB",
-        help="The most memory that a SELECT of your own may take; at least 1024.",
+        help="The memory limit for a SELECT of your own; at least 1024.",
         show_default="4096",
     ),
 ]
@@ -78,8 +71,8 @@ ReadingMemoryOption = Annotated[
     typer.Option(
         "--memory",
         metavar="MIB",
-        help="The most memory that this may take.",
-        show_default="576, 192 for each core or worker beyond two, and 16 times what the segments take on disk",
+        help="The memory limit.",
+        show_default="576, 192 for each core or worker beyond two, and 16 times the size of the segments",
     ),
 ]
 QueryMemoryOption = Annotated[
@@ -87,8 +80,8 @@ QueryMemoryOption = Annotated[
     typer.Option(
         "--memory",
         metavar="MIB",
-        help="The most memory that this may take; for a SELECT of your own at least 1024.",
-        show_default="4096 for a SELECT of your own; else 640, and 16 times what the ledger's segments take on disk",
+        help="The memory limit; for a SELECT of your own at least 1024.",
+        show_default="4096 for a SELECT of your own; else as for `metrics`",
     ),
 ]
 ParameterOption = Annotated[
@@ -112,7 +105,7 @@ ArchitectureOption = Annotated[
         "--architecture",
         metavar="NAME",
         help="fsar, cfc or dhma; may be repeated.",
-        show_default="all; with --without, whose that is",
+        show_default="all; with --without, the one that has the mechanism",
     ),
 ]
 AuditedOption = Annotated[
@@ -144,14 +137,14 @@ ScenarioOption = Annotated[
 ]
 FleetOption = Annotated[
     str | None,
-    typer.Option("--fleet", metavar="FILE", help="A fleet of your own: a .toml file.", show_default="the paper's"),
+    typer.Option("--fleet", metavar="FILE", help="A .toml file with a fleet of your own.", show_default="the paper's"),
 ]
 SetOption = Annotated[
     list[str] | None,
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="Another value of a constant, as world.review_share=0.5; may be repeated.",
+        help="A new value of a constant, such as world.review_share=0.5; may be repeated.",
         show_default=False,
     ),
 ]
@@ -160,10 +153,9 @@ WithoutOption = Annotated[
     typer.Option(
         "--without",
         metavar="MECHANISM",
-        help="Take one mechanism out of FSAR: trust-evaluation, policy-composition, layered-recovery or "
-        "shared-registry (docs/model.md lists further ones, "
-        "of CFC and DHMA, too), or several of one architecture at once with + between them; repeated: one "
-        "configuration after the other.",
+        help="Remove a mechanism of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry "
+        "(docs/model.md lists more, also of CFC and DHMA), or several of one architecture, joined by +. May be "
+        "repeated, for one configuration each.",
         show_default=False,
     ),
 ]
@@ -185,7 +177,7 @@ FleetSizeOption = Annotated[
     typer.Option(
         "--fleet-size",
         metavar="N",
-        help="Robots; a multiple of 4, teams of four roles, or of the team of your --fleet.",
+        help="Robots: a multiple of 4, since a team has four roles, or of the size of your --fleet.",
         show_default="one team",
     ),
 ]
@@ -215,14 +207,14 @@ RunOption = Annotated[
     typer.Option(
         "--run",
         metavar="RUN",
-        help="A run, or the beginning of its name: the first such run.",
+        help="A run, or the beginning of a name, for the first run that begins so.",
         show_default="the first run",
     ),
 ]
 RequestOption = Annotated[
     str | None,
     typer.Option(
-        "--request", metavar="ACTION", help="The request (action) to tell, as in the list.", show_default="list all"
+        "--request", metavar="ACTION", help="The request (action) to show, as in the list.", show_default="list all"
     ),
 ]
 FailureOption = Annotated[
@@ -230,24 +222,24 @@ FailureOption = Annotated[
     typer.Option(
         "--failure",
         metavar="ACTION",
-        help="The failed action whose recovery to tell, level by level.",
+        help="The failed action whose recovery to show, level by level.",
         show_default=False,
     ),
 ]
 SvgOption = Annotated[
     Path | None,
-    typer.Option("--svg", metavar="FILE", help="Draw it, too, as SVG; replaced if it exists.", show_default=False),
+    typer.Option("--svg", metavar="FILE", help="Also draw it, as SVG; replaced if it exists.", show_default=False),
 ]
 PdfOption = Annotated[
     Path | None,
-    typer.Option("--pdf", metavar="FILE", help="Draw it, too, as PDF; replaced if it exists.", show_default=False),
+    typer.Option("--pdf", metavar="FILE", help="Also draw it, as PDF; replaced if it exists.", show_default=False),
 ]
 ReplayOption = Annotated[
     bool,
     typer.Option(
         "--replay",
         help=(
-            "Play every run again, too: each recorded decision must be what the handlers decide from the recorded "
+            "Also play every run again: each recorded decision must be what the handlers decide from the recorded "
             "world."
         ),
     ),
@@ -263,14 +255,14 @@ KeyOption = Annotated[
     ),
 ]
 AdoptOption = Annotated[
-    bool, typer.Option("--adopt", help="Sign on where another key or none signed what is there; verify it first.")
+    bool, typer.Option("--adopt", help="Continue a ledger that another key signed, or none; verify it first.")
 ]
 OriginOption = Annotated[
     str | None,
     typer.Option(
         "--origin",
         metavar="NAME",
-        help="Publish the ledger under this name, as host/path.",
+        help="Publish the ledger under this name, such as host/path.",
         show_default="the key's name, else fsar-ledger/simulated",
     ),
 ]
@@ -300,7 +292,7 @@ CosignedOption = Annotated[
     typer.Option(
         "--cosigned",
         metavar="FILE",
-        help="With --witness-policy: ask nobody, take what this note shows; may be repeated.",
+        help="With --witness-policy: ask nobody, and take what this note shows; may be repeated.",
         show_default=False,
     ),
 ]
@@ -333,7 +325,7 @@ BesideOption = Annotated[
     typer.Option(
         "--with",
         metavar="LEDGER",
-        help="Another ledger that the report shows, of ablations, larger fleets or workflows; may be repeated.",
+        help="Another ledger to show, of ablations, larger fleets or workflows; may be repeated.",
         show_default="say what is missing",
     ),
 ]
@@ -349,14 +341,14 @@ NumbersOption = Annotated[
     typer.Option(
         "--numbers",
         metavar="FILE",
-        help="All numbers of the report for programs, as JSON; replaced if it exists.",
+        help="Write all numbers of the report, as JSON; replaced if it exists.",
         show_default="not written",
     ),
 ]
 
 
 def examples(*lines: str) -> str:
-    """Return the end of a command's help: calls that run."""
+    """Return the end of a command's help: examples, which a test runs."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
@@ -364,7 +356,7 @@ def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
     """Return the values of `--param name=value`, by name.
 
     Raises:
-        QueryFailed: one of them is not a name, an equals sign and a value, or a name is there twice.
+        QueryFailed: A pair is not NAME=VALUE, or a name is given twice.
     """
     values: dict[str, str] = {}
     for pair in pairs or ():
@@ -380,7 +372,7 @@ def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
 
 
 def require_text(arguments: Sequence[str]) -> None:
-    """Require that every argument, perhaps a path, is UTF-8: neither DuckDB nor JSON can name another.
+    """Check that every argument is UTF-8, since it may be a path, and DuckDB and JSON can name no other.
 
     Raises: UsageError if one is not.
     """

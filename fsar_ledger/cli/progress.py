@@ -1,4 +1,4 @@
-"""The progress of long work, for people who wait at a terminal."""
+"""Show the progress of long work on a terminal."""
 
 import sys
 import time
@@ -6,10 +6,10 @@ from types import TracebackType
 
 
 class Progress:
-    """One line on stderr while the work goes on, gone when it ends; nothing where stderr is no terminal."""
+    """A line on stderr that is erased when the work ends; nothing if stderr is not a terminal."""
 
     def __init__(self, verb: str, unit: str) -> None:
-        """Begin work of this kind, in the past tense, counted in this unit: `simulated`, `batches`."""
+        """Begin work, named by a verb in the past tense and a unit: `simulated`, `batches`."""
         self._verb, self._unit = verb, unit
         self._is_shown = sys.stderr.isatty()
         self._began_s = self._last_s = time.monotonic()

@@ -1,8 +1,7 @@
 """The one place that prints: answers on stdout, messages on stderr.
 
-Only text whose values are escaped (`Shown`) can be shown, and it goes through a last net. On a terminal a line that is
-too long for it goes on in the next one behind a mark, so that no line of the screen begins with what somebody else
-wrote.
+Only text whose values are escaped (`Shown`) can be shown, and it is checked once more here. On a terminal, a line that
+is too long continues on the next one behind a mark, so that no line of the screen begins with text that others wrote.
 """
 
 import io
@@ -16,28 +15,28 @@ from fsar_ledger.errors import WriteFailed
 from fsar_ledger.printable import Shown
 
 ON = "  | "
-"""What the rest of a line begins with where the terminal is too narrow for it."""
+"""The mark before the rest of a line for which the terminal is too narrow."""
 
 NARROWEST, USUAL = 20, 80
-"""Columns: of a terminal that is no use folding for, and of one that does not say."""
+"""Columns: the fewest for which lines are folded, and those of a terminal that does not report them."""
 MAX_LINES = 20
 """Lines of one message; DuckDB's have up to six."""
 
 
 class Enough(Exception):
-    """Whoever reads the answer has had enough of it (`| head`)."""
+    """The reader of the answer has closed it (`| head`)."""
 
 
 def show(text: Shown, *, raw: bool = False) -> None:
-    """Write the text to stdout. `raw` is for programs and may be anything, as long as stdout is no terminal.
+    """Write the text to stdout. `raw` text is for programs, and is not checked unless stdout is a terminal.
 
-    Raises: Enough where nobody reads it; WriteFailed.
+    Raises: Enough if the reader has closed it; WriteFailed.
     """
     _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.sanitized(text))
 
 
 def say(*messages: str) -> None:
-    """Write the messages to stderr, each after the name of the command; a further line of one stands behind a mark."""
+    """Write the messages to stderr, each after the name of the command; further lines of a message follow a mark."""
     with suppress(Enough, WriteFailed):
         _write(sys.stderr, "".join(map(_message, messages)))
 
@@ -49,7 +48,7 @@ def _message(text: str) -> Shown:
 
 
 def say_failure(trace: str) -> None:
-    """Write Python's lines on a mistake of ours to stderr, harmless whatever they quote."""
+    """Write the traceback of a bug to stderr, escaped, since it may quote a ledger."""
     with suppress(Enough, WriteFailed):
         _write(sys.stderr, printable.sanitized(trace))
 
@@ -75,10 +74,9 @@ def _write(stream: TextIO | None, text: str) -> None:
 
 
 def _write_whole(stream: TextIO, data: bytes, encoding: str) -> None:
-    """Write all of it.
+    """Write all of the data.
 
-    An unbuffered stream (PYTHONUNBUFFERED) takes what there is room for and says how much, and Python's text layer does
-    not look.
+    An unbuffered stream (PYTHONUNBUFFERED) may write less and return how much; Python's text layer ignores that.
     """
     raw = getattr(stream, "buffer", None)
     if not isinstance(raw, io.RawIOBase):
@@ -91,12 +89,12 @@ def _write_whole(stream: TextIO, data: bytes, encoding: str) -> None:
 
 
 def _divert(stream: TextIO) -> None:
-    """Discard what is still to be written, so that nothing fails once more when the process ends."""
+    """Discard what is still buffered, so that it does not fail again when the process ends."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def folded(line: str, width: int) -> str:
-    """Fold the line for a terminal with so many columns: the rest of it behind a mark, as often as needed."""
+    """Fold the line for a terminal of this width; each further part follows a mark."""
     if len(line) <= width and line.isascii():
         return line
     parts, at, used = [], 0, 0
@@ -109,7 +107,7 @@ def folded(line: str, width: int) -> str:
 
 
 def _columns(character: str) -> int:
-    """Return the columns that a terminal gives this character."""
+    """Return the width of this character on a terminal."""
     if character.isascii():
         return 1
     from unicodedata import category, east_asian_width

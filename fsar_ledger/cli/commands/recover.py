@@ -95,12 +95,8 @@ def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | 
     else:
         where = found.problems[0].commit
         place = f"commit {where:,}" if where is not None else found.problems[0].where
-        lines = [
-            (
-                f"{ledger}: damaged at {place}; "
-                f"{'nothing of it was changed' if not found.steps else 'it was mended as far as possible'}"
-            )
-        ]
+        changed = "it was mended as far as possible" if found.steps else "nothing of it was changed"
+        lines = [f"{ledger}: damaged at {place}; {changed}"]
         lines += ["found", *_some([f"  {problem}" for problem in found.problems]), *_done(found.steps)]
         lines += ["trusted", *_trusted(found, asked)]
         lines += ["after that, on its own", *_some(list(_later(found.later)))] if found.later else []
