@@ -58,8 +58,8 @@ def said(rows: Sequence[Row]) -> Row | None:
     )
     holds = f"{len(kept)} {'holds' if len(kept) == 1 else 'hold'}{_listed(kept)}"
     fails = f"{len(failed)} {'does' if len(failed) == 1 else 'do'} not{_listed(failed)}"
-    untold = f"; of {len(open_ones)} it cannot be told{_listed(open_ones)}" if open_ones else ""
-    return {"sentence": f"Of {len(rows)} predictions registered before they were run, {holds} and {fails}{untold}."}
+    undecided = f"; {len(open_ones)} cannot be decided{_listed(open_ones)}" if open_ones else ""
+    return {"sentence": f"Of {len(rows)} predictions registered before they were run, {holds} and {fails}{undecided}."}
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -110,7 +110,7 @@ def section(found: Sensitivity | None, model_version: str | None, parameters: Ma
     """
     if found is None:
         return Section(
-            f"How much of each number hangs on each constant was not looked at for this report; {MADE_BY} does it, in "
+            f"How much each number depends on each constant was not looked at for this report; {MADE_BY} does it in "
             "most of an hour."
         )
     about, still = found.about, sum(furthest == 0 for furthest in reach(found).values())

@@ -69,7 +69,7 @@ def test_predictions_are_those_of_the_runs_model_and_constants_or_none(findings:
         ((True, False, False), "1 holds (p0) and 2 do not (p1, p2)."),
         ((True, False), "1 holds (p0) and 1 does not (p1)."),
         ((False, False), "0 hold and 2 do not (p0, p1)."),
-        ((True, None), "1 holds (p0) and 0 do not; of 1 it cannot be told (p1)."),
+        ((True, None), "1 holds (p0) and 0 do not; 1 cannot be decided (p1)."),
     ],
 )
 def test_the_sentence_counts_and_names_what_holds_and_what_does_not(
