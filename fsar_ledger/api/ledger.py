@@ -196,7 +196,7 @@ class Ledger(Integrity):
     # --- judgement ---
 
     def metrics(self, by: By = None, pool: Pool = None) -> "Table":
-        """Judge the ledger by the eight metrics of the paper, a row for each metric, architecture and setting.
+        """Judge the ledger by its metrics, a row for each metric, architecture and setting.
 
         Args:
             by: `scenario` for a row for each scenario.

@@ -12,7 +12,7 @@ WORDS = {
     "chosen after fits": "ours, and chosen or kept while the cells of that table were looked at, in the study before "
     "the first fit or since; "
     "most move a cell, and none is a prediction",
-    "chosen": "ours, and none of the 24 cells hangs on it",
+    "chosen": "ours, and none of the 24 cells depends on it",
 }
 """What each word means."""
 
