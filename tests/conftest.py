@@ -3,6 +3,7 @@
 import gc
 import os
 import shutil
+import signal
 import tempfile
 from collections.abc import Generator
 from pathlib import Path
@@ -54,7 +55,12 @@ def pytest_make_collect_report(
 
 
 def pytest_configure() -> None:
-    """Use the session's cache, but keep matplotlib's list of fonts, which takes seconds to make."""
+    """Use the session's cache, but keep matplotlib's list of fonts, which takes seconds to make.
+
+    A shell starts a job in the background with Ctrl-C ignored, and commands under test would inherit that.
+    """
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     usual = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     os.environ.setdefault("MPLCONFIGDIR", f"{usual}/matplotlib")
     os.environ["XDG_CACHE_HOME"] = str(CACHE)
