@@ -17,10 +17,15 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 
 
+YARDSTICK_S = 0.12
+"""CPU seconds that the yardstick takes on the core for which bounds are stated, one of some 3.5 GHz to itself."""
+
+
 class Cost(NamedTuple):
     """The exit code (-9: timed out), the message, and the cost.
 
-    Units: CPU and wall seconds, MiB of the largest process.
+    Units: CPU and wall seconds, MiB of the largest process. `slowness` is how many times as long as `YARDSTICK_S` the
+    yardstick took, beside the command; at least 1. A shared core can take twice the CPU seconds for the same work.
     """
 
     code: int
@@ -28,6 +33,15 @@ class Cost(NamedTuple):
     processor_s: float
     wall_s: float
     memory_mib: int
+    slowness: float
+
+
+def yardstick() -> float:
+    """Return the CPU seconds that a fixed piece of work takes here and now."""
+    began, total = time.process_time(), 0
+    for number in range(2_000_000):
+        total += number * number & 7
+    return time.process_time() - began
 
 
 def cost_of(arguments: Sequence[str], place: Path, patience_s: float = 120, checkout: Path = ROOT) -> Cost:
@@ -40,6 +54,7 @@ def cost_of(arguments: Sequence[str], place: Path, patience_s: float = 120, chec
 
 def main(patience_s: float, arguments: Sequence[str]) -> None:
     """Print the cost of this call as JSON."""
+    before = yardstick()
     with tempfile.TemporaryFile() as said:
         began = time.monotonic()
         process = subprocess.Popen(
@@ -56,7 +71,9 @@ def main(patience_s: float, arguments: Sequence[str]) -> None:
         wall_s = time.monotonic() - began
         said.seek(0)
         message = said.read(1 << 20).decode(errors="replace")
-    print(json.dumps(Cost(process.returncode, message, usage.ru_utime + usage.ru_stime, wall_s, usage.ru_maxrss >> 10)))
+    slowness = max(1.0, (before + yardstick()) / 2 / YARDSTICK_S)
+    processor_s = usage.ru_utime + usage.ru_stime
+    print(json.dumps(Cost(process.returncode, message, processor_s, wall_s, usage.ru_maxrss >> 10, slowness)))
 
 
 if __name__ == "__main__":
