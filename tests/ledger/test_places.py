@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.errors import InvalidQuery, LedgerCorrupted, UsageError
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.store import walk
 from fsar_ledger.ledger.store.append import Writer
@@ -221,6 +221,28 @@ def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place
             patch.setattr(module, name, fail)
             patch.setattr(row_walk, "examine", verify_segment.examine)  # each segment is decoded
             assert place in {problem.where for problem in verify(path).problems if "ZeroDivisionError" in problem.found}
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ModuleNotFoundError("No module named 'fsar_ledger.queries'"),
+        InvalidQuery("queries/staging/x.sql:1: found no title"),
+        UsageError("reports/metrics.toml:7: found an unknown field"),
+        MemoryError(),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_what_is_wrong_with_the_installation_is_no_problem_of_the_ledger(
+    path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(verify_segment, "first_flaw", fail)
+    monkeypatch.setattr(row_walk, "examine", verify_segment.examine)  # each segment is decoded
+    with pytest.raises(type(error)):
+        verify(path)
 
 
 # --- what a Parquet footer says of rows ---

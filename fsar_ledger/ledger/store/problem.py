@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.errors import FsarLedgerError, InvalidQuery, UsageError
 
 MAX_TEXT = 600
 """The most characters of a file that a message shows. A note takes some 300."""
@@ -60,8 +60,9 @@ def refusal(place: str | Path, error: FsarLedgerError) -> str:
 def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:
     """Turn an exception that stopped a check into a problem.
 
-    Raises: MemoryError unchanged, because that is not the ledger's fault.
+    Raises: What is not the ledger's fault, unchanged: too little memory, and an installation that lacks a module or has
+        a wrong query or registry.
     """
-    if isinstance(error, MemoryError):
+    if isinstance(error, (MemoryError, ImportError, InvalidQuery)) or type(error) is UsageError:
         raise error
     return Problem(where, f"{type(error).__name__}: {error!s:.300}", "data that can be checked", commit=commit)

@@ -47,12 +47,18 @@ or None if it holds them. True as the last argument: the file is what these rows
 def examine(
     ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None
 ) -> SegmentFacts:
-    """Compare the segment of this commit with its record and with what the second reader finds. Never raises."""
+    """Compare the segment of this commit with its record and with what the second reader finds.
+
+    Raises: Only what `unexpected` raises.
+    """
     return _guarded(partial(_examine, second_reader), Path(ledger), number, record)
 
 
 def examine_file(ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
-    """Compare the file of this commit's segment with its record, without reading the rows. Never raises."""
+    """Compare the file of this commit's segment with its record, without reading the rows.
+
+    Raises: Only what `unexpected` raises.
+    """
     return _guarded(_examine_file, Path(ledger), number, record)
 
 

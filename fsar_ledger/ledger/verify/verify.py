@@ -129,7 +129,7 @@ def _moment(path: Path) -> tuple[list[str], list[str], str | None] | None:
 
 
 def _look(path: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
-    """Look at the whole ledger once. Raises: WorkerDied only: then nothing is known."""
+    """Look at the whole ledger once. Raises: WorkerDied, and what `unexpected` raises: then nothing is known."""
     verification = _Verification(path, asked)
     try:
         return verification.run(max(1, workers), progress)
