@@ -50,6 +50,16 @@ def test_a_staged_segment_that_is_a_link_is_a_missing_segment(path: Path, tmp_pa
     assert (only_problem(path).where, only_problem(path).commit) == (f"segments/{LAST}.parquet", 2)
 
 
+def test_a_segment_in_a_staging_folder_that_is_a_link_is_a_missing_segment(path: Path, tmp_path: Path) -> None:
+    segment_path(path, 2).rename(staged_path(path, record_of(path, 2).segment_sha256))
+    assert verify(path).ok
+    shutil.move(path / "staging", tmp_path / "aside")
+    (path / "staging").symlink_to(tmp_path / "aside")
+    found = walk.find_segment(path, 2, record_of(path, 2))
+    assert (found.status, found.problem is None) == (None, False)
+    assert ("no segment", 2) in {(problem.found, problem.commit) for problem in verify(path).problems}
+
+
 def as_a_link_in_staging(path: Path, aside: Path) -> None:
     shutil.move(segment_path(path, 2), aside)
     staged_path(path, record_of(path, 2).segment_sha256).symlink_to(aside)
