@@ -32,6 +32,14 @@ def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
     return [msgspec.structs.asdict(row) for row in rows]
 
 
+def json_bytes(document: object) -> bytes:
+    """Return the document as JSON; bytes of file names that are not UTF-8 are escaped, `\\udcff` for ff."""
+    try:
+        return msgspec.json.encode(document)
+    except UnicodeEncodeError:  # rare, and to look for it in every value takes most of the time
+        return msgspec.json.encode(encodable(document))
+
+
 def encodable(value: object) -> object:
     """Return the value with those bytes of file names escaped that are not UTF-8: `\\udcff` for ff."""
     if isinstance(value, str):
@@ -50,6 +58,6 @@ def field_text(value: object, *, raw: bool) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, list | tuple | dict):
-        text = msgspec.json.encode(encodable(value)).decode()
+        text = json_bytes(value).decode()
         return text if raw else printable.ascii_json(text)
     return repr(value) if isinstance(value, float) else str(value)

@@ -12,7 +12,7 @@ import msgspec
 from msgspec import to_builtins
 
 from fsar_ledger import printable
-from fsar_ledger.api.fields import Row, csv_text, encodable, field_text
+from fsar_ledger.api.fields import Row, csv_text, field_text, json_bytes
 from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import Shown
 
@@ -128,9 +128,7 @@ def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
 
 def pretty(document: object) -> Shown:
     """Return the document as JSON in ASCII; bytes of a file name that are not UTF-8 are escaped, `\\udcff` for ff."""
-    return printable.ascii_json(
-        msgspec.json.format(msgspec.json.encode(encodable(to_builtins(document))), indent=2).decode() + "\n"
-    )
+    return printable.ascii_json(msgspec.json.format(json_bytes(to_builtins(document)), indent=2).decode() + "\n")
 
 
 def _cell(value: object) -> str:
