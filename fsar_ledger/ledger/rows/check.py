@@ -95,9 +95,9 @@ def unprintable(table: pa.Table) -> Flaw | None:
         if column.null_count == len(column):  # as most columns of a short run are
             continue
         texts = (column.dictionary if kind == "string" else column.flatten().unique()).to_pylist()
-        if "".join(filter(None, texts)).isprintable():
+        if "".join(texts).isprintable():
             continue
-        bad = {text for text in texts if text is not None and not text.isprintable()}
+        bad = {text for text in texts if not text.isprintable()}
         held = ([value] if kind == "string" else value or () for value in column.to_pylist())
         row, found = next((at, text) for at, values in enumerate(held) for text in values if text in bad)
         return Flaw(
