@@ -1,5 +1,7 @@
 import json
-from itertools import groupby
+import re
+from contextlib import suppress
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.rows import canonical, schema, segment
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode, encode, encode_hashed
+from fsar_ledger.ledger.rows.layout import check_layout, read_file
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, FINGERPRINT, LAYOUTS, MAX_INTEGER, SCHEMA
 from tests.ledger.pinned import ROWS, pinned_row
 from tests.ledger.samples import any_event_of, any_runs, made_up_batches, made_up_run
@@ -349,3 +352,24 @@ def test_a_segment_of_other_columns_is_refused(tmp_path: Path) -> None:
     (tmp_path / "none.parquet").write_bytes(b"PAR1 nothing PAR1")
     with pytest.raises(LedgerCorrupted, match="cannot be read"):
         segment.read_table(tmp_path / "none.parquet")
+
+
+def test_pages_that_are_laid_out_well_and_cannot_be_decoded_are_refused(tmp_path: Path) -> None:
+    """The header of a dictionary counts texts that are not there, which only the decoder sees."""
+    file, good = tmp_path / "s.parquet", bytes(segment.to_parquet(encode(made_up_batches(1)[0])))
+    column = pq.read_metadata(pa.BufferReader(good)).row_group(0).column(SCHEMA.get_field_index("run_id"))
+    begin, said = column.dictionary_page_offset, []
+    for at, bit in product(range(begin, begin + 24), range(8)):
+        file.write_bytes(good[:at] + bytes([good[at] ^ 1 << bit]) + good[at + 1 :])
+        with suppress(LedgerCorrupted):
+            check_layout(file, read_file(file))
+            with pytest.raises(LedgerCorrupted) as caught:
+                segment.read_table(file)
+            said.append(str(caught.value))
+    assert said
+    for line in said:
+        assert re.fullmatch(
+            f"{re.escape(str(file))}: the segment cannot be read \\(.+\\); expected a Parquet file with valid page "
+            "checksums; restore it",
+            line,
+        )
