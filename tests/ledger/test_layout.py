@@ -256,3 +256,16 @@ def test_no_byte_of_the_footer_makes_the_check_fail_otherwise() -> None:
         with suppress(LedgerCorrupted):
             accepted += check_layout(Path("file"), data) != good
     assert accepted < 60  # other bounds, histograms, and names of the version
+
+
+def test_no_bit_of_the_order_of_any_column_is_another() -> None:
+    orders = b"\x1c\x00\x00" * len(SCHEMA) + b"\x00"
+    assert DATA[-8 - len(orders) : -8] == orders
+    for at in range(len(DATA) - 8 - len(orders), len(DATA) - 8):
+        refusal(DATA[:at] + bytes([DATA[at] ^ 1]) + DATA[at + 1 :])
+
+
+def test_bytes_behind_the_end_of_the_footer_are_refused() -> None:
+    footer_bytes = int.from_bytes(DATA[-8:-4], "little")
+    for more in (b"\x00", b"hidden"):
+        refusal(DATA[:-8] + more + (footer_bytes + len(more)).to_bytes(4, "little") + DATA[-4:])
