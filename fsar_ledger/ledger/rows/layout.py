@@ -220,7 +220,7 @@ def _strings(data: bytes, count: int) -> list[str]:
 def _footer_at(data: bytes) -> int:
     """Return where the footer begins. Raises: ValueError if there is none."""
     size, length = len(data), int.from_bytes(data[-8:-4], "little")
-    if size < 12 or data[-4:] != MAGIC or length > size - 12:
+    if data[-4:] != MAGIC or length > size - 12:
         raise ValueError(f"{size} bytes that end in {data[-4:]!r}, expected a Parquet file")
     if data[:4] != MAGIC:
         raise ValueError(f"{size} bytes that begin with {data[:4]!r}, expected a Parquet file")
@@ -235,12 +235,14 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
     Raises: ValueError if the statistics are invalid.
     """
     found = column.chunk.match(data, at + len(column.about)) if data.startswith(column.about, at) else None
-    said = None
-    rest = found
-    if found is not None and column.name == "run_id":
+    if found is None:
+        return None
+    said: Said | None = None
+    rest: re.Match[bytes] | None = found
+    if column.name == "run_id":
         said, after = _text_bounds(data, found.end(), b"\x19")
         rest = RUN_ID_REST.match(data, after)
-    if found is None or rest is None:
+    if rest is None:
         return None
     values, unpacked, stored, data_at, dictionary_at, *stated = found.groups()
     if rest is found and stated[0]:
