@@ -24,8 +24,14 @@ WITH seeds AS (
 measured AS (
     SELECT
         run_id, kind, source, model_version, constants, setting, position, metric, value,
-        unnest(['published', 'defined']) AS basis,
-        unnest([published_convention_value, value]) AS tested_value
+        'published' AS basis,
+        published_convention_value AS tested_value
+    FROM run_metrics
+    UNION ALL
+    SELECT
+        run_id, kind, source, model_version, constants, setting, position, metric, value,
+        'defined' AS basis,
+        value AS tested_value
     FROM run_metrics
 )
 

@@ -40,6 +40,14 @@ print("done")
 """
 
 
+@pytest.fixture(scope="module")
+def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ledger of 20 runs of each scenario under each architecture."""
+    path = tmp_path_factory.mktemp("many") / "ledger"
+    assert cost_of(["simulate", str(path), "--runs", "20"], path.parent).code == 0
+    return path
+
+
 @pytest.mark.parametrize("verb", ["info", "metrics", "statistics", "compare", "audit", "explain", "verify", "recover"])
 def test_every_command_that_reads_states_its_memory(call: Call, ledger: Path, verb: str) -> None:
     one_message(call(verb, ledger, "--memory", "255"), 2, "--memory 255", "at least 256")
@@ -138,6 +146,29 @@ def test_a_command_over_a_ledger_of_its_size_stays_within_it(ledger: Path, tmp_p
     cost = cost_of(["metrics", str(ledger), "--memory", "256"], tmp_path)
     assert cost.code == 0
     assert cost.memory_mib < 512
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "verb",
+    [
+        "info",
+        "metrics",
+        "statistics",
+        "audit",
+        "multiverse",
+        "explain",
+        ("compare", "--first", "fsar", "--second", "cfc"),
+    ],
+    ids=str,
+)
+def test_a_command_over_three_hundred_runs_stays_within_its_default(
+    many: Path, tmp_path: Path, verb: str | tuple[str, ...]
+) -> None:
+    name, *options = (verb,) if isinstance(verb, str) else verb
+    cost = cost_of([name, str(many), *options], tmp_path)
+    assert cost.code in (0, 1), cost.said
+    assert cost.memory_mib < 448
 
 
 def test_more_workers_may_take_more(tmp_path: Path) -> None:
