@@ -9,8 +9,8 @@ from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.opening import open_for_answers
 
 from .integrity import Integrity
-from .lookup import parameters_of, robot_of, run_of
-from .names import By, Place, Pool, by_scenario, microseconds, names_of, pools_seeds
+from .lookup import parameters_of, robot_of, run_of, time_of
+from .names import By, Place, Pool, Time, by_scenario, microseconds, names_of, pools_seeds
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 class Ledger(Integrity):
     """A ledger to query. Each answer holds for the newest commit at that moment, and names its head.
 
-    A run is given by its name, or a part of it that no other run has; a robot as `B1` or `robot/B1`; a time in seconds
-    of run time.
+    A run is given by its name, its number (`runs()`), or a part of its name that no other run has; a robot as `B1` or
+    `robot/B1`; a time of the run in seconds, or as text: `46.6`, `46.6s` or `46600ms`.
 
     Args:
         path: The folder of the ledger.
@@ -64,20 +64,20 @@ class Ledger(Integrity):
         return contents(self.path, self._demanded)
 
     def runs(self) -> "Table":
-        """Return a row for each run, with architecture, configuration, scenario, seed and fleet size."""
+        """Return a row for each run, with its number, architecture, configuration, scenario, seed and fleet size."""
         return self.query("staging/runs")
 
     def events(
         self,
         run: str | None = None,
-        since: float | None = None,
-        until: float | None = None,
+        since: Time = None,
+        until: Time = None,
         robot: str | None = None,
     ) -> "Events":
         """Return the events of a run, from `since` and before `until`, that name a robot; None: all.
 
         Raises:
-            UsageError: There is no such run or robot, or `until` is not after `since`.
+            UsageError: There is no such run or robot, `since` is after the last event, or `until` not after `since`.
         """
         from .events import Events, Filter
 
@@ -86,40 +86,42 @@ class Ledger(Integrity):
             raise UsageError(
                 f"since {since} and until {until}: expected an earlier time first; until itself is not included"
             )
-        if run is not None or robot is not None:
+        if run is not None or robot is not None or since is not None:
             with self.database() as database:
                 run = None if run is None else run_of(database, run)
                 robot = None if robot is None else robot_of(database, robot, run)
+                time_of(database, "since", since, run)
         return Events(self.path, Filter(run, since_us, until_us, robot), self._demanded)
 
-    def state(self, run: str, at: float | None = None) -> "State":
+    def state(self, run: str, at: Time = None) -> "State":
         """Return the state of a run at a time, or at its end: tasks, queues, trust, policies.
 
         Raises:
-            UsageError: There is no such run, or `at` is not a time.
+            UsageError: There is no such run, or `at` is no time of it.
         """
         from fsar_ledger.projections.fold import fold
 
-        until_us = microseconds("at", at)
+        with self.database() as database:
+            run = run_of(database, run)
+            until_us = time_of(database, "at", at, run)
         found = self.events(run)
         return fold(logged.event for logged in found if until_us is None or logged.time_us <= until_us)
 
     # --- questions ---
 
     def query(self, name: str, /, **parameters: object) -> "Table":
-        """Answer a packaged query (`queries()` lists them); `at=`, in seconds, sets its parameter `at_us`.
+        """Answer a packaged query (`queries()` lists them); a parameter of None has its default.
 
         Raises:
             UnknownQuery: There is no query or parameter of this name.
-            QueryFailed: A value does not fit its parameter.
-            UsageError: There is no such run or robot.
+            UsageError: A parameter names nothing that there is, or is no time of the run.
         """
         from .provenance import of_rows
         from .table import Table
 
         with self.database() as database:
             query = database.library.find(name)
-            given = parameters_of(database, query.parameters, parameters)
+            given = parameters_of(database, query, parameters)
             rows = database.query(name, given)
             return Table(rows, of_rows(database, query))
 
@@ -138,7 +140,10 @@ class Ledger(Integrity):
         columns = {
             "name": pa.array([one.name for one in found], pa.string()),
             "title": pa.array([one.header["Title"] for one in found], pa.string()),
-            "parameters": pa.array([list(one.parameters.items()) for one in found], pa.map_(pa.string(), pa.string())),
+            "parameters": pa.array(
+                [[(each.name, each.default) for each in one.parameters.values()] for one in found],
+                pa.map_(pa.string(), pa.string()),
+            ),
         }
         return Table(pa.table(columns))
 

@@ -1,51 +1,141 @@
-"""Look up the runs and robots that a question names, as the ledger names them."""
+"""Look up what a question names, as the ledger names it: runs, robots, actions, times and the rest of parameters."""
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
-from .names import microseconds, robot_named, run_named
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.query_parameters import TIME, require_known
+
+from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.library import Query
+    from fsar_ledger.metrics.query_parameters import Parameter
 
-ROBOTS = """
-    SELECT DISTINCT name
-    FROM (
+_RUNS = "SELECT run_id FROM run_numbers ORDER BY number"
+_PLANS = "SELECT run_id FROM experiment_planned ORDER BY run_id"
+_EXTENT = "SELECT max(time_us) AS time_us, max(seq) AS seq FROM events WHERE $run IS NULL OR run_id = $run"
+_ON_RECORD = {
+    "robot": """
         SELECT robot AS name FROM robot_joined WHERE $run IS NULL OR run_id = $run
         UNION ALL
         SELECT unnest([decided_by, requested_by, executed_by]) AS name FROM events WHERE $run IS NULL OR run_id = $run
-    )
-    WHERE starts_with(name, 'robot/')
-    ORDER BY name
+    """,
+    "supervisor": """
+        SELECT supervisor AS name FROM robot_joined WHERE $run IS NULL OR run_id = $run
+        UNION ALL
+        SELECT unnest([decided_by, supervised_by, supervisor]) AS name
+        FROM events
+        WHERE $run IS NULL OR run_id = $run
+    """,
+    "action": "SELECT action_id AS name FROM keyed_events WHERE $run IS NULL OR run_id = $run",
+    "capability": "SELECT capability AS name FROM events",
+    "context": "SELECT unnest([task_id, context]) AS name FROM events WHERE $run IS NULL OR run_id = $run",
+    "reason": "SELECT reason AS name FROM refusal_reasons UNION ALL SELECT reason AS name FROM events",
+    "record": "SELECT record_kind AS name FROM event_classes",
+    "architecture": "SELECT architecture AS name FROM runs UNION ALL SELECT unnest(['fsar', 'cfc', 'dhma']) AS name",
+    "claim": "SELECT claim AS name FROM case_definitions",
+    "case": "SELECT case_number::VARCHAR AS name FROM case_definitions",
+}
+"""By kind, the names that have a meaning: in this run, or wherever the kind is the same for every run.
+
+A name that is one of them may well have no row in an answer; any other is a typing error.
 """
-_RUNS = "SELECT DISTINCT run_id FROM events ORDER BY run_id"
-_ALL = ("all", "any")
-_ROBOT_PARAMETERS = ("robot", "peer")
+
+_PRINCIPALS = ("robot", "supervisor")
+_WORDS = {"record": "kind of record", "case": "case number"}
 
 
 def run_of(database: "Database", asked: str) -> str:
-    """Return the full name of a run. Raises: UsageError if no run, or several, match."""
-    return run_named(asked, [row["run_id"] for row in database.rows(_RUNS)])
+    """Return the full name of a run that is given by name, number or unique part.
+
+    Raises:
+        UsageError: No run, or several, match.
+    """
+    runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (_RUNS, _PLANS))
+    return run_named(asked, runs, plans)
 
 
 def robot_of(database: "Database", asked: str, run: str | None) -> str:
     """Return the full name of a robot of this run, or of any. Raises: UsageError if none matches."""
-    return robot_named(asked, [row["name"] for row in database.rows(ROBOTS, {"run": run})])
+    return _named(database, "robot", asked, run)
 
 
-def parameters_of(database: "Database", known: Any, given: dict[str, object]) -> dict[str, str]:
-    """Return the parameters of a query as text, with full names of runs and robots, and times in microseconds.
+def action_of(database: "Database", asked: str, run: str | None) -> str:
+    """Return the action of this name in this run, or in any. Raises: UsageError if there is none."""
+    return _named(database, "action", asked, run)
 
-    Raises: UsageError for an unknown name.
+
+def time_of(database: "Database", what: str, asked: Time, run: str | None) -> int | None:
+    """Return a time in the run, or in the longest of all, in microseconds; None stays None.
+
+    Raises:
+        UsageError: It is not a time, or later than the last event.
     """
-    found = {name: str(value) for name, value in given.items()}
-    if "at" in given and "at_us" in known and "at_us" not in given:
-        at = given["at"]
-        found["at_us"] = str(microseconds("at", at if isinstance(at, int | float) else -1))
-        del found["at"]
-    if found.get("run", "all") not in _ALL and "run" in known:
-        found["run"] = run_of(database, found["run"])
-    run = found.get("run")
-    for name in _ROBOT_PARAMETERS:
-        if name in known and found.get(name, "all") not in _ALL:
-            found[name] = robot_of(database, found[name], None if run in _ALL else run)
+    time_us = microseconds(what, asked)
+    (extent,) = database.rows(_EXTENT, {"run": run})
+    if time_us is not None and extent["time_us"] is not None and time_us > extent["time_us"]:
+        of = "the longest run" if run is None else f"run {printable.value(run)}"
+        raise UsageError(
+            f"{what}: found {time_us / 1_000_000:g} s, expected at most {extent['time_us'] / 1_000_000:.6f} s, the last "
+            f"event of {of}"
+        )
+    return time_us
+
+
+def parameters_of(database: "Database", query: "Query", given: Mapping[str, object]) -> dict[str, str]:
+    """Return what the SQL of a query gets for these parameters, each understood by its kind; None: its default.
+
+    Raises:
+        UnknownQuery: The query has no parameter of a name.
+        UsageError: A value names nothing that there is, or is no time of the run.
+    """
+    require_known(query, given, query.parameters)
+    texts = {
+        name: value if isinstance(value, str) else f"{value!r}" for name, value in given.items() if value is not None
+    }
+    run = None
+    found: dict[str, str] = {}
+    for one in sorted(query.parameters.values(), key=lambda one: one.kind != "run"):
+        text = texts.get(one.name, one.default)
+        if text is None or text == one.default:
+            continue
+        found[one.sql_name] = run_of(database, text) if one.kind == "run" else _value(database, one, text, run)
+        run = found[one.sql_name] if one.kind == "run" else run
     return found
+
+
+def names_on_record(database: "Database", kind: str, run: str | None) -> list[str]:
+    """Return the names that a parameter of this kind can have in this run, or in any, in order."""
+    if kind == "run":
+        return [str(row["run_id"]) for row in database.rows(_RUNS)]
+    sql = f"SELECT DISTINCT name FROM ({_ON_RECORD[kind]}) WHERE name IS NOT NULL ORDER BY name"
+    names = [str(row["name"]) for row in database.rows(sql, {"run": run} if "$run" in sql else None)]
+    return [name for name in names if name.startswith(f"{kind}/")] if kind in _PRINCIPALS else names
+
+
+def _named(database: "Database", kind: str, asked: str, run: str | None) -> str:
+    names, what = names_on_record(database, kind, run), _WORDS.get(kind, kind)
+    return principal_named(what, asked, names) if kind in _PRINCIPALS else named(what, asked, names)
+
+
+def _value(database: "Database", one: "Parameter", text: str, run: str | None) -> str:
+    """Return what the SQL gets for this text of a parameter. Raises: UsageError."""
+    if one.kind == TIME:
+        return str(time_of(database, one.name, text, run))
+    if one.kind == "seq":
+        return _seq(database, text, run)
+    return _named(database, one.kind, text, run)
+
+
+def _seq(database: "Database", text: str, run: str | None) -> str:
+    """Return the seq of an event of this run, or of any. Raises: UsageError if there is none."""
+    (extent,) = database.rows(_EXTENT, {"run": run})
+    most = -1 if extent["seq"] is None else extent["seq"]
+    if not (text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS and int(text) <= most):
+        expected = f"a number from 0 to {most}" if most >= 0 else "none: there is no event"
+        of = "of any run" if run is None else f"of run {printable.value(run)}"
+        raise UsageError(f"seq {printable.value(text)}: there is no such event {of}, expected {expected}")
+    return text

@@ -1,6 +1,9 @@
 """Names that users give, of runs, robots and scenarios. An error about an unknown one suggests the nearest."""
 
+import re
 from collections.abc import Sequence
+from decimal import Decimal
+from math import isfinite
 from os import PathLike
 from typing import Literal, TypeVar
 
@@ -12,6 +15,13 @@ _Name = TypeVar("_Name", bound=str)
 Place = str | PathLike[str]
 Pool = Literal["seeds"] | None
 By = Literal["scenario"] | None
+Time = float | str | None
+"""A time of a run, in seconds, or as text: `46.6`, `46.6s`, `46600ms`."""
+
+MAX_DIGITS = 16
+MAX_SECONDS = 9_007_199_254
+
+_TIME = re.compile(r"([0-9]{1,16}(?:\.[0-9]{0,16})?|\.[0-9]{1,16})\s*(s|ms)?")
 
 
 def by_scenario(asked: str | None) -> bool:
@@ -44,35 +54,66 @@ def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> t
     return tuple(name for name in names if name in (asked or ()))
 
 
-def run_named(asked: str, names: Sequence[str]) -> str:
-    """Return the run of this name, or the only one whose name contains it.
+def run_named(asked: str, names: Sequence[str], others: Sequence[str] = ()) -> str:
+    """Return the run of this name or number, or the only one whose name contains the text.
+
+    Args:
+        asked: A name, a number from 1 in the order of the ledger, or a part of a name.
+        names: The runs in the order of the ledger. Digits alone are always a number.
+        others: What also has a name, but no number, such as plans.
 
     Raises:
         UsageError: No run matches, or several do.
     """
-    if asked in names:
+    known_names = (*names, *others)
+    if asked in known_names:
         return asked
-    found = sorted(name for name in names if asked and asked in name)
+    if asked.isascii() and asked.isdecimal():
+        return _numbered(asked, names)
+    found = sorted(name for name in known_names if asked and asked in name)
     if len(found) == 1:
         return found[0]
     if found:
-        shown = printable.some(map(printable.value, found))
+        numbers = {name: number for number, name in enumerate(names, start=1)}
+        shown = printable.some(
+            printable.value(name) + (f" (number {numbers[name]:,})" if name in numbers else "") for name in found
+        )
         raise UsageError(
             f"run {printable.value(asked)}: found {len(found):,} runs whose names contain this, expected one of {shown}"
         )
-    hint = printable.did_you_mean(asked, names)
+    hint = printable.did_you_mean(asked, known_names)
     raise UsageError(f"run {printable.value(asked)}: there is no such run{hint or ';'} the query `runs` lists them")
 
 
-def robot_named(asked: str, names: Sequence[str]) -> str:
-    """Return the principal of a robot that is given as `B1` or `robot/B1`. Raises: UsageError if there is none."""
-    name = asked if asked.startswith("robot/") else f"robot/{asked}"
-    if name in names:
-        return name
-    hint = printable.did_you_mean(name, names)
+def _numbered(asked: str, names: Sequence[str]) -> str:
+    """Return the run of this number, from 1. Raises: UsageError if there is none."""
+    number = int(asked) if len(asked) <= MAX_DIGITS else len(names) + 1
+    if not 1 <= number <= len(names):
+        held = f"a number from 1 to {len(names)}" if names else "no number: there is no run"
+        raise UsageError(
+            f"run {asked:.80}: there is no run of this number, expected {held}; the query `runs` lists them"
+        )
+    return names[number - 1]
+
+
+def principal_named(what: str, asked: str, names: Sequence[str]) -> str:
+    """Return the principal of a robot or supervisor (`what`) that is given as `B1` or in full, as `robot/B1`.
+
+    Raises: UsageError if there is none.
+    """
+    name = asked if asked.startswith(f"{what}/") else f"{what}/{asked}"
+    return named(what, asked, names, name)
+
+
+def named(what: str, asked: str, names: Sequence[str], name: str | None = None) -> str:
+    """Return the name, by default as it is given, if it is one of these. Raises: UsageError, with the nearest."""
+    sought = asked if name is None else name
+    if sought in names:
+        return sought
+    hint = printable.did_you_mean(sought, names)
     raise UsageError(
-        f"robot {printable.value(asked)}: there is no such robot{hint or ';'} expected one of "
-        f"{printable.some(map(printable.value, sorted(names))) or 'none: no robot is on record'}"
+        f"{what} {printable.value(asked)}: there is no such {what}{hint or ';'} expected one of "
+        f"{printable.some(map(printable.value, sorted(names))) or f'none: no {what} is on record'}"
     )
 
 
@@ -81,10 +122,28 @@ def names_of(asked: str | Sequence[str] | None) -> list[str] | None:
     return [asked] if isinstance(asked, str) else None if asked is None else list(asked)
 
 
-def microseconds(what: str, seconds: float | None) -> int | None:
-    """Convert seconds to whole microseconds; None stays None. Raises: UsageError if it is not a time."""
-    if seconds is None:
+def microseconds(what: str, asked: Time) -> int | None:
+    """Convert a time to whole microseconds; None stays None.
+
+    A time is a number of seconds, or text: `46.6`, `46.6s` or `46600ms`.
+
+    Raises:
+        UsageError: It is not a time.
+    """
+    if asked is None:
         return None
-    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds <= 9_007_199_254:
-        raise UsageError(f"{what}: found {seconds!r:.80}, expected seconds of run time, 0 or more")
-    return round(seconds * 1_000_000)
+    found = _seconds(asked)
+    if found is None or not 0 <= found <= MAX_SECONDS:
+        shown = printable.value(asked, 80) if isinstance(asked, str) else f"{asked!r:.80}"
+        raise UsageError(f"{what}: found {shown}, expected seconds of run time, 0 or more, as 46.6, 46.6s or 46600ms")
+    return round(found * 1_000_000)
+
+
+def _seconds(asked: object) -> Decimal | None:
+    """Return the seconds that a number or a text gives, exactly as it is written; None if it is no finite time."""
+    if isinstance(asked, str):
+        match = _TIME.fullmatch(asked.strip())
+        return None if match is None else Decimal(match[1]) / (1_000 if match[2] == "ms" else 1)
+    if isinstance(asked, bool) or not isinstance(asked, int | float) or not isfinite(asked):
+        return None
+    return Decimal(repr(asked))

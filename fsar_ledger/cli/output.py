@@ -113,7 +113,7 @@ def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
         {
             "name": query.name,
             "title": query.header["Title"],
-            "parameters": " ".join(f"{name}={value or ''}" for name, value in query.parameters.items()),
+            "parameters": " ".join(map(str, query.parameters.values())),
         }
         for query in library().queries.values()
     ]

@@ -20,7 +20,8 @@ from fsar_ledger.ledger.rows.segment import read_table
 from fsar_ledger.ledger.store.read import Head
 
 from .functions import register
-from .library import Library, Query, library, values
+from .library import Library, Query, library
+from .query_parameters import values
 
 LOCK = (
     "threads = 1",

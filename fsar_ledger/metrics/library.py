@@ -2,8 +2,8 @@
 
 A query file starts with comment lines `-- Name: text`. Title, Paper, Grain, Key, Units, NULL and Example are required.
 `Key` lists the columns that tell any two rows apart, with `?` after one that may be NULL; or it says `one row`, or
-`none, <reason>`. `Parameters: name = default, ...` makes it a query that is run with values instead of a view. `Stored:
-<reason>` keeps its rows, once computed, for the life of a connection.
+`none, <reason>`. `Parameters: name: kind = default, ...` (`query_parameters.py`) makes it a query that is run with
+values instead of a view. `Stored: <reason>` keeps its rows, once computed, for the life of a connection.
 
 A file in `readings/` is another reading of a relation: it reads that relation, has the same columns, and differs in the
 one thing that `Title` says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves`
@@ -29,6 +29,7 @@ from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, StoredType
 
 from . import definitions
+from .query_parameters import Parameter, parse_parameters
 
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Key", "Units", "NULL", "Example")
 READINGS = "readings/"
@@ -47,14 +48,14 @@ _VERSIONED = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 class Query(msgspec.Struct, frozen=True):
     """One relation that SQL can name: a packaged file, or a view that is generated from an event type.
 
-    `name` is `folder/relation`; `parameters` maps names to defaults (None: a value must be given); `tags` are the event
-    types whose view it is; `nothing` selects the same columns where no such event exists.
+    `name` is `folder/relation`; `tags` are the event types whose view it is; `nothing` selects the same columns where no
+    such event exists.
     """
 
     name: str
     sql: str
     header: dict[str, str]
-    parameters: dict[str, str | None] = {}
+    parameters: dict[str, Parameter] = {}
     tags: frozenset[str] = frozenset()
     nothing: str = ""
 
@@ -105,7 +106,7 @@ def parse(name: str, sql: str) -> Query:
     """Parse the text of a query file.
 
     Raises:
-        InvalidQuery: A required key is missing or empty, or a key is unknown or given twice.
+        InvalidQuery: A required key is missing or empty, a key is unknown or given twice, or a parameter has no kind.
     """
     header: dict[str, str] = {}
     last = None
@@ -128,16 +129,7 @@ def parse(name: str, sql: str) -> Query:
     missing = [key for key in required if not header.get(key)]
     if missing:
         raise InvalidQuery(f"queries/{name}.sql:1: the header lacks {', '.join(missing)}")
-    return Query(name, sql, header, _parameters(header.get("Parameters", "")))
-
-
-def _parameters(text: str) -> dict[str, str | None]:
-    """Return names and defaults of `name = default, other`."""
-    parameters: dict[str, str | None] = {}
-    for part in filter(None, (part.strip() for part in text.split(","))):
-        name, equals, default = (piece.strip() for piece in part.partition("="))
-        parameters[name] = default if equals else None
-    return parameters
+    return Query(name, sql, header, parse_parameters(name, header.get("Parameters", "")))
 
 
 def view_name(tag: str) -> str:
@@ -374,23 +366,6 @@ class Library:
     def mentioned(self, sql: str) -> set[str]:
         """Return the relations whose names occur anywhere in this SQL."""
         return {word.lower() for word in _WORD.findall(sql)} & self.relations.keys()
-
-
-def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
-    """Return the value of every parameter of the query: the given one, else its default.
-
-    Raises:
-        UnknownQuery: A given name is no parameter of the query, or a parameter without default has no value.
-    """
-    known = ", ".join(query.parameters) or "none"
-    if unknown := sorted(given.keys() - query.parameters.keys()):
-        raise UnknownQuery(f"query {query.name}: found parameter {', '.join(unknown)}; it has these: {known}")
-    filled = query.parameters | dict(given)
-    if missing := sorted(name for name, value in filled.items() if value is None):
-        raise UnknownQuery(
-            f"query {query.name}: parameter {', '.join(missing)} has no value; give it with --param {missing[0]}=VALUE"
-        )
-    return {name: str(value) for name, value in filled.items()}
 
 
 @cache

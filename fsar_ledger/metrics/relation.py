@@ -16,7 +16,7 @@ from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.events import ADDITIONS
 from fsar_ledger.ledger.rows.codec import upcast_rows
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, SCHEMAS
-from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS, RETIRED
+from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS, RETIRED, STANDS_ALONE
 from fsar_ledger.ledger.rows.segment import read_table
 
 from .connection import Database
@@ -37,6 +37,8 @@ def hold_segments(database: Database, segments: Sequence[Path], releases: Sequen
         alike.setdefault(FINGERPRINTS[release], []).append(path)
     present = {FINGERPRINTS[release]: frozenset(SCHEMAS[release].names) for release in releases}
     parts = [(_parquet(paths), present[fingerprint]) for fingerprint, paths in alike.items()]
+    if types:
+        _number_runs(database, segments)
     if holding:
         _hold_newest(database, parts, holding)
         return
@@ -50,12 +52,31 @@ def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> N
 
     Raises: as `_upcast`.
     """
-    holding = _holding(database, segments, _types(database, segments))
+    types = _types(database, segments)
+    if types:
+        _number_runs(database, segments, is_stored=True)
+    holding = _holding(database, segments, types)
     if not holding:
         database.hold("events", stored)
         return
     database.hold(_DATASET, stored)
     _hold_newest(database, [(_DATASET, frozenset(COLUMNS))], holding)
+
+
+def _number_runs(database: Database, segments: Sequence[Path], *, is_stored: bool = False) -> None:
+    """Make `run_numbers` the runs in the order in which these segments hold their first events.
+
+    The relation `events` has no order: it reads rows of different releases one after the other. With `is_stored` the
+    segments are read now, and never again.
+    """
+    source = _parquet(segments, "filename = true", "file_row_number = true")
+    order = f"list_position([{', '.join(_literal(str(path)) for path in segments)}], filename), file_row_number"
+    database.define(
+        "run_numbers",
+        f"SELECT run_id, row_number() OVER (ORDER BY {order}) AS number FROM {source} WHERE seq = 0 AND type NOT IN "
+        f"({_listed(sorted(STANDS_ALONE))})",
+        is_stored=is_stored,
+    )
 
 
 def _hold_newest(

@@ -10,7 +10,7 @@
 -- Example: fsar-ledger query audit/authority_chain LEDGER --param run=RUN --param action=B1-1/2.1
 --   answers asked robot/B1, admitted robot/C1 (session; may ask, may execute, none, audited), accepted, acted,
 --   finished, closed service/coordination
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 WITH deeds (type, deed) AS (
     VALUES
     ('RequestIssued.v1', 'asked'),

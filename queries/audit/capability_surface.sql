@@ -3,13 +3,13 @@
 -- Paper: eq:adv, eq:advertise, eq:delegable
 -- Grain: one row per run, robot and capability that it advertised at the time
 -- Key: run_id, robot, capability
--- Units: since_us, at_us microseconds of run time; the default time is after the end of every run
+-- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: successor unless a deprecation names one; visible_to is empty when every role may discover it, may_ask when no
 --   other robot has role and trust
 -- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param
---   at_us=30000000
+--   at=30
 --   answers inspect.private_zone 1.0.0 ready: discoverable by role B, and robot/B1 may ask for it
--- Parameters: run = all, robot = all, at_us = 9007199254740991
+-- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH surfaces AS (
     SELECT *
     FROM advertisements

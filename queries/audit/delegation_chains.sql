@@ -10,7 +10,7 @@
 -- Example: fsar-ledger query audit/delegation_chains LEDGER --param run=RUN
 --   answers link 1 robot/A1 to robot/B1 (task, admitted), link 2 robot/B1 to robot/C1 (session, admitted): well-formed;
 --   robot/C1 has none for robot/A1
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 WITH RECURSIVE chains AS (
     SELECT run_id, seq, time_us, action_id AS chain, action_id, requested_by AS first_requester, 1 AS link
     FROM request_issued

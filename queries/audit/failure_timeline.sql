@@ -10,7 +10,7 @@
 -- Example: fsar-ledger query audit/failure_timeline LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196,
 --   0.571 and 24.384 s
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 WITH steps AS (
     SELECT
         run_id, action_id, failure, detected_us, seq, time_us, until_us, decided_by, level, to_level, deadline_us, what,

@@ -6,7 +6,7 @@
 -- NULL: until_us when neither claim was released
 -- Example: fsar-ledger query audit/overlapping_claims LEDGER --param run=RUN
 --   answers A1-1/7.1, override: robot/A1 (revocation) and robot/D1 (acceptance) from 51.375 s until 58.486 s
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 SELECT
     one.run_id, one.action_id, one.dimension,
     one.claimant AS one_claimant,

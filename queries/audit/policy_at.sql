@@ -2,12 +2,12 @@
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per run, robot and scope (its own policy, the fleet's for it)
 -- Key: run_id, robot, scope
--- Units: since_us, until_us, at_us microseconds of run time, half-open; the default time is after the end of every run
+-- Units: since_us, until_us microseconds of run time, half-open; at seconds, by default after the end of every run
 -- NULL: since_us when nothing had begun yet, so policy allowed from the start; until_us when no window or rule began or
 --   ended later
--- Example: fsar-ledger query audit/policy_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31200000
+-- Example: fsar-ledger query audit/policy_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
 --   answers robot/D1: its own policy denies since 24.818 s, the fleet's rule since 31.07 s
--- Parameters: run = all, robot = all, capability = any, context = any, at_us = 9007199254740991
+-- Parameters: run: run = all, robot: robot = all, capability: capability = any, context: context = any, at: time = end
 WITH subjects AS (
     SELECT members.run_id, members.robot, scopes.scope
     FROM fleet_members AS members

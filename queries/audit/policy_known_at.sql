@@ -2,11 +2,11 @@
 -- Paper: eq:policy, sec:evaluation:baselines
 -- Grain: one row per run, decider, robot and scope of which the decider had been told by then
 -- Key: run_id, known_by, robot, scope
--- Units: learned_us, as_of_us, at_us microseconds of run time; the default time is after the end of every run
+-- Units: learned_us, as_of_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: never; a decider without a row had not been told, or reads the policy itself (an FSAR robot its own)
--- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31200000
+-- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
 --   answers the coordinator takes the fleet's rule to allow, as of 25.305 s; truly it denies, so it is wrong
--- Parameters: run = all, robot = all, at_us = 9007199254740991
+-- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH copies AS (
     -- A copy covers every robot; one that it does not name is allowed.
     SELECT

@@ -8,7 +8,7 @@
 -- Example: fsar-ledger query audit/query_candidates LEDGER --param run=RUN --param action=injected-1-2 --param
 --   robot=robot/C1
 --   answers robot/C1 was rejected by visibility: not visible to role D
--- Parameters: run = all, action = all, robot = all
+-- Parameters: run: run = all, action: action = all, robot: robot = all
 WITH surfaces AS (
     SELECT
         run_id, robot, capability, visible_to, visibility, seq AS since_seq,

@@ -8,7 +8,7 @@
 --   records neither; set_by where the budget is the fleet's own
 -- Example: fsar-ledger query audit/recovery_budgets LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers local 2 of 2 attempts, peer 0 of 1 helpers, fleet 0 of 1 reassignments, human 1 of 2 calls
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 WITH stays AS (
     SELECT
         moves.run_id, moves.action_id, moves.failure, moves.level, moves.rank, moves.seq, failures.robot,

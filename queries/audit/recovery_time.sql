@@ -9,7 +9,7 @@
 -- Example: fsar-ledger query audit/recovery_time LEDGER --param run=RUN --param action=A1-1/4.1
 --   answers local 4.101 s with 2 attempts (budget exhausted), peer 0.065 s, fleet 0.515 s, human 40.066 s, where it was
 --   resolved
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 WITH stays AS (
     SELECT
         moves.run_id, moves.action_id, moves.failure, moves.move, moves.level, moves.seq,

@@ -8,24 +8,8 @@
 --   of an unanswered request, of declined help and of a counter-offer is what their type means
 -- Example: fsar-ledger query audit/refusals LEDGER --param run=RUN
 --   answers RequestDenied, policy (conjunct policy), by robot/B1: 1, at 31.046 s
--- Parameters: run = all, reason = all
-WITH conjuncts (reason, conjunct) AS (
-    VALUES
-    ('possession', 'possession'),
-    ('advertisement', 'advertisement'),
-    ('trust', 'trust'),
-    ('no trust', 'trust'),
-    ('policy', 'policy'),
-    ('local-policy', 'policy'),
-    ('fleet-rule', 'policy'),
-    ('review', 'policy'),
-    ('local-execution', 'local-execution'),
-    ('authority', 'authority'),
-    ('negotiation', 'authority'),
-    ('override', 'authority')
-),
-
-offered AS (
+-- Parameters: run: run = all, reason: reason = all
+WITH offered AS (
     SELECT DISTINCT run_id, action_id
     FROM registry_queried
     WHERE len(candidates) > 0
@@ -56,11 +40,11 @@ refused AS (
 )
 
 SELECT
-    refused.run_id, refused.type, refused.reason, conjuncts.conjunct, refused.decided_by,
+    refused.run_id, refused.type, refused.reason, known.conjunct, refused.decided_by,
     count(*) AS refusals,
     min(refused.time_us) AS first_us,
     max(refused.time_us) AS last_us
 FROM refused
-LEFT JOIN conjuncts ON refused.reason = conjuncts.reason AND refused.type <> 'CommandRejected.v1'
+LEFT JOIN refusal_reasons AS known ON refused.reason = known.reason AND refused.type <> 'CommandRejected.v1'
 WHERE $run IN ('all', refused.run_id) AND $reason IN ('all', refused.reason)
-GROUP BY refused.run_id, refused.type, refused.reason, conjuncts.conjunct, refused.decided_by
+GROUP BY refused.run_id, refused.type, refused.reason, known.conjunct, refused.decided_by

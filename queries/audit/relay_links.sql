@@ -7,7 +7,7 @@
 -- Example: fsar-ledger query audit/relay_links LEDGER --param run=RUN
 --   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for
 --   robot/D1
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 WITH chains AS (
     -- The relay's record is the first after the request.
     SELECT

@@ -8,7 +8,7 @@
 -- Example: fsar-ledger query audit/request_timeline LEDGER --param run=RUN --param action=A1-1/4.1
 --   answers robot/A1 lacks door.open.secure, asks service/registry, requests it of robot/B1, which evaluates, accepts,
 --   executes: success
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 WITH RECURSIVE known AS (
     SELECT
         keyed_events.run_id, keyed_events.seq, keyed_events.caused_by, keyed_events.action_id,

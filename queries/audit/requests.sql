@@ -9,7 +9,7 @@
 -- Example: fsar-ledger query audit/requests LEDGER --param run=RUN
 --   answers A1-1/2.1 door.open.basic: asked by robot/A1, allowed by robot/B1, executed by robot/B1, supervised by
 --   supervisor/B1: success
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 WITH told AS (
     SELECT run_id, seq, action_id
     FROM keyed_events

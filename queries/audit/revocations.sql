@@ -8,7 +8,7 @@
 -- Example: fsar-ledger query audit/revocations LEDGER --param run=RUN
 --   answers A1-1/7.1: robot/A1 revoked at 51.375 s what robot/D1 executed; effective after its ExecutionFinished, 7.111
 --   s later
--- Parameters: run = all
+-- Parameters: run: run = all
 WITH claimed AS (
     SELECT
         claims.run_id, claims.seq, claims.action_id,

@@ -2,11 +2,11 @@
 -- Paper: sec:model:robot
 -- Grain: one row per run, robot and action that it had in hand; one row `idle` for a robot that had none
 -- Key: run_id, robot, action_id?
--- Units: since_us, at_us microseconds of run time; the default time is after the end of every run
+-- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: action_id, since_us, on_behalf_of when idle; on_behalf_of also when the robot helps another
--- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at_us=20000000
+-- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at=20
 --   answers executing B1-1/2.1 for robot/B1 since 18.0 s
--- Parameters: run = all, robot = all, at_us = 9007199254740991
+-- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH doings (type, doing) AS (
     VALUES
     ('ExecutionQueued.v1', 'queued'),

@@ -2,11 +2,11 @@
 -- Paper: sec:evaluation:simulator, sec:model:robot
 -- Grain: one row per run and robot that had joined by then
 -- Key: run_id, robot
--- Units: at_us microseconds of run time; the default time is after the end of every run
+-- Units: at seconds of run time; the default time is after the end of every run
 -- NULL: action_id when the robot had nothing in hand; of several things in hand, one that failed, else the first
--- Example: fsar-ledger query audit/robot_state_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31000000
+-- Example: fsar-ledger query audit/robot_state_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31
 --   answers robot/D1 is failed, with A1-1/5.1 in hand
--- Parameters: run = all, robot = all, at_us = 9007199254740991
+-- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH past AS (
     SELECT *
     FROM event_principals

@@ -7,7 +7,7 @@
 --   when it gives none
 -- Example: fsar-ledger query audit/skipped_levels LEDGER --param run=RUN
 --   answers A1-1/8.2: from local to human, left out peer and fleet, decided by agent/A1/execution
--- Parameters: run = all
+-- Parameters: run: run = all
 SELECT
     run_id, action_id, failure, seq, time_us, type, decided_by, from_level,
     level AS to_level,

@@ -8,7 +8,7 @@
 --   capability, action_id and the principals when the decision is about none in particular
 -- Example: fsar-ledger query audit/supervisor_decisions LEDGER --param supervisor=supervisor/fleet
 --   answers recovery of A1-1/4.1, called at 84.854 s, decided at 124.92 s
--- Parameters: run = all, supervisor = all
+-- Parameters: run: run = all, supervisor: supervisor = all
 WITH decided AS (
     SELECT
         run_id, seq,

@@ -6,7 +6,7 @@
 -- NULL: supervised_by for the records that name no supervisor; records_off_shift for these, too
 -- Example: fsar-ledger query audit/supervisor_of LEDGER --param run=RUN --param action=B1-1/2.1
 --   answers supervisor/B1 in 3 records, supervisor/C1 in 4 records, none of them while off shift
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 WITH shifts AS (
     SELECT
         run_id, seq, supervisor,

@@ -3,16 +3,17 @@
 -- Grain: one row per run, ordered pair of robots and entry about it that had been set by then; asked about a capability
 --   or context, only the one that holds
 -- Key: run_id, robot, peer, role?, peer_role?, domain?, capability?, context?
--- Units: since_us (not before both were members), until_us, at_us microseconds of run time, half-open; the default time
---   is after the end of every run
+-- Units: since_us (not before both were members), until_us microseconds of run time, half-open; at seconds, by default
+--   after the end of every run
 -- NULL: role, peer_role, domain of an entry about the very pair; capability, context when the entry is about all of
 --   them; until_us when it was not set again; set_by for what the fleet was founded with; a pair without a row had no
 --   trust
 -- Example: fsar-ledger query audit/trust_at LEDGER --param run=RUN --param robot=robot/B1 --param peer=robot/A1
---   --param at_us=30000000
+--   --param at=30
 --   answers robot/B1 trusts robot/A1 with scope task since 0, as every robot of role B trusts those of role A, for
 --   every capability and context
--- Parameters: run = all, robot = all, peer = all, capability = all, context = all, at_us = 9007199254740991
+-- Parameters: run: run = all, robot: robot = all, peer: robot = all, capability: capability = all,
+--   context: context = all, at: time = end
 WITH entries AS (
     SELECT
         found.run_id, found.role, found.peer_role, found.domain, found.capability, found.context,

@@ -6,7 +6,7 @@
 -- NULL: action_id and on_behalf_of for a motion; called_us when no supervisor had been asked to review it before
 -- Example: fsar-ledger query audit/unapproved_executions LEDGER --param run=RUN
 --   answers A1-1/4.1 by robot/B1 for robot/A1 at 31.013 s, and nobody had been asked
--- Parameters: run = all
+-- Parameters: run: run = all
 SELECT
     starts.run_id, starts.seq, starts.started_us, starts.action_id, starts.robot, starts.on_behalf_of,
     min(calls.time_us) AS called_us

@@ -6,7 +6,7 @@
 -- NULL: never
 -- Example: fsar-ledger query audit/unattributed_records LEDGER --param run=RUN
 --   answers handoff: 92 of 92 records; 92 lack the requester, none the executor, 5 the supervisor
--- Parameters: run = all, kind = all
+-- Parameters: run: run = all, kind: record = all
 SELECT
     run_id, record_kind,
     count(*) AS records,

@@ -8,7 +8,7 @@
 -- NULL: seq, type where nothing is counted; action_id, that of the event, else that of the item, where neither names
 --   one
 -- Example: fsar-ledger query cases/case_events LEDGER --param number=3 --param architecture=cfc
--- Parameters: number = all, claim = all, architecture = all, run = all
+-- Parameters: number: case = all, claim: claim = all, architecture: architecture = all, run: run = all
 WITH asked AS (
     SELECT
         CASE

@@ -1,0 +1,96 @@
+"""The parameters of packaged queries: their kinds, what people give, and what the SQL gets.
+
+`Parameters: run: run = all, at: time = end` in the header of a query names two. The kind decides how the text of a value
+is understood (`api/lookup.py`). People give a time in seconds as `at`; the SQL gets microseconds as `$at_us`.
+"""
+
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import InvalidQuery, UnknownQuery
+from fsar_ledger.ledger.rows.schema import MAX_INTEGER
+
+if TYPE_CHECKING:
+    from .library import Query
+
+TIME, END = "time", "end"
+KINDS = (
+    *("run", "robot", "supervisor", "action", "capability", "context", "reason", "record", "architecture", "claim"),
+    *("case", "seq", TIME),
+)
+"""What a parameter can name. A context is a task, a record the kind of a coordination event, a case one of four."""
+
+
+class Parameter(msgspec.Struct, frozen=True):
+    """A parameter of a query: its name for people, its kind, and its default (None: a value must be given)."""
+
+    name: str
+    kind: str
+    default: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name}={self.default or ''}"
+
+    @property
+    def sql_name(self) -> str:
+        """Return the name behind `$` in the SQL: a time is given in microseconds."""
+        return f"{self.name}_us" if self.kind == TIME else self.name
+
+    @property
+    def sql_default(self) -> str | None:
+        """Return the default as the SQL gets it: the end of a run is after every time."""
+        return str(MAX_INTEGER) if self.kind == TIME and self.default == END else self.default
+
+
+def parse_parameters(query: str, text: str) -> dict[str, Parameter]:
+    """Return the parameters in `name: kind = default, other: kind`, by name.
+
+    Raises:
+        InvalidQuery: A kind is missing or unknown.
+    """
+    parameters: dict[str, Parameter] = {}
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        named, equals, default = (piece.strip() for piece in part.partition("="))
+        name, _, kind = (piece.strip() for piece in named.partition(":"))
+        if kind not in KINDS:
+            raise InvalidQuery(
+                f"queries/{query}.sql: found {printable.value(part)} among the parameters, expected NAME: KIND or NAME: "
+                f"KIND = DEFAULT{printable.did_you_mean(kind, KINDS) or ';'} a kind is one of {', '.join(KINDS)}"
+            )
+        parameters[name] = Parameter(name, kind, default if equals else None)
+    return parameters
+
+
+def require_known(query: "Query", given: Collection[str], known: Collection[str]) -> None:
+    """Check that the query has these parameters. Raises: UnknownQuery, with the nearest name."""
+    unknown = sorted(set(given) - set(known))
+    if not unknown:
+        return
+    times = [one.name for one in query.parameters.values() if one.sql_name in unknown and one.kind == TIME]
+    if times:
+        hint = f"; {times[0]} is the time, as in {times[0]}=46.6, {times[0]}=46.6s or {times[0]}=46600ms"
+    else:
+        hint = printable.did_you_mean(unknown[0], known)
+    named = ", ".join(map(printable.value, unknown))
+    raise UnknownQuery(
+        f"query {query.name}: found parameter {named}; it has these: {', '.join(known) or 'none'}{hint}"
+    )
+
+
+def values(query: "Query", given: Mapping[str, str]) -> dict[str, str]:
+    """Return what each `$name` of the query gets: the given value, else its default.
+
+    Raises:
+        UnknownQuery: A given name is none of the query's, or a parameter without default has no value.
+    """
+    defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
+    require_known(query, given, defaults)
+    filled = defaults | dict(given)
+    if missing := sorted(name for name, value in filled.items() if value is None):
+        raise UnknownQuery(
+            f"query {query.name}: parameter {', '.join(missing)} has no value; give it with --param {missing[0]}=VALUE"
+        )
+    return {name: str(value) for name, value in filled.items()}
