@@ -149,7 +149,7 @@ def queries_page() -> str:
 
 
 def _row(query: Query) -> str:
-    parameters = "".join(f" `{name}={value or ''}`" for name, value in query.parameters.items())
+    parameters = "".join(f" `{one}`" for one in query.parameters.values())
     header = query.header
     cells = [
         f"`{query.name}`{parameters}",

@@ -3,7 +3,6 @@
 The rows are those of `queries/audit/requests.sql`, `request_timeline.sql` and `failure_timeline.sql`.
 """
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,7 +13,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
-from .names import run_named
+from .lookup import run_of
 from .provenance import Provenance, of_rows
 from .table import Table
 
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
     from os import PathLike
 
 Rows = list[dict[str, Any]]
-Choose = Callable[[str, Sequence[str]], str]
-"""Finds the run of a name among the names of all runs. Raises: UsageError."""
 
 
 class Account(msgspec.Struct, frozen=True):
@@ -89,12 +86,12 @@ def requests(database: Database, run: str) -> Table:
     return Table(database.query("audit/requests", {"run": run, "action": "all"}), _about(database, run))
 
 
-def chosen_run(database: Database, ledger: Path, asked: str | None, choose: Choose = run_named) -> str:
+def chosen_run(database: Database, ledger: Path, asked: str | None) -> str:
     """Return the run that was asked for, or the first of the ledger. Raises: UsageError if there is none."""
-    names = [str(row["run_id"]) for row in database.rows("SELECT run_id FROM run_started")]
-    if not names:
+    first = database.rows("SELECT run_id FROM run_numbers WHERE number = 1")
+    if not first:
         raise UsageError(f"{ledger}: found no run, so there is nothing to explain")
-    return names[0] if asked is None else choose(asked, names)
+    return str(first[0]["run_id"]) if asked is None else run_of(database, asked)
 
 
 def _about(database: Database, run: str) -> Provenance:

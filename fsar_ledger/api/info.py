@@ -4,7 +4,7 @@ A plan on record says what is missing. Without one (live runs, ledgers from befo
 then the summary describes the shape of what is there, and never says that it is complete.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +52,8 @@ groups AS (
         settings.kind AS made_as,
         count(*) AS runs,
         count(*) FILTER (planned.run_id IS NULL) AS runs_unplanned,
-        sum(sizes.event_count)::BIGINT AS events
+        sum(sizes.event_count)::BIGINT AS events,
+        list(runs.number ORDER BY runs.number) AS numbers
     FROM runs
     INNER JOIN sizes ON runs.run_id = sizes.run_id
     INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
@@ -83,7 +84,8 @@ SELECT
     runs_unplanned,
     len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT
     * (max(last) OVER world + 1)::HUGEINT - numbered AS runs_to_rectangle,
-    events
+    events,
+    numbers
 FROM groups
 WINDOW world AS (PARTITION BY kind, source, model_version, parameter_set, seed, fleet_size, made_as)
 ORDER BY ALL
@@ -103,6 +105,7 @@ COLUMNS = (
     "runs_unplanned",
     "runs_to_rectangle",
     "events",
+    "numbers",
 )
 """The columns of `groups` that people are shown."""
 
@@ -256,12 +259,31 @@ def contents(ledger: Path, demanded: str | None = None) -> Contents:
         assert database.head is not None  # only a database over rows in memory has none
         found = lettered(models(database))
         letters = {_key(structs.asdict(one)): letter for one, letter in found}
-        groups = [{"constants": letters.get(_key(row)), **row} for row in database.rows(GROUPS)]
+        groups = [
+            {"constants": letters.get(_key(row)), **row, "numbers": ranges(row["numbers"])}
+            for row in database.rows(GROUPS)
+        ]
         planned = plans(database, Shown(ledger, open_ledger(ledger)))
         named = [_of_model(one, letter) for one, letter in found]
         missing = completeness(database).missing
         provenance = Provenance(database.head, database.rows_verified)
         return Contents(groups, named, planned, missing, provenance, tuple(never_observed(database)))
+
+
+def ranges(numbers: Sequence[int]) -> str:
+    """Return numbers in ascending order as ranges: `1-100`, `2-299 by 3`, `7, 9`."""
+    parts, at = [], 0
+    while at < len(numbers):
+        step = numbers[at + 1] - numbers[at] if at + 1 < len(numbers) else 1
+        end = at
+        while end + 1 < len(numbers) and numbers[end + 1] - numbers[end] == step:
+            end += 1
+        if end - at < 2 and step != 1:  # two apart are no range, and the second may begin one
+            end = at
+        first, last = numbers[at], numbers[end]
+        parts.append(str(first) if first == last else f"{first}-{last}" + (f" by {step}" if step > 1 else ""))
+        at = end + 1
+    return ", ".join(parts)
 
 
 def _are(number: int) -> str:

@@ -78,10 +78,8 @@ def time_of(database: "Database", what: str, asked: Time, run: str | None) -> in
     (extent,) = database.rows(_EXTENT, {"run": run})
     if time_us is not None and extent["time_us"] is not None and time_us > extent["time_us"]:
         of = "the longest run" if run is None else f"run {printable.value(run)}"
-        raise UsageError(
-            f"{what}: found {time_us / 1_000_000:g} s, expected at most {extent['time_us'] / 1_000_000:.6f} s, the last "
-            f"event of {of}"
-        )
+        last = f"{extent['time_us'] / 1_000_000:.6f} s, the last event of {of}"
+        raise UsageError(f"{what}: found {time_us / 1_000_000:.6f} s, expected at most {last}")
     return time_us
 
 

@@ -7,73 +7,69 @@ from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.proof import Proof, Proven, blocks, check_proof, prove
 from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.verified import is_verified
+
+from .lookup import run_of
+from .names import MAX_DIGITS
 
 
 def prove_event(ledger: Path, event: str, demanded: str | None = None) -> Proof:
-    """Prove the event of this name: `RUN:SEQ`, or its number in the ledger.
-
-    The beginning of the run's name is enough if no other run's name begins like it.
+    """Prove the event of this name: `RUN:SEQ`, the run as `run_of` knows it, or the event's place in the ledger.
 
     Raises:
         UsageError: There is no such event, or more than one such run.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers` and `prove`.
     """
-    view = open_for_answers(ledger)
+    asked, _, seq = event.rpartition(":")
+    if not (seq.isascii() and seq.isdecimal()) or event.startswith(":"):
+        raise UsageError(
+            f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the "
+            "event's place in the ledger"
+        )
+    run = _run(ledger, asked, demanded) if asked else None
+    view = open_for_answers(ledger)  # after the run was found, so that it is there, too
     is_verified(view, demanded)
-    proof = prove(view, _index_of(view, event))
-    _require_asked(view, event, check_proof(str(ledger), proof))
+    proof = prove(view, _index_of(view, run, seq))
+    _require_asked(view, run, seq, check_proof(str(ledger), proof))
     return proof
 
 
-def _index_of(view: LedgerView, event: str) -> int:
-    """Return the number of this event in the ledger, from 0."""
-    size = view.head.size
-    if event.isascii() and event.isdecimal():
-        if len(event) > 16 or int(event) >= size:
+def _run(ledger: Path, asked: str, demanded: str | None) -> str:
+    """Return the full name of the run. Raises: As `run_of` and `connect`."""
+    with connect(ledger, demanded=demanded) as database:
+        return run_of(database, asked)
+
+
+def _index_of(view: LedgerView, run: str | None, seq: str) -> int:
+    """Return the place in the ledger, from 0, of this event of the run; without a run it is its place already.
+
+    Raises:
+        UsageError: There is no such event.
+    """
+    if run is None:
+        if len(seq) > MAX_DIGITS or int(seq) >= view.head.size:
             raise UsageError(
-                f"EVENT {event}: found {size:,} events in {view.path}, expected a number below that, or RUN:SEQ"
+                f"EVENT {seq}: found {view.head.size:,} events in {view.path}, expected a number below that, or RUN:SEQ"
             )
-        return int(event)
-    asked, _, seq = event.rpartition(":")
-    if not asked or not (seq.isascii() and seq.isdecimal()):
+        return int(seq)
+    block = next(block for block in blocks(view) if block.run == run)
+    if len(seq) > MAX_DIGITS or int(seq) >= block.events:
         raise UsageError(
-            f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the "
-            "event's number in the ledger"
-        )
-    found = {block.run: block for block in blocks(view)}
-    names = [asked] if asked in found else sorted(name for name in found if name.startswith(asked))
-    if len(names) != 1:
-        raise UsageError(_no_run(view, asked, names, sorted(found)))
-    block = found[names[0]]
-    if len(seq) > 16 or int(seq) >= block.events:
-        raise UsageError(
-            f"EVENT {event}: found {block.events:,} events in run {block.run}, expected a seq from 0 to "
+            f"EVENT {printable.value(run)}:{seq}: found {block.events:,} events in the run, expected a seq from 0 to "
             f"{block.events - 1}"
         )
     return block.first + int(seq)
 
 
-def _require_asked(view: LedgerView, event: str, proven: Proven) -> None:
+def _require_asked(view: LedgerView, run: str | None, seq: str, proven: Proven) -> None:
     """Check that the proven event has the run and seq asked for: its place came from rows that no proof covers.
 
     Raises: LedgerCorrupted if it is not.
     """
-    run, _, seq = event.rpartition(":")
     found = proven.event
-    if run and not (str(found["run_id"]).startswith(run) and found["seq"] == int(seq)):
+    if run is not None and (found["run_id"], found["seq"]) != (run, int(seq)):
         raise LedgerCorrupted(
-            f"{view.path}: event {proven.index}: found run {found['run_id']} seq {found['seq']}, expected {event} "
-            "there; run fsar-ledger verify"
+            f"{view.path}: event {proven.index}: found run {found['run_id']} seq {found['seq']}, expected {run} seq "
+            f"{seq} there; run fsar-ledger verify"
         )
-
-
-def _no_run(view: LedgerView, asked: str, names: list[str], known: list[str]) -> str:
-    if names:
-        return (
-            f"EVENT {asked}: found {len(names)} runs that begin so, {names[0]} and {names[1]} among them, expected "
-            "one; give more of its name"
-        )
-    hint = printable.did_you_mean(asked, known) or ";"
-    way = f"`fsar-ledger query runs {printable.word(view.path)}` lists them"
-    return f"EVENT {asked}: there is no such run in {view.path}{hint} {way}"

@@ -18,11 +18,10 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.errors import FsarLedgerError, named_as_options
+from fsar_ledger.errors import FsarLedgerError, UsageError, named_as_options
 
 from . import commands
 from .memory import reading
-from .options import require_text
 from .terminal import Enough, say, show
 
 INTERRUPTED = 130
@@ -119,3 +118,16 @@ def run(arguments: Sequence[str]) -> int:
     if code == INTERRUPTED:
         say(f"interrupted; {AFTER_INTERRUPTION.get(next(iter(arguments), ''), 'nothing was changed')}")
     return code if isinstance(code, int) else 0
+
+
+def require_text(arguments: Sequence[str]) -> None:
+    """Check that every argument is UTF-8, since it may be a path, and DuckDB and JSON can name no other.
+
+    Raises: UsageError if one is not.
+    """
+    for argument in arguments:
+        if argument.encode("utf-8", "replace").decode() != argument:
+            raise UsageError(
+                f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it "
+                "another name"
+            )

@@ -6,7 +6,9 @@ from typing import Annotated
 
 import typer
 
-from fsar_ledger.errors import QueryFailed, UsageError
+from fsar_ledger.errors import QueryFailed
+
+from . import completing
 
 SHOWN_ROWS = 100
 SCENARIOS = Path(__file__).parents[1] / "runtime/world/scenarios"
@@ -87,7 +89,11 @@ QueryMemoryOption = Annotated[
 ParameterOption = Annotated[
     list[str] | None,
     typer.Option(
-        "--param", metavar="NAME=VALUE", help="A parameter of the query; may be repeated.", show_default=False
+        "--param",
+        metavar="NAME=VALUE",
+        help="A parameter of the query; may be repeated.",
+        show_default=False,
+        autocompletion=completing.parameters,
     ),
 ]
 WorkersOption = Annotated[
@@ -106,6 +112,7 @@ ArchitectureOption = Annotated[
         metavar="NAME",
         help="fsar, cfc or dhma; may be repeated.",
         show_default="all; with --without, the one that has the mechanism",
+        autocompletion=completing.architectures,
     ),
 ]
 AuditedOption = Annotated[
@@ -115,6 +122,7 @@ AuditedOption = Annotated[
         metavar="NAME",
         help="Only the runs of fsar, cfc or dhma; may be repeated.",
         show_default="all",
+        autocompletion=completing.architectures,
     ),
 ]
 InvariantOption = Annotated[
@@ -124,6 +132,7 @@ InvariantOption = Annotated[
         metavar="NAME",
         help="i1 to i5 or a1 to a5, or a whole name; may be repeated.",
         show_default="all ten",
+        autocompletion=completing.invariants,
     ),
 ]
 ScenarioOption = Annotated[
@@ -133,6 +142,7 @@ ScenarioOption = Annotated[
         metavar="NAME",
         help=f"{named_in(SCENARIOS)}; may be repeated. Or one of your own: a .toml file (docs/own-fleet.md).",
         show_default="the paper's five",
+        autocompletion=completing.scenarios,
     ),
 ]
 FleetOption = Annotated[
@@ -146,6 +156,7 @@ SetOption = Annotated[
         metavar="NAME=VALUE",
         help="A new value of a constant, such as world.review_share=0.5; may be repeated.",
         show_default=False,
+        autocompletion=completing.constants,
     ),
 ]
 WithoutOption = Annotated[
@@ -157,6 +168,7 @@ WithoutOption = Annotated[
         "(docs/model.md lists more, also of CFC and DHMA), or several of one architecture, joined by +. May be "
         "repeated, for one configuration each.",
         show_default=False,
+        autocompletion=completing.mechanisms,
     ),
 ]
 
@@ -170,6 +182,7 @@ WorkflowOption = Annotated[
             "human-supervision; may be repeated."
         ),
         show_default=False,
+        autocompletion=completing.workflows,
     ),
 ]
 FleetSizeOption = Annotated[
@@ -207,14 +220,19 @@ RunOption = Annotated[
     typer.Option(
         "--run",
         metavar="RUN",
-        help="A run, or the beginning of a name, for the first run that begins so.",
+        help="A run: its number, its name, or a part of it that no other run has.",
         show_default="the first run",
+        autocompletion=completing.runs,
     ),
 ]
 RequestOption = Annotated[
     str | None,
     typer.Option(
-        "--request", metavar="ACTION", help="The request (action) to show, as in the list.", show_default="list all"
+        "--request",
+        metavar="ACTION",
+        help="The request (action) to show, as in the list.",
+        show_default="list all",
+        autocompletion=completing.actions,
     ),
 ]
 FailureOption = Annotated[
@@ -224,6 +242,7 @@ FailureOption = Annotated[
         metavar="ACTION",
         help="The failed action whose recovery to show, level by level.",
         show_default=False,
+        autocompletion=completing.actions,
     ),
 ]
 SvgOption = Annotated[
@@ -369,16 +388,3 @@ def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
             )
         values[name] = value
     return values
-
-
-def require_text(arguments: Sequence[str]) -> None:
-    """Check that every argument is UTF-8, since it may be a path, and DuckDB and JSON can name no other.
-
-    Raises: UsageError if one is not.
-    """
-    for argument in arguments:
-        if argument.encode("utf-8", "replace").decode() != argument:
-            raise UsageError(
-                f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it "
-                "another name"
-            )

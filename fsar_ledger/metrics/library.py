@@ -48,8 +48,8 @@ _VERSIONED = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 class Query(msgspec.Struct, frozen=True):
     """One relation that SQL can name: a packaged file, or a view that is generated from an event type.
 
-    `name` is `folder/relation`; `tags` are the event types whose view it is; `nothing` selects the same columns where no
-    such event exists.
+    `name` is `folder/relation`; `tags` are the event types whose view it is; `nothing` selects the same columns where
+    no such event exists.
     """
 
     name: str

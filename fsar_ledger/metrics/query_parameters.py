@@ -1,7 +1,7 @@
 """The parameters of packaged queries: their kinds, what people give, and what the SQL gets.
 
-`Parameters: run: run = all, at: time = end` in the header of a query names two. The kind decides how the text of a value
-is understood (`api/lookup.py`). People give a time in seconds as `at`; the SQL gets microseconds as `$at_us`.
+`Parameters: run: run = all, at: time = end` in the header of a query names two. The kind decides how the text of a
+value is understood (`api/lookup.py`). People give a time in seconds as `at`; the SQL gets microseconds as `$at_us`.
 """
 
 from collections.abc import Collection, Mapping
@@ -57,8 +57,8 @@ def parse_parameters(query: str, text: str) -> dict[str, Parameter]:
         name, _, kind = (piece.strip() for piece in named.partition(":"))
         if kind not in KINDS:
             raise InvalidQuery(
-                f"queries/{query}.sql: found {printable.value(part)} among the parameters, expected NAME: KIND or NAME: "
-                f"KIND = DEFAULT{printable.did_you_mean(kind, KINDS) or ';'} a kind is one of {', '.join(KINDS)}"
+                f"queries/{query}.sql: found {printable.value(part)} among the parameters, expected NAME: KIND or "
+                f"NAME: KIND = DEFAULT{printable.did_you_mean(kind, KINDS) or ';'} a kind is one of {', '.join(KINDS)}"
             )
         parameters[name] = Parameter(name, kind, default if equals else None)
     return parameters
@@ -75,9 +75,7 @@ def require_known(query: "Query", given: Collection[str], known: Collection[str]
     else:
         hint = printable.did_you_mean(unknown[0], known)
     named = ", ".join(map(printable.value, unknown))
-    raise UnknownQuery(
-        f"query {query.name}: found parameter {named}; it has these: {', '.join(known) or 'none'}{hint}"
-    )
+    raise UnknownQuery(f"query {query.name}: found parameter {named}; it has these: {', '.join(known) or 'none'}{hint}")
 
 
 def values(query: "Query", given: Mapping[str, str]) -> dict[str, str]:

@@ -29,7 +29,7 @@ WITH told AS (
         MAP {
             'capability': capability, 'cause': cause, 'result': result, 'purpose': purpose, 'reason': reason,
             'candidates': coalesce(nullif(array_to_string(candidates, ', '), ''), 'none'),
-            'outcome': outcome, 'policy': 'policy ' || outcome, 'override': override, 'number': number::VARCHAR,
+            'outcome': outcome, 'policy': 'policy ' || outcome, 'override': override, 'number': events.number::VARCHAR,
             'answer': if(is_accepted, 'accepted', coalesce('asks ' || override, 'let go')),
             'level': level, 'levels': level || ' to ' || to_level,
             'checkpoint': if(helper IS NULL, 'not feasible', coalesce(checkpoint, 'from the last step boundary')),

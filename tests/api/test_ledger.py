@@ -41,7 +41,8 @@ def test_a_run_is_found_by_a_part_that_only_one_has(ledger: fsar_ledger.Ledger) 
         ({"since": 3.0, "until": 3.0}, "expected an earlier time first"),
         ({"since": -1.0}, "expected seconds of run time"),
         ({"until": float("nan")}, "expected seconds of run time"),
-        ({"since": "3"}, "expected seconds of run time"),
+        ({"since": "3 minutes"}, "expected seconds of run time"),
+        ({"since": 100_000}, "expected at most .* s, the last event of the longest run"),
         ({"run": ""}, "there is no such run"),
     ],
 )
@@ -104,8 +105,11 @@ def test_the_state_at_a_time_is_what_the_events_until_then_make(ledger: fsar_led
 def test_a_time_of_a_question_is_in_seconds(ledger: fsar_ledger.Ledger) -> None:
     asked = {"run": RUN, "robot": "B1"}
     found = ledger.query("audit/robot_state_at", **asked, at=20).rows()
-    assert found == ledger.query("audit/robot_state_at", **asked, at_us=20_000_000).rows()
     assert found
+    for same in (20.0, "20", "20s", "20 s", "20000ms"):
+        assert ledger.query("audit/robot_state_at", **asked, at=same).rows() == found
+    with pytest.raises(UnknownQuery, match=r"found parameter at_us; .*; at is the time, as in at=46\.6, at=46\.6s or"):
+        ledger.query("audit/robot_state_at", **asked, at_us=20_000_000)
     with pytest.raises(UsageError, match="expected seconds"):
         ledger.query("audit/robot_state_at", **asked, at="soon")
 

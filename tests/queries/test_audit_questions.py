@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from fsar_ledger.api.lookup import parameters_of
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.database import Database, connect, plain_rows
 from fsar_ledger.metrics.library import library
@@ -220,7 +221,8 @@ def test_the_example_of_each_question_runs_and_says_what_it_answers(real: Databa
     assert (call, bool(answers and text)) == (["fsar-ledger", "query", name, "LEDGER"], True)
     given = dict(re.findall(r"--param (\w+)=(\S+)", " ".join(options)))
     assert len(options) == 2 * len(given)
-    real.query(name, {key: "all" if value == "RUN" else value for key, value in given.items()})
+    shown = {key: "all" if value == "RUN" else value for key, value in given.items()}
+    real.query(name, parameters_of(real, library().find(name), shown))
 
 
 @pytest.mark.parametrize("name", [name for name in QUESTIONS if "run" in library().find(name).parameters])

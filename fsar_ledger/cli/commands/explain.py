@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 EXAMPLES = examples(
     "fsar-ledger explain out/ledger",
     "fsar-ledger explain out/ledger --request A1-1/2.1",
-    "fsar-ledger explain out/ledger --run cfc.full.door-relay --request A1-1/2.1 --svg out/request.svg",
-    "fsar-ledger explain out/ledger --run fsar.full.failure-recovery-chain --json",
+    "fsar-ledger explain out/ledger --run cfc.full.door-relay.n4.s42.r0000 --request A1-1/2.1 --svg out/request.svg",
+    "fsar-ledger explain out/ledger --run 61 --json",
 )
 
 Kind = Literal["svg", "pdf"]
@@ -81,7 +81,7 @@ def explain(
         require_outside(path, f"--{kind} {path}")
     asked = opened(ledger, verified=verified)
     with asked.database() as database:
-        name = chosen_run(database, ledger, run, lambda part, names: _first(ledger, part, names))
+        name = chosen_run(database, ledger, run)
         if request is None and failure is None:
             listed = requests(database, name)
         else:
@@ -119,19 +119,6 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Timeline:
         }
         for row in rows
     ]
-
-
-def _first(ledger: Path, asked: str, names: Sequence[str]) -> str:
-    """Return the run of this name, else the first whose name begins so."""
-    if asked in names:
-        return asked
-    beginning = sorted(name for name in names if name.startswith(asked)) if asked else []
-    if not beginning:
-        raise UsageError(
-            f"--run {asked}: there is no such run in {ledger}{printable.did_you_mean(asked, names) or ';'} "
-            f"`fsar-ledger query runs {printable.word(ledger)}` lists them"
-        )
-    return beginning[0]
 
 
 def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from fsar_ledger import printable
+from fsar_ledger.cli import completing
 from fsar_ledger.cli.options import LedgerArgument, ParameterOption, RawOption, VerifiedOption, examples, parameters_of
 from fsar_ledger.cli.terminal import show
 
@@ -25,7 +26,13 @@ def export(
     ],
     name: Annotated[
         str | None,
-        typer.Option("--query", metavar="NAME", help="Export the answer of this query.", show_default="every event"),
+        typer.Option(
+            "--query",
+            metavar="NAME",
+            help="Export the answer of this query.",
+            show_default="every event",
+            autocompletion=completing.queries,
+        ),
     ] = None,
     param: ParameterOption = None,
     raw: RawOption = False,

@@ -14,7 +14,7 @@ from fsar_ledger.printable import Shown
 
 EXAMPLES = examples(
     "fsar-ledger prove out/ledger 1234 --out out/event-1234.tlog-proof",
-    "fsar-ledger prove out/ledger fsar.full.door-relay.n4.s42.r0000:12",
+    "fsar-ledger prove out/ledger 1:12",
 )
 
 
@@ -25,8 +25,8 @@ def prove(
         typer.Argument(
             metavar="EVENT",
             help=(
-                "RUN:SEQ, a run (the beginning of its name, if no other begins so) and a seq in it; or the event's "
-                "number in the ledger, from 0."
+                "RUN:SEQ, a run (its number, its name, or a part of it that no other run has) and a seq in it; a bare "
+                "number is the event's place in the ledger, from 0."
             ),
             show_default=False,
         ),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
+from fsar_ledger.cli import completing
 from fsar_ledger.cli.memory import bounded
 from fsar_ledger.cli.options import (
     SHOWN_ROWS,
@@ -41,7 +42,12 @@ EXAMPLES = examples(
 def query(
     name: Annotated[
         str | None,
-        typer.Argument(metavar="NAME", help="A name of `query --list`; its last part is enough.", show_default=False),
+        typer.Argument(
+            metavar="NAME",
+            help="A name of `query --list`; its last part is enough.",
+            show_default=False,
+            autocompletion=completing.queries,
+        ),
     ] = None,
     ledger: Annotated[
         Path | None, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)
