@@ -70,6 +70,6 @@ def _require_asked(view: LedgerView, run: str | None, seq: str, proven: Proven) 
     found = proven.event
     if run is not None and (found["run_id"], found["seq"]) != (run, int(seq)):
         raise LedgerCorrupted(
-            f"{view.path}: event {proven.index}: found run {found['run_id']} seq {found['seq']}, expected {run} seq "
-            f"{seq} there; run fsar-ledger verify"
+            f"{view.path}: event {proven.index}: found run {found['run_id']} seq {found['seq']}, expected "
+            f"{run}:{seq} there; run fsar-ledger verify"
         )

@@ -35,12 +35,22 @@ def offering(offer: Callable[[Line], Iterable[str]]) -> Callable[[typer.Context,
 
     def offered(ctx: typer.Context, incomplete: str) -> list[str]:
         try:
-            found = [name for name in offer(Line(ctx.params, incomplete)) if name.startswith(incomplete)]
+            found = [name for name in offer(Line(_given(ctx), incomplete)) if name.startswith(incomplete)]
         except (FsarLedgerError, OSError):
             return []
         return [name for name in found if printable.is_shown(name) and not any(map(str.isspace, name))][:MOST]
 
     return offered
+
+
+def _given(ctx: typer.Context) -> dict[str, Any]:
+    """Return the arguments and options by name.
+
+    After an option that still lacks its value, which is the one being typed, the arguments are not yet by name.
+    """
+    lacking = [one.name for one in ctx.command.params if one.param_type_name == "argument"]
+    by_place = {name: value for name, value in zip(lacking, ctx.args, strict=False) if name is not None}
+    return {**ctx.params, **by_place}
 
 
 @offering

@@ -86,7 +86,9 @@ def test_the_supervisor_who_ordered_two_requests_is_named_in_both(call: Call, wo
 
 @pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma"])
 def test_requests_of_every_architecture_can_be_told(call: Call, ledger: Path, architecture: str) -> None:
-    listed = json.loads(call("explain", ledger, "--run", architecture, "--json").out)
+    listed = json.loads(
+        call("explain", ledger, "--run", f"{architecture}.full.failure-recovery-chain.n4.s7.r0000", "--json").out
+    )
     assert listed["run"].startswith(architecture)
     failed = [row for row in listed["requests"] if row["failures"]]
     for row in listed["requests"][:2] + failed[:1]:
@@ -97,9 +99,9 @@ def test_requests_of_every_architecture_can_be_told(call: Call, ledger: Path, ar
 
 
 def test_records_that_only_a_cause_ties_are_marked_and_unknown_parties_said(call: Call, ledger: Path) -> None:
-    listed = json.loads(call("explain", ledger, "--run", "cfc", "--json").out)
+    listed = json.loads(call("explain", ledger, "--run", "cfc.full.failure-recovery-chain.n4.s7.r0000", "--json").out)
     request = next(row["action_id"] for row in listed["requests"] if row["allowed_by"])
-    said = call("explain", ledger, "--run", "cfc", "--request", request).out
+    said = call("explain", ledger, "--run", "cfc.full.failure-recovery-chain.n4.s7.r0000", "--request", request).out
     assert " * " in said
     assert "* the record names no action; its cause does" in said
 

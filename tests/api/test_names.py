@@ -1,0 +1,205 @@
+"""One way to name things: runs by name, number or part, robots by their short names, times with their unit."""
+
+from decimal import Decimal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import fsar_ledger
+from fsar_ledger.api.info import ranges
+from fsar_ledger.api.lookup import action_of
+from fsar_ledger.api.names import MAX_SECONDS, microseconds, run_named
+from fsar_ledger.errors import InvalidQuery, UnknownQuery, UsageError
+from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.store.proof import blocks
+from fsar_ledger.metrics.library import library, parse
+from fsar_ledger.metrics.query_parameters import KINDS, Parameter
+from tests.api.conftest import RUN
+from tests.queries.test_every_query import HEADER
+
+NAMES = ("fsar.door.r0000-12ab", "cfc.door.r0000-34cd", "fsar.door.r0001-7", "7")
+TYPING_ERRORS = {
+    "run": ("fsar.full.dor-relay", "no such run; did you mean fsar.full.door-relay"),
+    "robot": ("B9", "no such robot; did you mean robot/"),
+    "supervisor": ("B9", "no such supervisor; did you mean supervisor/"),
+    "action": ("A1-1/2.11", "no such action; did you mean A1-1/2.1"),
+    "capability": ("door.opne", "no such capability; did you mean door.open"),
+    "context": ("A1-11", "no such context; did you mean A1-1"),
+    "reason": ("polcy", "no such reason; did you mean policy"),
+    "record": ("handof", "no such kind of record; did you mean handoff"),
+    "architecture": ("fsra", "no such architecture; did you mean fsar"),
+    "claim": ("atempted", "no such claim; did you mean attempted"),
+    "case": ("5", "no such case number; expected one of 1, 2, 3, 4"),
+    "seq": ("100000", "no such event of any run, expected a number from 0 to"),
+    "time": ("46.6 minutes", "expected seconds of run time, 0 or more, as 46.6, 46.6s or 46600ms"),
+}
+PARAMETERS = [(query.name, one) for query in library().queries.values() for one in query.parameters.values()]
+
+
+def test_a_run_is_named_in_full_by_its_number_or_by_a_part_that_no_other_has() -> None:
+    assert run_named("cfc.door.r0000-34cd", NAMES) == "cfc.door.r0000-34cd"
+    assert run_named("2", NAMES) == "cfc.door.r0000-34cd"
+    assert run_named("r0001", NAMES) == "fsar.door.r0001-7"
+    assert run_named("plan.n4", NAMES, ["plan.n4.s42"]) == "plan.n4.s42"
+
+
+def test_digits_are_the_number_of_a_run_even_where_names_hold_them() -> None:
+    assert run_named("1", NAMES[:3]) == NAMES[0]
+    for asked in ("0", "4", "12", "9" * 40):
+        with pytest.raises(UsageError, match="no run of this number, expected a number from 1 to 3"):
+            run_named(asked, NAMES[:3])
+    with pytest.raises(UsageError, match="there is no run$|there is no run;"):
+        run_named("1", [])
+
+
+def test_a_part_that_several_runs_have_lists_them_with_their_numbers() -> None:
+    with pytest.raises(UsageError, match=r"found 2 runs .* cfc\.door\.r0000-34cd \(number 2\), fsar\..* \(number 1\)"):
+        run_named("r0000", NAMES)
+
+
+def test_a_plan_has_a_name_and_no_number() -> None:
+    with pytest.raises(UsageError, match="from 1 to 3"):
+        run_named("4", NAMES[:3], ["plan.n4.s42"])
+
+
+def test_numbers_of_runs_are_their_places_in_the_ledger(ledger: fsar_ledger.Ledger) -> None:
+    rows = ledger.runs().rows()
+    known = {row["run_id"] for row in rows}
+    placed = [block.run for block in blocks(open_for_answers(ledger.path)) if block.run in known]
+    numbered = sorted(rows, key=lambda row: row["number"])
+    assert ledger.runs().columns[0] == "number"
+    assert [row["run_id"] for row in numbered] == placed
+    assert [row["number"] for row in numbered] == list(range(1, len(placed) + 1))
+    asked = ledger.sql("SELECT number, run_id FROM runs ORDER BY number").rows()
+    assert asked == [{"number": row["number"], "run_id": row["run_id"]} for row in numbered]
+
+
+def test_every_method_takes_the_number_of_a_run(ledger: fsar_ledger.Ledger) -> None:
+    number, run = next((str(row["number"]), row["run_id"]) for row in ledger.runs() if RUN in row["run_id"])
+    assert {one.run for one in ledger.events(number)} == {run}
+    assert ledger.state(number) == ledger.state(run)
+    assert ledger.query("audit/requests", run=number).rows() == ledger.query("audit/requests", run=run).rows()
+    assert ledger.query("audit/requests", run=int(number)).rows() == ledger.query("audit/requests", run=run).rows()
+    assert ledger.requests(number).rows() == ledger.requests(run).rows()
+    assert str(ledger.prove(f"{number}:12")) == str(ledger.prove(f"{run}:12"))
+    assert ledger.prove(number).index == int(number), "a bare number is the place of an event"
+
+
+@given(st.integers(0, MAX_SECONDS * 1_000_000))
+def test_a_time_as_text_is_the_time_to_the_microsecond(time_us: int) -> None:
+    seconds, millis = Decimal(time_us) / 1_000_000, Decimal(time_us) / 1_000
+    for text in (f"{seconds:f}", f"{seconds:f}s", f"{seconds:f} s", f"{millis:f}ms", f" {millis:f} ms"):
+        assert microseconds("at", text) == time_us
+
+
+@given(st.floats(0, 1_000_000))
+def test_a_time_as_a_number_is_the_nearest_microsecond(seconds: float) -> None:
+    found = microseconds("at", seconds)
+    assert found is not None
+    assert abs(found - seconds * 1_000_000) <= 0.501
+    assert microseconds("at", f"{seconds:.6f}") in (found - 1, found, found + 1)
+
+
+@pytest.mark.parametrize(
+    "asked", ["", "s", "-1", "1e3", "46,6", "46.6us", "1 min", "nan", "inf", "٣", "9" * 17, True, -0.1, float("inf")]
+)
+def test_what_is_no_time_is_an_error(asked: float | str) -> None:
+    with pytest.raises(UsageError, match=r"at: found .*, expected seconds of run time, 0 or more, as 46\.6, 46\.6s or"):
+        microseconds("at", asked)
+
+
+def test_no_time_stays_none() -> None:
+    assert microseconds("at", None) is None
+
+
+@pytest.mark.parametrize(("name", "one"), PARAMETERS, ids=[f"{name}:{one.name}" for name, one in PARAMETERS])
+def test_a_typing_error_in_a_parameter_is_an_error_with_the_nearest(
+    ledger: fsar_ledger.Ledger, name: str, one: Parameter
+) -> None:
+    wrong, message = TYPING_ERRORS[one.kind]
+    with pytest.raises(UsageError, match=message) as caught:
+        ledger.query(name, **{one.name: wrong})
+    assert caught.value.exit_code == 2
+
+
+def test_every_kind_of_parameter_is_used_and_has_its_typing_error() -> None:
+    assert set(KINDS) == {one.kind for _, one in PARAMETERS} == set(TYPING_ERRORS)
+
+
+@pytest.mark.parametrize("name", sorted({name for name, one in PARAMETERS if one.kind == "time"}))
+def test_a_time_after_the_run_is_an_error_that_says_when_it_ends(ledger: fsar_ledger.Ledger, name: str) -> None:
+    last = max(one.time_us for one in ledger.events(RUN)) / 1_000_000
+    assert ledger.query(name, run=RUN, at=last).rows() == ledger.query(name, run=RUN, at="end").rows()
+    with pytest.raises(UsageError, match=rf"expected at most {last:.6f} s, the last event of run fsar"):
+        ledger.query(name, run=RUN, at=last + 0.000001)
+    with pytest.raises(UsageError, match="the last event of the longest run"):
+        ledger.query(name, at=100_000)
+
+
+def test_a_time_after_the_run_is_an_error_for_events_and_states(ledger: fsar_ledger.Ledger) -> None:
+    for ask in (lambda: ledger.events(RUN, since="100000s"), lambda: ledger.state(RUN, "100000000ms")):
+        with pytest.raises(UsageError, match="the last event of run fsar"):
+            ask()
+    assert list(ledger.events(RUN, since="10s", until="20000ms")) == list(ledger.events(RUN, since=10, until=20))
+
+
+def test_an_action_of_another_run_is_not_one_of_this(ledger: fsar_ledger.Ledger) -> None:
+    with ledger.database() as database:
+        runs = [str(row["run_id"]) for row in ledger.runs()]
+        action = next(str(row["action_id"]) for row in ledger.requests(runs[0]))
+        assert action_of(database, action, runs[0]) == action == action_of(database, action, None)
+        with pytest.raises(UsageError, match="no such action; did you mean"):
+            action_of(database, f"{action}9", runs[0])
+
+
+def test_a_name_that_is_known_and_has_no_row_answers_an_empty_table(ledger: fsar_ledger.Ledger) -> None:
+    assert ledger.query("audit/refusals", run=RUN, reason="override").rows() == []
+    assert ledger.query("cases/case_events", architecture="dhma", claim="attempted").rows() == []
+
+
+def test_a_parameter_of_none_has_its_default(ledger: fsar_ledger.Ledger) -> None:
+    assert ledger.query("audit/refusals", run=None).rows() == ledger.query("audit/refusals").rows()
+
+
+def test_the_old_name_of_a_time_is_an_error_that_says_the_new_one(ledger: fsar_ledger.Ledger) -> None:
+    with pytest.raises(UnknownQuery, match=r"found parameter at_us; .*; at is the time, as in at=46\.6, at=46\.6s or"):
+        ledger.query("audit/policy_at", at_us=46.6)
+    with pytest.raises(UnknownQuery, match=r"found parameter robt; .*; did you mean robot"):
+        ledger.query("audit/policy_at", robt="B1")
+
+
+def test_parameters_in_a_header_have_a_kind_and_a_default() -> None:
+    query = parse("audit/x", HEADER + "-- Parameters: run: run = all, at: time = end, seq: seq\nSELECT 1")
+    assert query.parameters == {
+        "run": Parameter("run", "run", "all"),
+        "at": Parameter("at", "time", "end"),
+        "seq": Parameter("seq", "seq"),
+    }
+    assert " ".join(map(str, query.parameters.values())) == "run=all at=end seq="
+    assert (query.parameters["at"].sql_name, query.parameters["at"].sql_default) == ("at_us", str(2**53 - 1))
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"), [("robot: robt = all", "did you mean robot"), ("robot = all", "a kind is one of run, robot")]
+)
+def test_a_parameter_of_an_unknown_kind_is_refused_with_the_nearest(text: str, hint: str) -> None:
+    with pytest.raises(InvalidQuery, match=hint):
+        parse("audit/x", f"{HEADER}-- Parameters: {text}\nSELECT 1")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "shown"),
+    [
+        ([], ""),
+        ([3], "3"),
+        ([1, 2], "1-2"),
+        ([201, 202, 203], "201-203"),
+        ([2, 5, 8], "2-8 by 3"),
+        ([1, 4], "1, 4"),
+        ([1, 5, 6, 7], "1, 5-7"),
+        ([1, 3, 5, 6, 7], "1-5 by 2, 6-7"),
+    ],
+)
+def test_numbers_of_runs_are_shown_as_ranges(numbers: list[int], shown: str) -> None:
+    assert ranges(numbers) == shown

@@ -1,0 +1,58 @@
+"""What a shell offers for the word that is being typed, asked as bash asks."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import in_a_process
+
+
+def completed(*words: object) -> list[str]:
+    """Return what is offered for the last word of the line."""
+    line = ["fsar-ledger", *map(str, words)]
+    asked = {
+        "_FSAR_LEDGER_COMPLETE": "complete_bash",
+        "COMP_WORDS": "\n".join(line),
+        "COMP_CWORD": str(len(line) - 1),
+    }
+    called = in_a_process(surroundings=asked)
+    assert (called.code, called.err) == (0, "")
+    return called.out.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        (("simulate", "out", "--scenario", "f"), ["failure-recovery-chain", "fleet-contention"]),
+        (("simulate", "out", "--workflow", "l"), ["layered-recovery"]),
+        (("simulate", "out", "--architecture", ""), ["fsar", "cfc", "dhma"]),
+        (("simulate", "out", "--without", "trust"), ["trust-evaluation"]),
+        (("simulate", "out", "--without", "trust-evaluation+policy-c"), ["trust-evaluation+policy-composition"]),
+        (("simulate", "out", "--set", "world.review"), ["world.review_share="]),
+        (("query", "audit/policy"), ["audit/policy_at", "audit/policy_known_at"]),
+        (("query", "policy_a"), ["policy_at"]),
+        (("export", "out", "--query", "audit/ref"), ["audit/refusals"]),
+        (("audit", "out", "--invariant", "a"), ["a1", "a2", "a3", "a4", "a5"]),
+        (("exp",), ["export", "explain"]),
+        (("query", "policy_at", "nowhere", "--param", "r"), ["run=", "robot="]),
+        (("explain", "nowhere", "--run", ""), []),
+    ],
+)
+def test_names_are_completed_without_a_ledger(words: tuple[str, ...], offered: list[str]) -> None:
+    assert completed(*words) == offered
+
+
+def test_runs_requests_and_values_are_those_of_the_ledger_on_the_line(ledger: Path) -> None:
+    (run,) = completed("explain", ledger, "--run", "cfc.full.door-relay.n4.s7.r0001")
+    assert re.fullmatch(r"cfc\.full\.door-relay\.n4\.s7\.r0001-[0-9a-f]+", run)
+    assert "A1-1/2.1" in completed("explain", ledger, "--run", run, "--request", "A1-1/")
+    assert completed("query", "policy_at", ledger, "--param", "robot=robot/A") == ["robot=robot/A1"]
+    assert completed("query", "policy_at", ledger, "--param", f"run={run[:-3]}") == [f"run={run}"]
+    assert completed("query", "policy_at", ledger, "--param", f"run={run}", "--param", "at=") == ["at=end"]
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_that_a_shell_needs_is_shown(shell: str) -> None:
+    called = in_a_process("--show-completion", shell)
+    assert (called.code, "_FSAR_LEDGER_COMPLETE" in called.out) == (0, True)
