@@ -49,7 +49,7 @@ def test_digits_are_the_number_of_a_run_even_where_names_hold_them() -> None:
     for asked in ("0", "4", "12", "9" * 40):
         with pytest.raises(UsageError, match="no run of this number, expected a number from 1 to 3"):
             run_named(asked, NAMES[:3])
-    with pytest.raises(UsageError, match="there is no run$|there is no run;"):
+    with pytest.raises(UsageError, match=r"there is no run$|there is no run;"):
         run_named("1", [])
 
 
