@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from fsar_ledger.errors import UsageError, option
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows import codec
@@ -15,6 +16,7 @@ from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.verified import is_verified
 
+from .names import Time, microseconds
 from .provenance import of_rows
 from .table import Table
 
@@ -25,6 +27,17 @@ if TYPE_CHECKING:
 _ENVELOPE = {field.name for field in ENVELOPE}
 NAMING = {name: kind for name, kind in COLUMNS.items() if name not in _ENVELOPE and kind in ("string", "strings")}
 """The columns that can name a robot."""
+
+
+def span(since: Time, until: Time) -> tuple[int | None, int | None]:
+    """Return both times in microseconds. Raises: UsageError if one is no time, or the second is not later."""
+    since_us, until_us = microseconds(option("since"), since), microseconds(option("until"), until)
+    if since_us is not None and until_us is not None and since_us >= until_us:
+        raise UsageError(
+            f"{option('since', since)} and {option('until', until)}: expected an earlier time first; the second itself "
+            "is not included"
+        )
+    return since_us, until_us
 
 
 class LoggedEvent(NamedTuple):

@@ -11,6 +11,7 @@ from fsar_ledger.ledger.store.opening import open_for_answers
 from .integrity import Integrity
 from .lookup import parameters_of, robot_of, run_of, time_of
 from .names import By, Place, Pool, Time, by_scenario, microseconds, names_of, pools_seeds
+from .timelines import Timelines
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from .table import Table
 
 
-class Ledger(Integrity):
+class Ledger(Timelines, Integrity):
     """A ledger to query. Each answer holds for the newest commit at that moment, and names its head.
 
     A run is given by its name, its number (`runs()`), or a part of its name that no other run has; a robot as `B1` or
@@ -79,13 +80,9 @@ class Ledger(Integrity):
         Raises:
             UsageError: There is no such run or robot, `since` is after the last event, or `until` not after `since`.
         """
-        from .events import Events, Filter
+        from .events import Events, Filter, span
 
-        since_us, until_us = microseconds("since", since), microseconds("until", until)
-        if since_us is not None and until_us is not None and since_us >= until_us:
-            raise UsageError(
-                f"since {since} and until {until}: expected an earlier time first; until itself is not included"
-            )
+        since_us, until_us = span(since, until)
         if run is not None or robot is not None or since is not None:
             with self.database() as database:
                 run = None if run is None else run_of(database, run)

@@ -26,7 +26,7 @@ from .terminal import Enough, say, show
 
 INTERRUPTED = 130
 ORDER = (
-    *("simulate", "info", "metrics", "statistics", "compare", "multiverse", "query", "sql", "export", "explain"),
+    *("simulate", "info", "metrics", "statistics", "compare", "multiverse", "query", "sql", "export", "explain", "log"),
     *("audit", "verify", "prove", "verify_proof", "key", "witness", "recover", "report"),
     *("calibrate", "predict", "judge", "sensitivity", "reproduce"),
 )

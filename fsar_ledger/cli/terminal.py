@@ -6,7 +6,9 @@ is too long continues on the next one behind a mark, so that no line of the scre
 
 import io
 import os
+import select
 import sys
+import time
 from contextlib import suppress
 from typing import TextIO
 
@@ -33,6 +35,18 @@ def show(text: Shown, *, raw: bool = False) -> None:
     Raises: Enough if the reader has closed it; WriteFailed.
     """
     _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.sanitized(text))
+
+
+def pause(seconds: float) -> None:
+    """Wait this long. Raises: Enough as soon as the reader of stdout has closed it."""
+    try:
+        look = select.poll()
+        look.register(sys.stdout.fileno(), 0)  # no event but that the other end has gone
+    except (OSError, ValueError):
+        time.sleep(seconds)
+        return
+    if look.poll(seconds * 1_000):
+        raise Enough
 
 
 def say(*messages: str) -> None:

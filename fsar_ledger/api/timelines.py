@@ -1,0 +1,84 @@
+"""The methods of `Ledger` that tell runs event by event, in words."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fsar_ledger.errors import UsageError
+
+from .names import Time
+
+if TYPE_CHECKING:
+    from .log import Pause
+    from .table import Table
+
+
+class Timelines:
+    """The part of `Ledger` that tells a run in order."""
+
+    path: Path
+    _demanded: str | None
+
+    def log(
+        self,
+        run: str | None = None,
+        since: Time = None,
+        until: Time = None,
+        robot: str | None = None,
+        about: str | Sequence[str] | None = None,
+    ) -> "Table":
+        """Return a readable line for each event of a run: who tells whom what, or does what, and when.
+
+        Args:
+            run: The run; None: the first; `all`: every run.
+            since: Only from this time on.
+            until: Only before this time.
+            robot: Only events that name this robot.
+            about: Only events of these concerns, such as `requests` or `policy,trust`.
+
+        Raises:
+            UsageError: There is no such run, robot or concern, the run has ended before `since`, or `until` is not
+                after `since`.
+        """
+        from fsar_ledger.metrics.database import connect
+
+        from .log import asked_of, timeline
+
+        with connect(self.path, demanded=self._demanded) as database:
+            return timeline(database, asked_of(database, self.path, run, since, until, robot, about))
+
+    def stream_log(
+        self,
+        since: Time = None,
+        until: Time = None,
+        robot: str | None = None,
+        about: str | Sequence[str] | None = None,
+        *,
+        pause: "Pause | None" = None,
+    ) -> "Iterator[Table]":
+        """Yield the lines of all runs, as `log`, a table for each commit; with `pause`, go on as the ledger grows.
+
+        Args:
+            since: As in `log`.
+            until: As in `log`.
+            robot: As in `log`.
+            about: As in `log`.
+            pause: Called before each look for more commits, to wait a moment; None: end after those that are there.
+
+        Raises:
+            UsageError: As `log`; or `pause` is given, and only rows that were compared with the root will do.
+            LedgerCorrupted: The ledger was damaged or replaced.
+        """
+        from fsar_ledger.metrics.database import connect
+
+        from .log import ALL, about_of, asked_of, stream
+
+        if pause is not None and self._demanded is not None:
+            raise UsageError(
+                "rows that will be committed later cannot have been compared with the root yet: expected a ledger that "
+                "was opened without demanding that, or no waiting for more"
+            )
+        with connect(self.path, demanded=self._demanded) as database:
+            asked = asked_of(database, self.path, ALL, since, until, robot, about, is_growing=pause is not None)
+            provenance = about_of(database, asked)
+        return stream(self.path, asked, provenance, self._demanded, pause)

@@ -1,0 +1,65 @@
+-- Title: What no timeline of a request tells: who does what alone, what befalls a robot, and who sets which rule
+-- Paper: sec:model, sec:evaluation:simulator
+-- Grain: one row per event of a type of facts/occurrence_words; claims of authority only if they revoke nothing
+-- Key: run_id, seq
+-- Units: time_us microseconds of run time
+-- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is
+--   nothing to add. A deed of one's own, and what befalls one, has the same sender and receiver
+-- Example: fsar-ledger query facts/occurrences LEDGER
+WITH told AS (
+    SELECT
+        events.run_id, events.seq, events.time_us, events.type, events.action_id, words.words,
+        MAP {
+            'robot': robot, 'peer': peer, 'requester': requested_by, 'decider': decided_by, 'claimant': claimant,
+            'issuer': issued_by, 'holder': holder, 'on_shift': supervisor, 'task': task_id,
+            'robots': coalesce(robot, 'every robot'), 'role': 'role ' || role, 'peer_role': 'role ' || peer_role,
+            'registry': 'service/registry', 'coordinator': 'coordinator', 'run': 'run', 'experiment': 'experiment'
+        } AS parties,
+        words.sender, words.receiver, words.detail,
+        MAP {
+            'begins': coalesce(concat_ws(' ', architecture, configuration, scenario), source),
+            'planned': run_count || ' runs of each architecture, configuration and scenario',
+            'role': role, 'capability': capability, 'availability': availability, 'scope': scope, 'window': "window",
+            'thresholds': promote_after || ' successes promote, ' || downgrade_after || ' failures downgrade',
+            'rule': scope || ' ' || outcome, 'phase': phase_ppm || ' ppm', 'obstruction': obstruction, 'grade': grade,
+            'peer': peer, 'task': task_id, 'dimension': dimension, 'granted': 'override ' || override,
+            'reason': reason, 'operation': operation, 'outcome': outcome, 'item': item, 'command': command,
+            'density': if(review_every = 0, 'no reviews', 'a review every ' || review_every || ' admissions'),
+            'budget': level || ', ' || n_max || ' attempts within ' || (t_max_us / 1000000) || ' s'
+        } AS details,
+        concat_ws(
+            '; ',
+            CASE WHEN events.type = 'RobotJoined.v1' THEN 'team ' || team END,
+            CASE WHEN events.type = 'RobotJoined.v1' THEN 'supervisor ' || supervisor END,
+            'in ' || nullif(domain, ''), 'at ' || place, 'version ' || version, 'successor ' || successor,
+            CASE WHEN words.detail IS DISTINCT FROM 'capability' THEN capability END, 'in context ' || context,
+            CASE WHEN words.detail = 'window' THEN concat_ws(' ', scope, outcome) END,
+            CASE WHEN events.type = 'ContextChanged.v1' THEN 'window ' || "window" END,
+            'visible ' || visibility, CASE WHEN words.detail IS DISTINCT FROM 'availability' THEN availability END,
+            CASE
+                WHEN candidates IS NOT NULL
+                    THEN 'candidates: ' || coalesce(nullif(array_to_string(candidates, ', '), ''), 'none')
+            END,
+            'left out: ' || nullif(array_to_string(
+                list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '
+            ), ''),
+            len(steps) || ' steps', 'budget ' || (budget_us / 1000000) || ' s', 'due ' || (due_us / 1000000) || ' s',
+            'step ' || step, 'attempt ' || attempt, 'with a robot of role ' || target_role,
+            CASE WHEN robot <> on_behalf_of THEN 'for ' || on_behalf_of END,
+            'as of ' || (as_of_us / 1000000) || ' s', 'until ' || (until_us / 1000000) || ' s',
+            'done at ' || (ready_us / 1000000) || ' s',
+            'about ' || subject, CASE WHEN words.detail IS DISTINCT FROM 'reason' THEN reason END,
+            CASE WHEN words.sender <> 'decider' THEN 'decided by ' || nullif(decided_by, coalesce(robot, '')) END
+        ) AS note
+    FROM events
+    INNER JOIN occurrence_words AS words ON events.type = words.type
+    WHERE events.type <> 'AuthorityClaimed.v1' OR reason <> 'revocation'
+)
+
+SELECT
+    run_id, seq, time_us, type, action_id,
+    parties[sender] AS sender,
+    parties[receiver] AS receiver,
+    words || coalesce(': ' || details[detail], '') AS message,
+    nullif(note, '') AS note
+FROM told

@@ -1,0 +1,105 @@
+"""Every event reads as a line: given rows, expected words."""
+
+from typing import Any
+
+import pytest
+
+from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS
+from fsar_ledger.metrics.database import Value
+from tests.queries.histories import Row, S, answer, event, run
+from tests.recycled import from_rows
+
+A, B = "robot/A1", "robot/B1"
+SUPERVISOR = "supervisor/A1"
+IN_BOTH = {"AuthorityClaimed.v1"}
+"""The type that a timeline of a request tells only where it revokes."""
+FILLING: dict[str, Value] = {"string": "x", "integer": 1_000_000, "boolean": True, "strings": ["x"]}
+
+
+def line(row: Row) -> tuple[Any, ...]:
+    """Who, whom, what and the note of this event, behind the start of its run."""
+    *_, found = answer("facts/log_lines", run(row), columns=("seq", "sender", "receiver", "message", "note"))
+    return found[1:]
+
+
+def words(name: str) -> set[str]:
+    with from_rows([]) as database:
+        return {str(row["type"]) for row in database.query(f"facts/{name}").to_pylist()}
+
+
+def test_every_event_type_has_words() -> None:
+    told, others = words("message_words"), words("occurrence_words")
+    assert told | others == set(LAYOUTS)
+    assert told & others == IN_BOTH
+
+
+@pytest.mark.parametrize("tag", [tag for tag in LAYOUTS if not tag.startswith("RunStarted")])
+@pytest.mark.parametrize("is_bare", [True, False])
+def test_every_event_has_one_line_that_says_something(tag: str, is_bare: bool) -> None:
+    fields = [field for field in LAYOUTS[tag].fields if not (is_bare and field.is_nullable)]
+    given = {field.name: min(field.values) if field.values else FILLING[COLUMNS[field.name]] for field in fields}
+    rows = run({"type": tag, "time_us": S, **given})
+    [_, (seq, time_s, message, note)] = answer("facts/log_lines", rows, columns=("seq", "time_s", "message", "note"))
+    assert (seq, time_s) == (1, 1.0)
+    assert message.strip(" :;")
+    assert note is None or (note.strip(" ;") == note != "")
+
+
+def test_the_parts_of_an_event_are_named_where_they_are_known() -> None:
+    opened = event("PolicyWindowOpened", S, robot=B, scope="fleet", window="fleet/B1/0", outcome="deny")
+    assert line(opened) == (B, B, "policy window opens: fleet/B1/0", "fleet deny")
+    trusted = event("TrustSet", S, robot=A, peer=B, scope="task", capability="lift", decided_by="H_F", reason="met")
+    assert line(trusted) == (A, B, "trust: task", "lift; met; decided by H_F")
+    begun = event("StepBegan", S, task_id="t1", action_id="t1/1.1", robot=A, step=1, attempt=2, capability="lift")
+    assert line(begun) == (A, A, "turns to: lift", "step 1; attempt 2")
+    budget = event("RecoveryBudgetSet", S, robot=A, level="peer", t_max_us=5 * S, n_max=2, decided_by=SUPERVISOR)
+    assert line(budget) == (SUPERVISOR, A, "sets recovery budget: peer, 2 attempts within 5.0 s", None)
+    rejected = event("CommandRejected", S, command="SubmitTask", subject="t9", reason="unknown robot")
+    assert line(rejected) == (None, None, "command rejected: SubmitTask", "about t9; unknown robot")
+    rule = event("PolicyRuleSet", S, scope="fleet", outcome="deny", capability="lift", decided_by="H_F")
+    assert line(rule) == ("every robot", "every robot", "policy rule: fleet deny", "lift; decided by H_F")
+
+
+def test_the_answer_of_the_registry_is_in_the_line_of_the_question() -> None:
+    asked = event(
+        "RegistryQueried",
+        S,
+        requested_by=A,
+        capability="lift",
+        candidates=[B],
+        rejected=["robot/C1"],
+        rejected_by=["trust"],
+    )
+    assert line(asked) == (A, "service/registry", "query: lift", f"candidates: {B}; left out: robot/C1 by trust")
+
+
+def test_a_claim_reads_as_a_claim_and_a_revocation_as_one() -> None:
+    claim = {"action_id": "t1/1.1", "dimension": "execution", "claimant": B}
+    assert line(event("AuthorityClaimed", S, **claim, reason="acceptance")) == (
+        *(B, B),
+        *("claims authority: execution", "acceptance"),
+    )
+    assert line(event("AuthorityClaimed", S, **claim, reason="revocation")) == (B, B, "revokes", None)
+
+
+def test_the_words_are_those_of_the_timeline_of_a_request() -> None:
+    denied = event(
+        "RequestDenied", S, action_id="t1/1.1", decided_by=B, requested_by=A, executed_by=B, path=[B], reason="policy"
+    )
+    columns = ("seq", "time_s", "sender", "receiver", "message", "note", "action_id")
+    with from_rows(run(denied)) as database:
+        [told] = [
+            tuple(row[column] for column in columns)
+            for row in database.query("audit/request_timeline", {"run": "r1"}).to_pylist()
+        ]
+    assert told == answer("facts/log_lines", run(denied), columns=columns)[1]
+
+
+def test_a_line_has_the_concern_of_its_event_and_the_start_of_a_run_none() -> None:
+    rows = run(event("RobotWentOff", S, robot=A))
+    assert answer("facts/log_lines", rows, columns=("type", "concern")) == [
+        ("RunStarted.v2", None),
+        ("RobotWentOff.v1", "world"),
+    ]
+    assert "world" in CONCERNS
