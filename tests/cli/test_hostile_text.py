@@ -60,6 +60,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("verify", ledger, "--replay", "--workers", 1),
         ("explain", ledger, "--run", run, "--request", action),
     )
+    yield from (("log", ledger), ("log", ledger, "--json"), ("log", ledger, "--about", EVIL, "--from", EVIL))
     yield from (("compare", ledger), ("compare", ledger, "--first", EVIL), ("compare", ledger, ledger))
     yield from (("metrics", ledger), ("statistics", ledger), ("audit", ledger), ("query", "failures", ledger))
     yield (

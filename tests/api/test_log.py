@@ -1,0 +1,142 @@
+"""The timeline of a run, from Python."""
+
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+import fsar_ledger
+from fsar_ledger import Ledger
+from fsar_ledger.api.events import Filter
+from fsar_ledger.api.log import Asked, about_of
+from fsar_ledger.api.table import Row, Table
+from fsar_ledger.errors import InvalidExperiment, LedgerCorrupted, UsageError
+from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.ledger.rows.schema import CONCERNED
+from tests.api.conftest import RUN
+from tests.queries.histories import run
+from tests.recycled import from_rows
+
+
+class Waited(Exception):
+    """There was nothing more to tell."""
+
+
+def waits_once() -> None:
+    raise Waited
+
+
+def keep(told: list[Row], tables: Iterable[Table]) -> None:
+    for table in tables:
+        told += table.rows()
+
+
+def test_each_event_of_a_run_is_one_line_in_order(ledger: Ledger) -> None:
+    lines = ledger.log(RUN)
+    assert [row["seq"] for row in lines] == list(range(len(list(ledger.events(RUN)))))
+    assert all(RUN in row["run_id"] for row in lines)
+    times = [row["time_s"] for row in lines]
+    assert times == sorted(times)
+    assert all(row["message"] for row in lines)
+
+
+def test_without_a_run_it_is_the_first_as_in_explain(ledger: Ledger) -> None:
+    assert ledger.log().rows()[0]["run_id"] == ledger.requests().rows()[0]["run_id"]
+
+
+def test_a_span_of_time_takes_its_beginning_and_not_its_end(ledger: Ledger) -> None:
+    whole = ledger.log(RUN).rows()
+    first, last = whole[60]["time_s"], whole[80]["time_s"]
+    assert ledger.log(RUN, since=first, until=last).rows() == [row for row in whole if first <= row["time_s"] < last]
+    assert ledger.log(RUN, "10s", "20000ms").rows() == ledger.log(RUN, 10, "20").rows() != []
+
+
+def test_a_robot_and_concerns_narrow_the_lines(ledger: Ledger) -> None:
+    about_b1 = ledger.log(RUN, robot="B1")
+    assert {row["seq"] for row in about_b1} == {one.seq for one in ledger.events(RUN, robot="B1")}
+    both = ledger.log(RUN, about=["requests,policies", "trust"])
+    assert {row["concern"] for row in both} == {"request", "policy", "trust"}
+    assert len(both) == sum(CONCERNED.get(row["type"]) in {"request", "policy", "trust"} for row in ledger.log(RUN))
+
+
+@pytest.mark.parametrize("concern", CONCERNS)
+def test_every_concern_can_be_asked_for(ledger: Ledger, concern: str) -> None:
+    assert {row["concern"] for row in ledger.log("all", about=concern)} <= {concern}
+
+
+def test_all_runs_are_told_in_the_order_of_the_ledger(ledger: Ledger) -> None:
+    runs = list(dict.fromkeys(one.run for one in ledger.events()))
+    told = ledger.log("all").rows()
+    assert list(dict.fromkeys(row["run_id"] for row in told)) == runs
+    assert [row for table in ledger.stream_log() for row in table] == told
+    assert len(told) == ledger.head.size
+
+
+def test_what_does_not_exist_is_an_error_with_the_nearest(ledger: Ledger) -> None:
+    with pytest.raises(InvalidExperiment, match="did you mean request"):
+        ledger.log(RUN, about="reqests")
+    with pytest.raises(UsageError, match="there is no such robot"):
+        ledger.log(RUN, robot="Z9")
+    with pytest.raises(UsageError, match="there is no such run"):
+        ledger.log("r9999")
+    with pytest.raises(UsageError, match=r"since=9000: run .*r0000.* ends at [\d.]+ s"):
+        ledger.log(RUN, since=9000)
+    with pytest.raises(UsageError, match="expected an earlier time first"):
+        ledger.log(RUN, "30s", "10s")
+
+
+@pytest.mark.parametrize("asked", ["", "soon", "-1", "10 m", "1e3", "nan", "99999999999999", float("inf"), -1, True])
+def test_what_is_no_time_is_an_error(ledger: Ledger, asked: str | float) -> None:
+    with pytest.raises(UsageError, match="expected seconds of run time"):
+        ledger.log(RUN, since=asked)
+
+
+def test_what_the_run_does_not_observe_is_said_where_it_is_asked_for() -> None:
+    with from_rows(run(observes=["request", "trust"])) as database:
+        about = {
+            asked: [one.concern for one in about_of(database, Asked(Filter(), asked)).not_observed]
+            for asked in [(), ("policy", "request"), ("trust",)]
+        }
+    assert about == {(): sorted({*CONCERNS} - {"request", "trust"}), ("policy", "request"): ["policy"], ("trust",): []}
+
+
+def test_a_stream_goes_on_with_the_commits_that_come(ledger: Ledger, copy: Path) -> None:
+    before, pauses = ledger.head.size, 0
+
+    def pause() -> None:
+        nonlocal pauses
+        pauses += 1
+        if pauses == 2:
+            fsar_ledger.simulate(copy, scenario="door-relay", runs=3, seed=7, workers=1)
+        if pauses == 4:
+            raise Waited
+
+    told: list[Row] = []
+    with pytest.raises(Waited):
+        keep(told, Ledger(copy).stream_log(pause=pause))
+    assert told[:before] == ledger.log("all").rows()
+    assert len(told) == Ledger(copy).head.size > before
+    assert told == Ledger(copy).log("all").rows()
+
+
+@pytest.mark.parametrize("what", ["replaced", "damaged", "gone"])
+def test_a_stream_ends_when_the_ledger_is_no_longer_the_one_it_told(copy: Path, what: str) -> None:
+    def pause() -> None:
+        if what == "damaged":
+            (copy / "checkpoint").write_text("nonsense\n")
+            return
+        shutil.rmtree(copy)
+        if what == "replaced":
+            fsar_ledger.simulate(copy, scenario="door-relay", runs=2, seed=8, workers=1)
+
+    expected = {"replaced": "it was replaced", "damaged": "checkpoint", "gone": "no such path"}[what]
+    kind = UsageError if what == "gone" else LedgerCorrupted
+    with pytest.raises(kind, match=expected):
+        list(Ledger(copy).stream_log(pause=pause))
+
+
+def test_a_stream_that_waits_cannot_demand_verified_rows(ledger: Ledger) -> None:
+    with pytest.raises(UsageError, match="later"):
+        fsar_ledger.open_ledger(ledger.path, verified=True).stream_log(pause=waits_once)
+    assert sum(map(len, fsar_ledger.open_ledger(ledger.path, verified=True).stream_log())) == ledger.head.size
