@@ -10,7 +10,7 @@ from fsar_ledger.ledger.store.opening import open_for_answers
 
 from .integrity import Integrity
 from .lookup import parameters_of, robot_of, run_of, time_of
-from .names import By, Place, Pool, Time, by_scenario, microseconds, names_of, pools_seeds
+from .names import By, Place, Pool, Time, by_scenario, names_of, pools_seeds
 from .timelines import Timelines
 from .workload import Progress, readers_of
 

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
-import msgspec
 import typer
 
 from fsar_ledger import printable
@@ -99,6 +98,8 @@ def log(
 
 def _json(rows: Sequence[dict[str, Any]]) -> Shown:
     """Return a JSON object for each row, one a line."""
+    import msgspec
+
     from fsar_ledger.api.fields import encodable
 
     return printable.ascii_json("".join(f"{msgspec.json.encode(encodable(row)).decode()}\n" for row in rows))
