@@ -122,7 +122,11 @@ def test_a_stream_goes_on_with_the_commits_that_come(ledger: Ledger, copy: Path)
 
 @pytest.mark.parametrize("what", ["replaced", "damaged", "gone"])
 def test_a_stream_ends_when_the_ledger_is_no_longer_the_one_it_told(copy: Path, what: str) -> None:
+    checkpoint = (copy / "checkpoint").read_text()
+
     def pause() -> None:
+        if not copy.exists() or (copy / "checkpoint").read_text() != checkpoint:
+            raise Waited
         if what == "damaged":
             (copy / "checkpoint").write_text("nonsense\n")
             return
