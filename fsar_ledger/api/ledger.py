@@ -122,19 +122,23 @@ class Ledger(Timelines, Integrity):
             rows = database.query(name, given)
             return Table(rows, of_rows(database, query))
 
-    def queries(self) -> "Table":
-        """Return every packaged query with its title and its parameters.
+    def queries(self, *, all: bool = False) -> "Table":
+        """Return the packaged queries by group, each with its title and its parameters.
 
         Parameters have their defaults; None means that a value must be given.
+
+        Args:
+            all: Also the view of each event type and of each concern.
         """
         import pyarrow as pa
 
-        from fsar_ledger.metrics.library import library
+        from fsar_ledger.metrics.groups import group_of, listed
 
         from .table import Table
 
-        found = library().queries.values()
+        found = listed(events=all)
         columns = {
+            "group": pa.array([group_of(one) for one in found], pa.string()),
             "name": pa.array([one.name for one in found], pa.string()),
             "title": pa.array([one.header["Title"] for one in found], pa.string()),
             "parameters": pa.array(
@@ -143,6 +147,16 @@ class Ledger(Timelines, Integrity):
             ),
         }
         return Table(pa.table(columns))
+
+    def query_text(self, name: str) -> str:
+        """Return the SQL of a packaged query with its header, which says what its rows and its NULLs mean.
+
+        Raises:
+            UnknownQuery: There is no query of this name.
+        """
+        from fsar_ledger.metrics.groups import text_of
+
+        return text_of(name)
 
     def sql(self, select: str, *, seconds: int | None = None, memory_mib: int | None = None) -> "Table":
         """Answer a SELECT of your own in a locked-down process that can read this ledger and nothing else.

@@ -42,6 +42,10 @@ VerifiedOption = Annotated[
 LimitOption = Annotated[
     int, typer.Option("--limit", metavar="N", help="Show at most N rows of the table; 0 shows all.")
 ]
+WideOption = Annotated[
+    bool,
+    typer.Option("--wide", help="Show every column and whole cells, not what fits the terminal; as when piped."),
+]
 PoolOption = Annotated[
     str | None,
     typer.Option("--pool", metavar="seeds", help="Pool the runs of all seeds.", show_default="each seed by itself"),

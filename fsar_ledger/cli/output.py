@@ -12,7 +12,7 @@ import msgspec
 from msgspec import to_builtins
 
 from fsar_ledger import printable
-from fsar_ledger.api.fields import Row, csv_text, field_text, json_bytes
+from fsar_ledger.api.fields import Row, field_text, json_bytes
 from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import Shown
 
@@ -38,7 +38,7 @@ def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> S
         return Shown("")
     shown = rows[:limit] if limit else rows
     names = [printable.cell(column) for column in columns]
-    cells = [[_cell(row[column]) for column in columns] for row in shown]
+    cells = [[cell_text(row[column]) for column in columns] for row in shown]
     is_number = [all(isinstance(row[column], int | float | None) for row in shown) for column in columns]
     widths = [
         max(len(name), *(len(line[at]) for line in cells)) if cells else len(name) for at, name in enumerate(names)
@@ -103,35 +103,12 @@ def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
         )
 
 
-def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
-    """Return every packaged query with its title and parameters. Raises: As `check_form`."""
-    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
-    from fsar_ledger.metrics.library import library
-
-    columns = ("name", "title", "parameters")
-    rows: list[Row] = [
-        {
-            "name": query.name,
-            "title": query.header["Title"],
-            "parameters": " ".join(map(str, query.parameters.values())),
-        }
-        for query in library().queries.values()
-    ]
-    if as_json:
-        return json_text(None, {"queries": rows})
-    return (
-        csv_text(rows, columns, raw=raw)
-        if as_csv
-        else table_text([{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows], columns)
-    )
-
-
 def pretty(document: object) -> Shown:
     """Return the document as JSON in ASCII; bytes of a file name that are not UTF-8 are escaped, `\\udcff` for ff."""
     return printable.ascii_json(msgspec.json.format(json_bytes(to_builtins(document)), indent=2).decode() + "\n")
 
 
-def _cell(value: object) -> str:
+def cell_text(value: object) -> str:
     """Return the value as a cell of a table."""
     if isinstance(value, str):
         return printable.cell(value)

@@ -9,7 +9,8 @@ import msgspec
 from fsar_ledger.api.fields import Row, csv_text
 from fsar_ledger.printable import Shown
 
-from .output import answer_json, check_form, json_text, more_text, table_text
+from .output import answer_json, check_form, json_text, more_text
+from .tables import table
 from .terminal import show
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ PIECE = 1 << 20
 
 
 class Form(msgspec.Struct, frozen=True, kw_only=True):
-    """The form of an answer: JSON, CSV, or a table of at most `limit` rows (0: all).
+    """The form of an answer: JSON, CSV, or a table of at most `limit` rows (0: all), with `wide` with every column.
 
     Raises:
         UsageError: As `check_form`.
@@ -31,6 +32,7 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
     as_csv: bool = False
     raw: bool = False
     limit: int = 0
+    wide: bool = False
 
     def __post_init__(self) -> None:
         check_form(as_json=self.as_json, as_csv=self.as_csv, raw=self.raw)
@@ -41,7 +43,7 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
         """Yield the rows in this form, as text; each of the parts holds some rows."""
         if self.as_json:
             return _json(answer_json(provenance, {"rows": []}), parts)
-        return _csv(columns, parts, raw=self.raw) if self.as_csv else _table(columns, parts, self.limit)
+        return _csv(columns, parts, raw=self.raw) if self.as_csv else _table(columns, parts, self.limit, wide=self.wide)
 
     def show(self, pieces: Iterable[Shown]) -> None:
         """Show the answer."""
@@ -67,13 +69,13 @@ def _csv(columns: Sequence[str], parts: Iterable[Sequence[Row]], *, raw: bool) -
         yield Shown(csv_text(rows, columns, raw=raw)[len(header) :])
 
 
-def _table(columns: Sequence[str], parts: Iterable[Sequence[Row]], limit: int) -> Iterator[Shown]:
+def _table(columns: Sequence[str], parts: Iterable[Sequence[Row]], limit: int, *, wide: bool) -> Iterator[Shown]:
     shown: list[Row] = []
     count = 0
     for rows in parts:
         shown += rows[: limit - len(shown)] if limit else rows
         count += len(rows)
-    yield table_text(shown, columns) or Shown("(no rows)\n")
+    yield table(shown, columns, wide=wide) or Shown("(no rows)\n")
     if count > len(shown):
         yield more_text(count - len(shown))
 

@@ -70,11 +70,8 @@ def say_failure(trace: str) -> None:
 def _write(stream: TextIO | None, text: str) -> None:
     if stream is None:
         raise WriteFailed("the output has nowhere to go: it was closed; write it to a file or a pipe")
-    try:
-        width = (os.get_terminal_size(stream.fileno()).columns or USUAL) if stream.isatty() else 0
-    except (OSError, ValueError):
-        width = 0
-    if width >= NARROWEST:
+    width = _width_of(stream)
+    if width is not None:
         text = "\n".join(folded(line, width) for line in text.split("\n"))
     encoding = stream.encoding or "utf-8"
     try:
@@ -85,6 +82,19 @@ def _write(stream: TextIO | None, text: str) -> None:
     except OSError as error:
         _divert(stream)
         raise WriteFailed(f"the output is incomplete ({error.strerror}); write it where there is free space") from error
+
+
+def width_of_output() -> int | None:
+    """Return the columns of the terminal that stdout is; None if it is none, or too narrow to lay out anything."""
+    return None if sys.stdout is None else _width_of(sys.stdout)
+
+
+def _width_of(stream: TextIO) -> int | None:
+    try:
+        width = (os.get_terminal_size(stream.fileno()).columns or USUAL) if stream.isatty() else 0
+    except (OSError, ValueError):
+        width = 0
+    return width if width >= NARROWEST else None
 
 
 def _write_whole(stream: TextIO, data: bytes, encoding: str) -> None:
@@ -108,19 +118,25 @@ def _divert(stream: TextIO) -> None:
 
 
 def folded(line: str, width: int) -> str:
-    """Fold the line for a terminal of this width; each further part follows a mark."""
+    """Fold the line for a terminal of this width; each further part follows a mark.
+
+    A line is cut after the last blank in the right half of the terminal, if there is one.
+    """
     if len(line) <= width and line.isascii():
         return line
-    parts, at, used = [], 0, 0
-    for place, columns in enumerate(map(_columns, line)):
+    parts, at, used, blank = [], 0, 0, 0
+    for place, columns in enumerate(map(columns_of, line)):
         if used + columns > width:
-            parts.append(line[at:place])
-            at, used = place, len(ON)
+            end = blank if blank > at else place
+            parts.append(line[at:end])
+            at, used = end, len(ON) + sum(map(columns_of, line[end:place]))
         used += columns
+        if line[place] == " " and used > width // 2:
+            blank = place + 1
     return f"\n{ON}".join([*parts, line[at:]])
 
 
-def _columns(character: str) -> int:
+def columns_of(character: str) -> int:
     """Return the width of this character on a terminal."""
     if character.isascii():
         return 1

@@ -336,7 +336,7 @@ class Library:
             hint = (
                 f"did you mean {' or '.join(self.relations[one].name for one in near)}?"
                 if near
-                else "`fsar-ledger query --list` shows all names."
+                else "`fsar-ledger query --list --all` shows all names."
             )
             raise UnknownQuery(f"query {name}: there is no query of that name; {hint}")
         return query

@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.cli.options import AuditedOption, InvariantOption, JsonOption, LedgerArgument, VerifiedOption, examples
+from fsar_ledger.cli.options import (
+    AuditedOption,
+    InvariantOption,
+    JsonOption,
+    LedgerArgument,
+    VerifiedOption,
+    WideOption,
+    examples,
+)
 from fsar_ledger.cli.terminal import show
 
 if TYPE_CHECKING:
@@ -25,6 +33,7 @@ def audit(
     architecture: AuditedOption = None,
     verified: VerifiedOption = False,
     as_json: JsonOption = False,
+    wide: WideOption = False,
 ) -> None:
     """Check the invariants I1 to I5 and A1 to A5.
 
@@ -33,7 +42,8 @@ def audit(
     """
     from fsar_ledger.api.plans import runs
     from fsar_ledger.cli.answering import opened, warn
-    from fsar_ledger.cli.output import answer_json, table_text
+    from fsar_ledger.cli.output import answer_json
+    from fsar_ledger.cli.tables import table
 
     found = opened(ledger, verified=verified).audit(invariant, architecture)
     provenance, rows = found.provenance, found.rows
@@ -55,7 +65,7 @@ def audit(
             else []
         )
         said = printable.lines("", *_verdict(rows), *of_budgets)
-        show(printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), said))
+        show(printable.joined(table([_shown(row) for row in rows], list(_shown(rows[0])), wide=wide), said))
     warn(ledger, provenance)
     if not found.holds:
         raise typer.Exit(1)

@@ -13,6 +13,7 @@ from fsar_ledger.cli.options import (
     PoolOption,
     RawOption,
     VerifiedOption,
+    WideOption,
     examples,
 )
 from fsar_ledger.cli.terminal import say, show
@@ -64,6 +65,7 @@ def compare(
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
     raw: RawOption = False,
+    wide: WideOption = False,
 ) -> None:
     """Compare any two sides in pairs, from one ledger or two.
 
@@ -83,7 +85,7 @@ def compare(
     if as_json:
         _show_json(found)
     else:
-        _show_text(found.sides, found, by_scenario=by is not None, as_csv=as_csv, raw=raw)
+        _show_text(found.sides, found, by_scenario=by is not None, as_csv=as_csv, raw=raw, wide=wide)
     for place, provenance in zip((ledger, other), found.provenances, strict=False):
         if place is not None:
             warn(place, provenance)
@@ -119,9 +121,11 @@ def _show_json(found: "Comparison") -> None:
     show(answer_json(provenance, document))
 
 
-def _show_text(both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool, as_csv: bool, raw: bool) -> None:
+def _show_text(
+    both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool, as_csv: bool, raw: bool, wide: bool
+) -> None:
     from fsar_ledger.api.fields import csv_text, plain
-    from fsar_ledger.cli.output import table_text
+    from fsar_ledger.cli.tables import table
     from fsar_ledger.metrics.sides import SideRow
 
     rows = plain(found.rows)
@@ -132,9 +136,9 @@ def _show_text(both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool,
         show(csv_text(rows, columns, raw=raw), raw=raw)
         return
     dull = {"seed": found.seeds <= 1, "family_tests": True}
-    table = table_text(rows, [name for name in columns if not dull.get(name)]) if rows else printable.lines()
+    shown = table(rows, [name for name in columns if not dull.get(name)], wide=wide) if rows else printable.lines()
     blank = [""] if rows else []
-    show(printable.joined(printable.lines(*above, *blank), table, printable.lines(*(blank if below else []), *below)))
+    show(printable.joined(printable.lines(*above, *blank), shown, printable.lines(*(blank if below else []), *below)))
 
 
 def _pairing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:

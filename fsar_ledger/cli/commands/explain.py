@@ -15,6 +15,7 @@ from fsar_ledger.cli.options import (
     RunOption,
     SvgOption,
     VerifiedOption,
+    WideOption,
     examples,
 )
 from fsar_ledger.cli.terminal import show
@@ -58,6 +59,7 @@ def explain(
     pdf: PdfOption = None,
     verified: VerifiedOption = False,
     as_json: JsonOption = False,
+    wide: WideOption = False,
 ) -> None:
     """Show the timeline of a request: who asked, who allowed, who acted, who supervised.
 
@@ -88,7 +90,7 @@ def explain(
             told = account(database, ledger, name, request, failure)
     if request is None and failure is None:
         warn(ledger, listed.provenance)
-        _list(ledger, name, listed, as_json=as_json)
+        _list(ledger, name, listed, as_json=as_json, wide=wide)
         return
     for kind, path in files.items():
         told.draw(path, kind=kind)
@@ -121,9 +123,10 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Timeline:
     ]
 
 
-def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
+def _list(ledger: Path, run: str, found: "Table", *, as_json: bool, wide: bool) -> None:
     """Show the requests of a run."""
-    from fsar_ledger.cli.output import json_text, table_text
+    from fsar_ledger.cli.output import json_text
+    from fsar_ledger.cli.tables import table
 
     provenance, rows = found.provenance, found.rows()
     if as_json:
@@ -143,8 +146,8 @@ def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
             f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request "
             f"{printable.word(rows[0]['action_id'])}` tells one of them"
         )
-        table = table_text(began, COLUMNS)
-        show(printable.joined(printable.lines(f"run {printable.value(run)}", ""), table, printable.lines("", hint)))
+        shown = table(began, COLUMNS, wide=wide)
+        show(printable.joined(printable.lines(f"run {printable.value(run)}", ""), shown, printable.lines("", hint)))
 
 
 def _told(run: str, action: str, timeline: Timeline, parties: Mapping[str, Any]) -> Iterator[str]:

@@ -1,20 +1,23 @@
 """The command `info`."""
 
 from fsar_ledger import printable
-from fsar_ledger.cli.options import JsonOption, LedgerArgument, VerifiedOption, examples
+from fsar_ledger.cli.options import JsonOption, LedgerArgument, VerifiedOption, WideOption, examples
 from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json")
 
 
-def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: JsonOption = False) -> None:
+def info(
+    ledger: LedgerArgument, verified: VerifiedOption = False, as_json: JsonOption = False, wide: WideOption = False
+) -> None:
     """Show what a ledger holds, and whether it is complete.
 
     Shows the head, which planned runs are there, the runs by model, seed, fleet size, architecture and configuration,
     and (with --json) the parameters of their worlds. Without a plan on record nothing shows what is missing.
     """
     from fsar_ledger.cli.answering import opened, warn
-    from fsar_ledger.cli.output import answer_json, table_text
+    from fsar_ledger.cli.output import answer_json
+    from fsar_ledger.cli.tables import table
 
     found = opened(ledger, verified=verified).info()
     head = found.provenance.head
@@ -32,4 +35,4 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
         )
     )
     if rows := found.rows():
-        show(printable.joined(printable.line(""), table_text(rows, list(rows[0]))))
+        show(printable.joined(printable.line(""), table(rows, list(rows[0]), wide=wide)))

@@ -11,6 +11,7 @@ from fsar_ledger.cli.options import (
     PoolOption,
     RawOption,
     VerifiedOption,
+    WideOption,
     examples,
 )
 
@@ -32,6 +33,7 @@ def metrics(
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
     raw: RawOption = False,
+    wide: WideOption = False,
 ) -> None:
     """Judge a ledger by the metrics: the eight of the paper, then any that were added.
 
@@ -43,7 +45,7 @@ def metrics(
     from fsar_ledger.cli.output import telling
     from fsar_ledger.cli.streaming import Form
 
-    form = Form(as_json=as_json, as_csv=as_csv, raw=raw)
+    form = Form(as_json=as_json, as_csv=as_csv, raw=raw, wide=wide)
     found = opened(ledger, verified=verified).metrics(by, pool)  # type: ignore[arg-type]  # it refuses any other text
     rows = found.rows()
     columns = found.columns if rows and (as_json or as_csv) else telling(rows)

@@ -14,6 +14,7 @@ from fsar_ledger.cli.options import (
     RawOption,
     SvgOption,
     VerifiedOption,
+    WideOption,
     examples,
 )
 from fsar_ledger.cli.terminal import show
@@ -59,6 +60,7 @@ def multiverse(
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
     raw: RawOption = False,
+    wide: WideOption = False,
 ) -> None:
     """Compute the results table under every reading that the paper's text allows.
 
@@ -84,16 +86,16 @@ def multiverse(
     elif as_csv:
         show(csv_text(plain(found.cells), Cell.__struct_fields__, raw=raw), raw=raw)
     else:
-        show(printable.joined(*_told(found)))
+        show(printable.joined(*_told(found, wide=wide)))
     if svg is not None:
         found.draw(svg)
     warn(ledger, provenance)
 
 
-def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
+def _told(found: "Multiverse", *, wide: bool) -> "Iterator[printable.Shown]":
     """Yield the ranges, the rankings and the readings as tables."""
     from fsar_ledger.api.fields import plain
-    from fsar_ledger.cli.output import table_text
+    from fsar_ledger.cli.tables import table
 
     if not found.cells:
         yield printable.line("no runs to read")
@@ -103,7 +105,7 @@ def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
     for number, (rows, columns) in enumerate(((cells, CELL), (rankings, RANKING), (readings, tuple(readings[0])))):
         if number:
             yield printable.line("")
-        yield table_text(rows, _columns(rows, columns))
+        yield table(rows, _columns(rows, columns), wide=wide)
         if rows is rankings:
             yield printable.lines("", *_verdicts(found.rankings))
 

@@ -21,6 +21,7 @@ from fsar_ledger.cli.options import (
     RawOption,
     SecondsOption,
     VerifiedOption,
+    WideOption,
     examples,
     parameters_of,
 )
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = examples(
     "fsar-ledger query --list",
+    "fsar-ledger query policy_at --show",
     "fsar-ledger query metrics/policy_violations out/ledger --csv",
     "fsar-ledger query failures out/ledger --limit 20",
     "fsar-ledger query --file question.sql out/ledger --seconds 10",
@@ -54,11 +56,20 @@ def query(
     ] = None,
     param: ParameterOption = None,
     file: FileOption = None,
-    list_all: Annotated[bool, typer.Option("--list", help="List every query with its title and parameters.")] = False,
+    list_named: Annotated[
+        bool, typer.Option("--list", help="List the queries by group, with titles and parameters.")
+    ] = False,
+    list_all: Annotated[
+        bool, typer.Option("--all", help="With --list: also the view of each event type and of each concern.")
+    ] = False,
+    as_sql: Annotated[
+        bool, typer.Option("--show", help="Print the SQL of NAME, with the header that says what its rows mean.")
+    ] = False,
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
     raw: RawOption = False,
     limit: LimitOption = SHOWN_ROWS,
+    wide: WideOption = False,
     verified: VerifiedOption = False,
     seconds: SecondsOption = None,
     memory: QueryMemoryOption = None,
@@ -68,12 +79,17 @@ def query(
     The packaged queries are SQL files; the header of each says what its rows and its NULLs mean. They have no time
     limit, only that of --memory. A file of your own runs locked down, as with `sql`.
     """
-    from fsar_ledger.cli.output import queries_text
     from fsar_ledger.cli.streaming import Form
 
-    form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
-    if list_all:
-        show(queries_text(as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
+    form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, wide=wide)
+    if list_all and not list_named:
+        raise UsageError("found --all without --list, expected both or neither")
+    if list_named:
+        from fsar_ledger.cli.listing import queries_text
+
+        show(queries_text(form, events=list_all), raw=raw)
+    elif as_sql:
+        _show_sql(name, form)
     elif file is not None:
         form.show(_of_file(name, ledger, file, param, (seconds, memory), form, verified=verified))
     else:
@@ -83,6 +99,17 @@ def query(
             )
         with bounded(memory, ledger):
             form.show(_of_name(name, ledger, param, form, verified=verified))
+
+
+def _show_sql(name: str | None, form: "Form") -> None:
+    """Show the SQL of the packaged query. Raises: UsageError, UnknownQuery."""
+    from fsar_ledger.metrics.groups import text_of
+
+    if name is None:
+        raise UsageError("query --show: expected NAME, as in `fsar-ledger query failures --show`")
+    if form.as_json or form.as_csv:
+        raise UsageError(f"query {name} --show: found --json or --csv, expected neither; SQL is text")
+    show(Shown(text_of(name)))
 
 
 def _of_name(

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.cli.options import AdoptOption, KeyOption, OnlyOption, ReproducedRunsOption, WorkersOption, examples
+from fsar_ledger.cli.options import (
+    AdoptOption,
+    KeyOption,
+    OnlyOption,
+    ReproducedRunsOption,
+    WideOption,
+    WorkersOption,
+    examples,
+)
 from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 from fsar_ledger.printable import counted
@@ -29,6 +37,7 @@ def reproduce(
     key: KeyOption = None,
     adopt: AdoptOption = False,
     workers: WorkersOption = None,
+    wide: WideOption = False,
 ) -> None:
     """Run the paper's experiments, judge them and typeset the report.
 
@@ -37,14 +46,14 @@ def reproduce(
     under NAME/ablation, NAME/scaling and NAME/workflows, because no two ledgers may have one origin.
     """
     from fsar_ledger.api.functions import reproduce as make
-    from fsar_ledger.cli.output import table_text
+    from fsar_ledger.cli.tables import table
 
     began = time.monotonic()
     found = make(out, only=only, runs=runs, key=key, adopt=adopt, workers=workers, showing=Progress)
     results = found.made["results"]
     head = results.head
     took = f"{head.size:,} events, root {head.root}, {time.monotonic() - began:.0f} s"
-    text = printable.joined(table_text(found.metrics.rows(), SHOWN), printable.lines(*beyond(results)))
+    text = printable.joined(table(found.metrics.rows(), SHOWN, wide=wide), printable.lines(*beyond(results)))
     show(printable.joined(text, printable.lines("", took, str(found.report))))
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.cli.options import WorkersOption, examples
+from fsar_ledger.cli.options import WideOption, WorkersOption, examples
 from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 
@@ -39,6 +39,7 @@ def sensitivity(
         ),
     ] = None,
     workers: WorkersOption = None,
+    wide: WideOption = False,
 ) -> None:
     """Measure how much each number depends on each constant; takes most of an hour on two cores.
 
@@ -55,15 +56,15 @@ def sensitivity(
         require_outside(svg, f"--svg {svg}")
     with Progress("evaluated", "points") as progress:
         found = study(out, trajectories=trajectories, runs=runs, points=points, workers=workers, progress=progress)
-    _tell(found)
+    _tell(found, wide=wide)
     show(printable.line(f"{out}"))
     if svg is not None:
         publish(svg, heat_map(found))
         show(printable.line(f"{svg}"))
 
 
-def _tell(found: "Sensitivity") -> None:
-    from fsar_ledger.cli.output import table_text
+def _tell(found: "Sensitivity", *, wide: bool) -> None:
+    from fsar_ledger.cli.tables import table
     from fsar_ledger.report.sensitivity import dozen, reach
 
     rows = dozen(found)
@@ -74,6 +75,7 @@ def _tell(found: "Sensitivity") -> None:
     )
     show(
         printable.joined(
-            printable.line(head), table_text(rows, list(rows[0])) if rows else printable.line("none moves anything")
+            printable.line(head),
+            table(rows, list(rows[0]), wide=wide) if rows else printable.line("none moves anything"),
         )
     )

@@ -16,6 +16,7 @@ from fsar_ledger.cli.options import (
     RawOption,
     SecondsOption,
     VerifiedOption,
+    WideOption,
     examples,
 )
 from fsar_ledger.printable import Shown
@@ -37,6 +38,7 @@ def sql(
     as_csv: CsvOption = False,
     raw: RawOption = False,
     limit: LimitOption = SHOWN_ROWS,
+    wide: WideOption = False,
     verified: VerifiedOption = False,
     seconds: SecondsOption = None,
     memory: MemoryOption = None,
@@ -49,7 +51,7 @@ def sql(
     from fsar_ledger.api.limits import limits_of
     from fsar_ledger.cli.streaming import Form
 
-    form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
+    form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, wide=wide)
     form.show(answer_select(ledger, select, limits_of(seconds, memory), form, verified=verified))
 
 

@@ -10,6 +10,7 @@ from fsar_ledger.cli.options import (
     PoolOption,
     RawOption,
     VerifiedOption,
+    WideOption,
     examples,
 )
 from fsar_ledger.cli.terminal import say, show
@@ -24,6 +25,7 @@ def statistics(
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
     raw: RawOption = False,
+    wide: WideOption = False,
 ) -> None:
     """Compare the architectures of a ledger in pairs, and FSAR with itself without a mechanism.
 
@@ -36,7 +38,8 @@ def statistics(
     """
     from fsar_ledger.api.fields import csv_text
     from fsar_ledger.cli.answering import opened, warn
-    from fsar_ledger.cli.output import answer_json, check_form, table_text, telling
+    from fsar_ledger.cli.output import answer_json, check_form, telling
+    from fsar_ledger.cli.tables import table
 
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     found = opened(ledger, verified=verified).statistics(pool)  # type: ignore[arg-type]  # it refuses any other text
@@ -52,10 +55,10 @@ def statistics(
         say(*found.before, *found.after)
         show(csv_text(found.rows, found.columns, raw=raw), raw=raw)
     else:
-        table = table_text(found.rows, telling(found.rows)) if found.rows else printable.lines()
+        shown = table(found.rows, telling(found.rows), wide=wide) if found.rows else printable.lines()
         above = [*found.before, *([""] if found.before and found.rows else [])]
         below = ["", *found.after, *found.notes] if found.after or found.notes else []
-        show(printable.joined(printable.lines(*above), table, printable.lines(*below)))
+        show(printable.joined(printable.lines(*above), shown, printable.lines(*below)))
     warn(ledger, found.provenance)
     if any(one.is_fault for one in found.differing):
         raise typer.Exit(1)
