@@ -28,7 +28,7 @@ def queries_text(form: Form, *, events: bool) -> Shown:
 
 
 def _row(query: Query) -> Row:
-    parameters = " ".join(f"{name}={value or ''}" for name, value in query.parameters.items())
+    parameters = " ".join(map(str, query.parameters.values()))
     return {"group": group_of(query), "name": query.name, "title": query.header["Title"], "parameters": parameters}
 
 

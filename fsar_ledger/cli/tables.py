@@ -26,9 +26,12 @@ MARK = "|"
 """What begins a line that continues the row above, so that it does not begin with text from a ledger."""
 NAMED_ITEMS, LONGEST_LIST = 3, 48
 """The items of a list that a cell names if all of them take more characters than this."""
-LEAST = 12
-"""Characters below which a column of text is not narrowed."""
+LEAST, LONGEST_WORD = 12, 20
+"""Characters below which a column of text is not narrowed, or the longest word in it up to the second."""
+NAMED_EMPTY = 12
+"""How many columns without a value are named."""
 _BREAKS = re.compile(r"[^ /._,:;=-]*(?: +|[/._,:;=-]+|$)")
+_PARTED = re.compile(r"[\s,;:'\"]|^$")
 _RUNS = ("run_id", "first_run")
 
 
@@ -48,7 +51,9 @@ class Column(NamedTuple):
     def least(self) -> int:
         """Return the least width to read it at: a number stays whole, text has some room."""
         cells = max(map(_width, self.cells))
-        return max(cells if self.is_number else min(cells, LEAST), *map(_width, _BREAKS.findall(self.name)))
+        word = max(_width(piece) for cell in self.cells for piece in _BREAKS.findall(cell))
+        text = min(cells, max(LEAST, min(word, LONGEST_WORD)))
+        return max(cells if self.is_number else text, *map(_width, _BREAKS.findall(self.name)))
 
 
 def table(rows: Sequence[Row], columns: Sequence[str], limit: int = 0, *, wide: bool = False) -> Shown:
@@ -66,10 +71,10 @@ def fitted(rows: Sequence[Row], columns: Sequence[str], width: int, limit: int =
     rest = [more_text(len(rows) - len(shown))] if len(shown) < len(rows) else []
     if len(shown) == 1 and _total([column.natural for column in found]) > width:
         return printable.joined(_listed(found), *rest)
-    above, telling = _said_once(found) if len(shown) > 1 else ([], found)
+    above, telling = _said_once(found, "every row shown" if rest else "every row") if len(shown) > 1 else ([], found)
     widths = _widths(telling, width)
-    left_out = [column.name for column in telling[len(widths) :]]
-    below = [f"not shown: {', '.join(left_out)}; --wide shows all"] if left_out else []
+    left_out = [_quoted(column.name) for column in telling[len(widths) :]]
+    below = [f"not shown: {_some(left_out)}; --wide shows all"] if left_out else []
     lines = printable.lines(*above, *([""] if above else []))
     return printable.joined(lines, _laid_out(telling, widths), *map(printable.line, below), *rest)
 
@@ -91,10 +96,10 @@ def _items(values: Sequence[object]) -> str:
 
 def _quoted(text: str) -> str:
     """Return the text as one word, so that none can look like two."""
-    return shlex.quote(text)
+    return shlex.quote(text) if _PARTED.search(text) else text
 
 
-def _said_once(columns: Sequence[Column]) -> tuple[list[str], list[Column]]:
+def _said_once(columns: Sequence[Column], where: str) -> tuple[list[str], list[Column]]:
     """Return lines on what is the same in every row, and the columns that differ; one at least."""
     same = [column for column in columns if len(set(column.cells)) == 1]
     differing = [column for column in columns if column not in same]
@@ -102,14 +107,19 @@ def _said_once(columns: Sequence[Column]) -> tuple[list[str], list[Column]]:
         differing, same = [columns[0]], list(columns[1:])
     valued = [f"{_quoted(one.name)} {_quoted(one.cells[0])}" for one in same if one.cells[0] != "-"]
     empty = [_quoted(one.name) for one in same if one.cells[0] == "-"]
-    lines = [f"in every row: {', '.join(valued)}"] if valued else []
-    lines += [f"NULL in every row: {', '.join(empty)}"] if empty else []
+    lines = [f"in {where}: {', '.join(valued)}"] if valued else []
+    lines += [f"NULL in {where}: {_some(empty)}"] if empty else []
     for place, column in enumerate(differing):
         if column.name in _RUNS and (short := _shortened(column.cells)) is not None:
             pattern, cells = short
             differing[place] = column._replace(cells=cells)
             lines.append(f"{column.name} {_quoted(pattern)}: rows show what stands for each *")
     return lines, differing
+
+
+def _some(names: Sequence[str]) -> str:
+    more = len(names) - NAMED_EMPTY
+    return ", ".join(names[:NAMED_EMPTY]) + (f" and {printable.counted(more, 'other column')}" if more > 0 else "")
 
 
 def _shortened(runs: Sequence[str]) -> tuple[str, list[str]] | None:

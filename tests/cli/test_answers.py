@@ -132,9 +132,9 @@ def test_statistics_compare_every_pair(call: Call, ledger: Path) -> None:
 
 
 def test_queries_are_listed_and_answer(call: Call, ledger: Path) -> None:
-    names = [query["name"] for query in json.loads(call("query", "--list", "--json").out)["queries"]]
+    names = [query["name"] for query in json.loads(call("query", "--list", "--all", "--json").out)["queries"]]
     assert {"facts/failures", "metrics/run_metrics", "staging/request_issued"} <= set(names)
-    assert [row["name"] for row in rows_of(call("query", "--list", "--csv"))] == names
+    assert [row["name"] for row in rows_of(call("query", "--list", "--all", "--csv"))] == names
     by_part = call("query", "run_metrics", ledger, "--csv")
     assert len(rows_of(by_part)) == 12 * len(metrics())
     assert by_part == call("query", "metrics/run_metrics", ledger, "--csv")

@@ -1,0 +1,232 @@
+"""Tables fit the terminal they are shown on, and are plain text, the same at any width, where there is none."""
+
+import fcntl
+import os
+import pty
+import struct
+import subprocess
+import sys
+import termios
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.cli.output import table_text
+from fsar_ledger.cli.tables import fitted
+from fsar_ledger.cli.terminal import columns_of
+from fsar_ledger.metrics.groups import GROUPS
+from tests.cli.conftest import Call, in_a_process, one_message
+from tests.terminal import CLAIM, PAINT, painted
+
+WIDTHS = (80, 120, 200)
+VERBS = {
+    "info": (),
+    "metrics": (),
+    "statistics": ("--memory", "2000"),
+    "compare": ("--first", "fsar", "--second", "cfc"),
+    "multiverse": ("--metric", "human_intervention"),
+    "audit": ("--memory", "2000"),
+    "explain": (),
+    "sql": ("SELECT * FROM events LIMIT 9",),
+}
+"""Every verb that shows a table of a ledger, but for `query`, which names one first."""
+QUERIES = ("runs", "failures", "requests", "policy_windows", "metric_summary", "event_principals")
+RUNS = [f"fsar.full.{scenario}.n4.s42.r{number:04}-abc" for scenario in ("door", "relay") for number in (1, 2)]
+
+
+def on_a_terminal(width: int, *arguments: object, surroundings: Mapping[str, str] = {}) -> tuple[str, str]:
+    """Run Python with these arguments in a terminal of this width; return what it writes to it, and the rest."""
+    here, there = pty.openpty()
+    fcntl.ioctl(there, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
+    stream = b""
+    command = [sys.executable, *map(str, arguments)]
+    with subprocess.Popen(command, stdout=there, stderr=there, env={**os.environ, **surroundings}) as child:
+        os.close(there)
+        with suppress(OSError):  # all is read
+            while data := os.read(here, 1 << 16):
+                stream += data
+    os.close(here)
+    text = stream.decode().replace("\r\n", "\n")
+    assert child.returncode in (0, 1), text
+    return text.rpartition("\r\x1b[K")[2], text
+
+
+def calls(ledger: Path) -> list[tuple[object, ...]]:
+    listing: list[tuple[object, ...]] = [("query", "--list")]
+    return (
+        listing
+        + [(verb, ledger, *more) for verb, more in VERBS.items()]
+        + [("query", name, ledger) for name in QUERIES]
+    )
+
+
+def wide(line: str) -> int:
+    return sum(map(columns_of, line))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_line_of_any_verb_is_wider_than_the_terminal(ledger: Path, width: int) -> None:
+    for arguments in calls(ledger):
+        text, _ = on_a_terminal(width, "-m", "fsar_ledger", *arguments)
+        assert text.strip(), arguments
+        assert [line for line in text.split("\n") if wide(line) > width] == [], arguments
+        assert "\x1b" not in text, arguments
+
+
+@pytest.mark.slow
+def test_piped_every_verb_gives_the_same_bytes_at_any_width(ledger: Path) -> None:
+    for arguments in calls(ledger):
+        narrow, broad = (in_a_process(*arguments, surroundings={"COLUMNS": columns}) for columns in ("80", "200"))
+        assert narrow == broad, arguments
+
+
+def test_a_table_fits_the_terminal_and_is_whole_with_wide(ledger: Path, call: Call) -> None:
+    arguments = ("query", "failures", ledger)
+    fitting, _ = on_a_terminal(80, "-m", "fsar_ledger", *arguments)
+    whole, _ = on_a_terminal(500, "-m", "fsar_ledger", *arguments, "--wide")
+    assert max(map(wide, fitting.split("\n"))) <= 80
+    assert fitting.startswith("run_id *.")
+    assert "\nnot shown: " in fitting
+    assert whole == call(*arguments).out == call(*arguments, "--wide").out
+
+
+def test_a_column_that_is_the_same_in_every_row_is_said_once_above() -> None:
+    rows = [{"architecture": "fsar", "seed": 42, "note": None, "robot": robot} for robot in ("A1", "B1")]
+    assert fitted(rows, list(rows[0]), 80) == (
+        "in every row: architecture fsar, seed 42\nNULL in every row: note\n\nrobot\n-----\nA1\nB1\n"
+    )
+    assert fitted([*rows, rows[0]], list(rows[0]), 80, 2).startswith("in every row shown: architecture fsar, seed 42\n")
+
+
+def test_a_value_said_once_cannot_look_like_two() -> None:
+    rows = [{"robot": "A1, seed 43", "n": n} for n in (1, 2)]
+    assert fitted(rows, ["robot", "n"], 80).startswith("in every row: robot 'A1, seed 43'\n")
+
+
+def test_rows_that_are_all_alike_keep_a_column() -> None:
+    assert fitted([{"a": 1, "b": 2}] * 2, ["a", "b"], 80) == "in every row: b 2\n\na\n-\n1\n1\n"
+
+
+def test_runs_lose_the_parts_that_they_share() -> None:
+    rows = [{"run_id": run, "seq": number} for number, run in enumerate(RUNS)]
+    above, _, _, _, first, *_, last = fitted(rows, ["run_id", "seq"], 80).splitlines()
+    assert above == "run_id fsar.full.*.n4.s42.*: rows show what stands for each *"
+    assert (first.split(), last.split()) == (["door", "r0001-abc", "0"], ["relay", "r0002-abc", "3"])
+
+
+def test_runs_that_could_not_be_told_apart_stay_whole() -> None:
+    for runs in (["a.b c.d", "a.b.c d"], ["a", "b"], ["a.b", "a.b.c"]):
+        text = fitted([{"run_id": run} for run in runs], ["run_id"], 80)
+        assert all(f"\n{run}\n" in text for run in runs) or "*" in text
+        assert len(set(text.splitlines()[-2:])) == 2
+
+
+def test_a_long_list_is_shortened() -> None:
+    rows = [{"robots": [f"robot/A{number}" for number in range(12)], "n": 1}, {"robots": [], "n": 2}]
+    text = fitted(rows, ["robots", "n"], 80)
+    assert "robot/A0, robot/A1, robot/A2 and 9 more  1" in text
+    assert "\nnone " in text
+
+
+def test_a_long_cell_goes_on_behind_a_mark_and_between_words() -> None:
+    said = "a robot starts although the outcome that it knows is deny, and nobody was asked"
+    rows = [{"n": n, "said": f"{said} {n}"} for n in (1, 2)]
+    lines = fitted(rows, ["n", "said"], 60).splitlines()
+    assert max(map(len, lines)) <= 60
+    assert [line[:2] for line in lines] == ["  ", "  ", "  ", "| ", "  ", "| "]
+    assert [word for line in lines[2:4] for word in line[2:].split()] == ["1", *said.split(), "1"]
+
+
+def test_columns_without_room_are_named() -> None:
+    rows = [{f"column_{place}": 10**11 + place + n for place in range(9)} for n in (1, 2)]
+    text = fitted(rows, list(rows[0]), 80)
+    assert text.endswith("not shown: column_5, column_6, column_7, column_8; --wide shows all\n")
+    assert all(str(rows[0][f"column_{place}"]) in text for place in range(5))
+
+
+def test_a_single_row_that_does_not_fit_is_a_list() -> None:
+    row = {"run_id": "r" * 60, "robot": "robot/A1", "note": None}
+    assert fitted([row], list(row), 70) == f"run_id  {'r' * 60}\nrobot   robot/A1\nnote    -\n"
+
+
+@pytest.mark.parametrize("width", [20, 33, *WIDTHS])
+@pytest.mark.parametrize("name", PAINT)
+def test_hostile_cells_neither_paint_nor_leave_the_table(name: str, width: int) -> None:
+    rows = [{"run_id": f"{number}{PAINT[name]}", "wide": "東" * 30, "n": number} for number in (1, 2)]
+    text = fitted(rows, ["run_id", "wide", "n"], width)
+    lines = text.split("\n")
+    table = lines[next(place for place, line in enumerate(lines) if "---" in line) :]
+    assert painted(text) == []
+    assert [line for line in table if not line.startswith("not shown") and wide(line) > width] == []
+    assert [line for line in lines if line.lstrip().startswith(CLAIM[:12])] == []
+
+
+def test_rich_reads_no_cell_as_markup() -> None:
+    rows = [{"robot": "[red]A1[/red] :smile:", "n": 1}, {"robot": "[link=x]B1", "n": 2}]
+    text = fitted(rows, ["robot", "n"], 80)
+    assert "[red]A1[/red] :smile:" in text
+    assert "[link=x]B1" in text
+
+
+def test_an_answer_without_rows_is_as_when_piped() -> None:
+    assert fitted([], ["a", "b"], 80) == table_text([], ["a", "b"])
+
+
+def test_queries_are_listed_by_group_and_event_views_only_with_all(call: Call) -> None:
+    named, everything = call("query", "--list").out, call("query", "--list", "--all").out
+    groups = [line.partition(":")[0] for line in named.splitlines() if line.partition(":")[0] in GROUPS]
+    assert groups == list(GROUPS)
+    assert "audit/requests" in named
+    assert "run=all action=all" in named
+    assert "staging/request_issued" not in named
+    assert "views of events are not listed; --all lists them" in named
+    assert "staging/request_issued" in everything
+    assert "are not listed" not in everything
+    one_message(call("query", "--all"), 2, "--all without --list")
+
+
+def test_every_group_of_queries_has_words() -> None:
+    from fsar_ledger.metrics.groups import group_of, listed
+
+    assert {group_of(query) for query in listed(events=True)} == GROUPS.keys()
+
+
+def test_a_query_shows_its_sql_as_its_file_holds_it(call: Call) -> None:
+    files = Path(__file__).parents[2] / "queries"
+    for name in ("audit/requests", "facts/failures"):
+        assert call("query", name, "--show").out == (files / f"{name}.sql").read_text("utf-8")
+    assert call("query", "failures", "--show").out == call("query", "facts/failures", "--show").out
+    generated = call("query", "request_issued", "--show").out
+    assert generated.startswith("-- Title: ")
+    assert "\nSELECT " in generated
+    one_message(call("query", "failurs", "--show"), 2, "did you mean facts/failures")
+    one_message(call("query", "--show"), 2, "expected NAME")
+    one_message(call("query", "failures", "--show", "--json"), 2, "SQL is text")
+
+
+WORK = """
+import sys, time
+from fsar_ledger.cli.progress import Progress
+with Progress("verified", "segments") as progress:
+    for done in range(1, 6):
+        time.sleep(0.11)
+        progress(done, 10)
+print("rich" in sys.modules)
+"""
+
+
+def test_long_work_says_what_is_done_of_what_how_fast_and_how_long_the_rest_takes() -> None:
+    after, stream = on_a_terminal(100, "-c", WORK, surroundings={"NO_COLOR": "1", "TERM": "xterm"})
+    assert after == "True\n"  # the line is erased
+    assert "verified 5 of 10 segments" in stream
+    assert " per second" in stream
+    assert " left" in stream
+
+
+def test_progress_is_for_terminals_that_can_erase_it() -> None:
+    assert on_a_terminal(100, "-c", WORK, surroundings={"TERM": "dumb"}) == ("False\n", "False\n")
+    piped = subprocess.run([sys.executable, "-c", WORK], capture_output=True, text=True, check=True)
+    assert (piped.stdout, piped.stderr) == ("False\n", "")
