@@ -7,7 +7,6 @@ does not fit is shown as a list. With `--wide`, or where the output is no termin
 Cells are escaped (`printable`) before they are measured, and rich never reads them as markup.
 """
 
-import io
 import re
 import shlex
 from collections.abc import Sequence
@@ -18,7 +17,7 @@ from fsar_ledger.api.fields import Row
 from fsar_ledger.printable import Shown
 
 from .output import cell_text, more_text, table_text
-from .terminal import columns_of, width_of_output
+from .terminal import aligned, columns_of, width_of_output
 
 GAP = 2
 """Columns of the terminal between two columns of a table."""
@@ -174,29 +173,12 @@ def _laid_out(columns: Sequence[Column], widths: Sequence[int]) -> Shown:
     head = [_broken(column.name, wide) for column, wide in chosen]
     rule = [["-" * wide] for _, wide in chosen]
     body = [[_broken(column.cells[row], wide) for column, wide in chosen] for row in range(len(columns[0].cells))]
-    lines = _aligned([head, rule, *body], chosen)
+    lines = aligned([head, rule, *body], widths, [column.is_number for column, _ in chosen], GAP)
     heights = [max(map(len, row)) for row in (head, rule, *body)]
     if max(heights) == 1:
         return Shown("".join(lines))
     marks = [mark for height in heights for mark in (" ", *MARK * (height - 1))]
     return Shown("".join(f"{mark} {line}" for mark, line in zip(marks, lines, strict=True)))
-
-
-def _aligned(rows: Sequence[Sequence[Sequence[str]]], columns: Sequence[tuple[Column, int]]) -> list[str]:
-    """Return the lines of these rows of broken cells, each cell as wide as its column."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    laid = Table(box=None, show_header=False, pad_edge=False, padding=(0, GAP, 0, 0))
-    for column, wide in columns:
-        laid.add_column(width=wide, no_wrap=True, justify="right" if column.is_number else "left")
-    for cells in rows:
-        laid.add_row(*(Text("\n".join(lines)) for lines in cells))
-    output = io.StringIO()
-    whole = _total([wide for _, wide in columns])
-    Console(file=output, width=whole, color_system=None, force_terminal=False, legacy_windows=False).print(laid)
-    return [f"{line.rstrip(' ')}\n" for line in output.getvalue().split("\n")[:-1]]
 
 
 def _listed(columns: Sequence[Column]) -> Shown:
