@@ -230,3 +230,7 @@ def test_progress_is_for_terminals_that_can_erase_it() -> None:
     assert on_a_terminal(100, "-c", WORK, surroundings={"TERM": "dumb"}) == ("False\n", "False\n")
     piped = subprocess.run([sys.executable, "-c", WORK], capture_output=True, text=True, check=True)
     assert (piped.stdout, piped.stderr) == ("False\n", "")
+
+
+def test_numbers_stand_to_the_right() -> None:
+    assert fitted([{"a": "x", "n": 1}, {"a": "yy", "n": 100}], ["a", "n"], 80) == "a     n\n--  ---\nx     1\nyy  100\n"
