@@ -54,5 +54,6 @@ def test_runs_requests_and_values_are_those_of_the_ledger_on_the_line(ledger: Pa
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_script_that_a_shell_needs_is_shown(shell: str) -> None:
-    called = in_a_process("--show-completion", shell)
+    named = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}  # else it is for the shell that runs the tests
+    called = in_a_process("--show-completion", shell, surroundings=named)
     assert (called.code, "_FSAR_LEDGER_COMPLETE" in called.out) == (0, True)
