@@ -24,7 +24,7 @@ Rows = list[dict[str, Any]]
 
 
 class Account(msgspec.Struct, frozen=True):
-    """The account of one request: who asked, who allowed, who acted, who supervised.
+    """The account of one request: who asked, who allowed or denied, who acted, who supervised.
 
     `timeline` has a row for each step, `recovery` one for each attempt after a failure, level by level.
     """
@@ -36,6 +36,12 @@ class Account(msgspec.Struct, frozen=True):
     recovery: Rows
     is_failure: bool
     provenance: Provenance
+
+    @property
+    def decisive_seq(self) -> int:
+        """The position in the run of the event that decided the result, else of the last one told."""
+        seq = self.parties["seq"]
+        return int(self.timeline[-1]["seq"] if seq is None else seq)
 
     def draw(self, file: "str | PathLike[str]", kind: Literal["svg", "pdf"] | None = None) -> None:
         """Draw the timeline, or the levels of a failure's recovery, as SVG or PDF; the file is replaced if it exists.

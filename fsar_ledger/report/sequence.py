@@ -18,7 +18,7 @@ Row = Mapping[str, Any]
 FONT = 7.5  # points
 LETTER = 0.056  # width of a letter of that size in inches, slightly above the mean
 LINE = 0.135  # height of a line of text
-TIME = 0.75  # left column, for the times
+TIME = 1.2  # left columns, for the times and the positions in the run (seq)
 LANE = 1.55  # between two life lines
 AGENT_LANE = 1.15  # the same in a figure with many
 DEED = 2.4  # the widest text of a deed
@@ -85,7 +85,7 @@ def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
     """Draw the timeline as a sequence diagram. Paper: fig:wf1.
 
     Each principal has a life line, each message an arrow and each evaluation a box. Each row holds sender, receiver,
-    kind, message, note, time_s, is_tied; at least one row.
+    kind, message, note, time_s, seq, is_tied; at least one row.
     """
     with drawn_sequence(rows) as figure:
         return figures.rendered(figure, kind)
@@ -130,9 +130,10 @@ def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
         before = None
         for row, lines, top, room in zip(rows, texts, tops, heights, strict=True):
             time = f"{row['time_s']:.3f} s"
+            level = top + room - 0.06 if row["kind"] == "message" else top + room / 2
             if time != before:
-                level = top + room - 0.06 if row["kind"] == "message" else top + room / 2
                 axes.text(0.08, level, time, ha="left", va="center", color=QUIET, **TEXT)
+            axes.text(TIME, level, f"{row['seq']}", ha="right", va="center", color=QUIET, **TEXT)
             before = time
             _step(axes, row, lines, at, top, room)
         if more:
@@ -252,8 +253,8 @@ def rungs(rows: Sequence[Row]) -> list[Row]:
 def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
     """Draw the recovery of the failures of one action, level below level, with why each level was left. Paper: fig:wf3.
 
-    Each row holds failure, level_number, level, to_level, spent_s, time_s, until_s, what, result, achieved, budget_s,
-    decided_by; at least one row.
+    Each row holds failure, seq, level_number, level, to_level, spent_s, time_s, until_s, what, result, achieved,
+    budget_s, decided_by; at least one row.
     """
     with drawn_ladder(rows) as figure:
         return figures.rendered(figure, kind)
@@ -264,7 +265,7 @@ def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
     """Yield the figure of `ladder` with its settings in force, to be rendered or measured."""
     rows, more = drawable(rows)
     shown = rungs(rows)
-    box, tall, left, middle = 2.9, 0.3, 1.35, 1.35 + 0.95 + 1.45
+    box, tall, left, middle = 2.9, 0.3, 1.35, 1.35 + 1.45 + 1.45
     width, height = middle + box / 2 + 2.1, 0.15 + (tall + 0.14) * len(shown) + (LINE if more else 0)
     with figures.plain_canvas(width, height) as (figure, axes):
         heights = [0.12 + tall / 2 + (tall + 0.14) * position for position in range(len(shown))]
@@ -273,6 +274,7 @@ def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
             fill = "white" if is_way else LEVEL_FILLS.get(row["level"], "white")
             _box(axes, middle, y, box, tall, fill, _rung(row, rows), style="--" if is_way else "-")
             axes.text(left + 0.3, y, f"{row['time_s']:.3f} s", ha="left", va="center", color=QUIET, **TEXT)
+            axes.text(left + 1.35, y, f"{row['seq']}", ha="right", va="center", color=QUIET, **TEXT)
             if row["result"] and not is_way:
                 colour = GOOD if row["result"] in GOOD_RESULTS or row["result"].startswith("to ") else BAD
                 axes.text(

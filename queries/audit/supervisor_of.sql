@@ -1,8 +1,9 @@
 -- Title: Who supervised an action, by its records, and whether that supervisor was on shift
 -- Paper: eq:supervision
--- Grain: one row per run, action and supervisor that its coordination events name
+-- Grain: one row per run, action and supervisor that its coordination events and denials name
 -- Key: run_id, action_id, supervised_by?
--- Units: first_us, last_us microseconds of run time; records and records_off_shift events
+-- Units: first_us, last_us microseconds of run time; first_seq, last_seq positions in the run, for `prove RUN:SEQ`;
+--   records and records_off_shift events
 -- NULL: supervised_by for the records that name no supervisor; records_off_shift for these, too
 -- Example: fsar-ledger query audit/supervisor_of LEDGER --param run=RUN --param action=B1-1/2.1
 --   answers supervisor/B1 in 3 records, supervisor/C1 in 4 records, none of them while off shift
@@ -15,11 +16,19 @@ WITH shifts AS (
     WHERE type IN ('SupervisorLeft.v1', 'SupervisorReturned.v1')
 ),
 
+supervised AS (
+    SELECT run_id, seq, time_us, action_id, supervised_by
+    FROM coordination_events
+    UNION ALL
+    SELECT run_id, seq, time_us, action_id, supervised_by
+    FROM denied_actions
+),
+
 records AS (
     SELECT
-        events.run_id, events.time_us, events.action_id, events.supervised_by,
+        events.run_id, events.seq, events.time_us, events.action_id, events.supervised_by,
         coalesce(arg_max(shifts.is_off, shifts.seq), FALSE) AS is_off
-    FROM coordination_events AS events
+    FROM supervised AS events
     LEFT JOIN shifts
         ON events.run_id = shifts.run_id AND events.supervised_by = shifts.supervisor AND events.seq > shifts.seq
     WHERE events.action_id IS NOT NULL AND $run IN ('all', events.run_id) AND $action IN ('all', events.action_id)
@@ -30,6 +39,8 @@ SELECT
     run_id, action_id, supervised_by,
     min(time_us) AS first_us,
     max(time_us) AS last_us,
+    min(seq) AS first_seq,
+    max(seq) AS last_seq,
     count(*) AS records,
     CASE WHEN supervised_by IS NOT NULL THEN count_if(is_off) END AS records_off_shift
 FROM records

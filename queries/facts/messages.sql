@@ -8,7 +8,12 @@
 --   calls a supervisor is not recorded: for a review that names a robot it is the coordinator, else the executor (for
 --   recovery: the decider) that the action's record named last
 -- Example: fsar-ledger query facts/messages LEDGER
-WITH told AS (
+WITH denials AS (
+    SELECT run_id, seq, grounds
+    FROM denied_actions
+),
+
+told AS (
     SELECT
         events.run_id, events.seq, events.time_us, events.type, keyed_events.action_id,
         MAP {
@@ -52,6 +57,14 @@ WITH told AS (
                 list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '
             ), ''),
             CASE WHEN events.type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END,
+            CASE WHEN events.type = 'RequestDenied.v1' THEN concat_ws(
+                '; ',
+                'asked of ' || if(executed_by = decided_by, NULL, executed_by),
+                'under ' || denials.grounds,
+                'decided through '
+                || nullif(array_to_string(list_filter(path, LAMBDA one: one <> decided_by), ', '), ''),
+                'supervised by ' || supervised_by
+            ) END,
             'gives way to ' || preempted_by, keyed_events.action_id || ' competes with ' || competing,
             CASE WHEN events.type = 'RecoveryAttempted.v1' THEN 'level ' || level END,
             'achieved ' || nullif(array_to_string(achieved, ', '), ''),
@@ -61,6 +74,7 @@ WITH told AS (
     FROM events
     INNER JOIN keyed_events ON events.run_id = keyed_events.run_id AND events.seq = keyed_events.seq
     INNER JOIN runs ON events.run_id = runs.run_id
+    LEFT JOIN denials ON events.run_id = denials.run_id AND events.seq = denials.seq
     WHERE
         events.type IN (SELECT message_words.type FROM message_words)
         AND (events.type <> 'AuthorityClaimed.v1' OR reason = 'revocation')

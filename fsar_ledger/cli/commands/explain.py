@@ -40,12 +40,16 @@ COLUMNS = (
     "capability",
     "asked_by",
     "allowed_by",
+    "denied_by",
+    "denied_under",
     "executed_by",
     "supervised_by",
     "failures",
     "result",
+    "seq",
 )
-PARTIES = ("asked_by", "allowed_by", "executed_by", "supervised_by")
+PARTIES = ("asked_by", "allowed_by", "denied_by", "denied_under", "executed_by", "supervised_by")
+DENIED = ("denied_by", "denied_under")
 UNKNOWN = "not on record"
 WORDS, MAX_WORDS = ("message", "note"), 1_000
 
@@ -61,10 +65,11 @@ def explain(
     as_json: JsonOption = False,
     wide: WideOption = False,
 ) -> None:
-    """Show the timeline of a request: who asked, who allowed, who acted, who supervised.
+    """Show the timeline of a request: who asked, who allowed or denied, who acted, who supervised.
 
-    For a request that failed, also what recovery tried at each level, for how long, and why it moved on. Without
-    --request and --failure, list the requests of the run.
+    Each line has its position in the run (seq), which `prove RUN:SEQ` takes. For a request that failed, also what
+    recovery tried at each level, for how long, and why it moved on. Without --request and --failure, list the requests
+    of the run.
     """
     from fsar_ledger.api.explain import account, chosen_run, requests
     from fsar_ledger.cli.answering import opened, warn
@@ -107,7 +112,8 @@ def explain(
         )
         return
     lines = _told(name, told.action, shown(told.timeline if failure is None else []), shown([told.parties])[0])
-    show(printable.lines(*lines, *_recovered(shown(told.recovery)), *map(str, files.values())))
+    hint = _proof(ledger, name, told.decisive_seq)
+    show(printable.lines(*lines, *_recovered(shown(told.recovery)), "", hint, *map(str, files.values())))
 
 
 def shown(rows: Sequence[Mapping[str, Any]]) -> Timeline:
@@ -160,13 +166,31 @@ def _told(run: str, action: str, timeline: Timeline, parties: Mapping[str, Any])
         note = f"  ({row['note']})" if row["note"] else ""
         if row["step"] <= 1:
             yield ""
-        yield f"{row['time_s']:>10.3f} s {' ' if row['is_tied'] else '*'} {names:<{width}}  {row['message']}{note}"
+        tie = " " if row["is_tied"] else "*"
+        yield f"{row['time_s']:>10.3f} s {row['seq']:>6} {tie} {names:<{width}}  {row['message']}{note}"
     if not all(row["is_tied"] for row in timeline):
         yield "* the record names no action; its cause does"
     yield ""
-    yield from (f"{name.replace('_', ' '):<14} {parties[name] or UNKNOWN}" for name in PARTIES)
+    yield from (f"{name.replace('_', ' '):<14} {found}" for name, found in _parties(parties))
     took = "" if parties["ended_s"] is None else f", {parties['ended_s'] - parties['began_s']:.3f} s after it began"
     yield f"{'result':<14} {parties['result']}{took}"
+
+
+def _parties(parties: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield who asked, allowed, denied (and when, under which window or rule), executed, supervised."""
+    for name in PARTIES:
+        if name in DENIED and not parties["denials"]:
+            continue
+        when = ""
+        if name == "denied_by":
+            times = "" if parties["denials"] == 1 else f"{parties['denials']} times, the last "
+            when = f", {times}at {parties['denied_s']:.3f} s (seq {parties['denied_seq']})"
+        yield name, f"{parties[name] or UNKNOWN}{when}"
+
+
+def _proof(ledger: Path, run: str, seq: int) -> str:
+    """Return the call that proves the event that decided the result."""
+    return f"`fsar-ledger prove {printable.word(ledger)} {printable.word(f'{run}:{seq}')}` proves event {seq} to others"
 
 
 def _between(row: Mapping[str, Any]) -> str:
@@ -187,7 +211,7 @@ def _recovered(recovery: Sequence[Mapping[str, Any]]) -> Iterator[str]:
             yield f"  {number} {level:<6}{spent_s:>9.3f} s"
             for row in stay:
                 by = f", by {row['decided_by']}" if row["decided_by"] else ""
-                yield f"{row['time_s']:>10.3f} s    {row['what']}{by}{_result(row, stay)}"
+                yield f"{row['time_s']:>10.3f} s {row['seq']:>6}   {row['what']}{by}{_result(row, stay)}"
 
 
 def _result(row: Mapping[str, Any], stay: Sequence[Mapping[str, Any]]) -> str:

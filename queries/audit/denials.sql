@@ -1,0 +1,31 @@
+-- Title: Denials: who asked, who denied, when, why, under which window or rule, and who supervised
+-- Paper: eq:admissible, eq:policy, sec:model:request
+-- Grain: one row per RequestDenied event and policy window or rule under which it fell; one for a denial that none
+--   explains
+-- Key: run_id, seq, under_seq?
+-- Units: denied_s, opened_s, closed_s seconds of run time; opened_s to closed_s half-open; seq, under_seq positions in
+--   the run, for `prove RUN:SEQ`
+-- NULL: a principal that the record does not name; action_id when neither the record nor its cause names one; what is
+--   said about the window or rule when none on record explains the denial; closed_s when it was never closed
+-- Example: fsar-ledger query audit/denials LEDGER --param run=RUN
+--   answers A1-1/3.1 at 31.046 s: denied by robot/B1 for policy, under window local/B1/0, supervised by supervisor/B1
+-- Parameters: run = all, action = all
+SELECT
+    denials.run_id, denials.seq,
+    denials.time_us / 1000000 AS denied_s,
+    denials.action_id,
+    denials.requested_by AS asked_by,
+    denials.executed_by AS asked_of,
+    denials.decided_by AS denied_by,
+    denials.reason,
+    coalesce(grounds."window", 'rule ' || grounds.ground_seq) AS denied_under,
+    grounds.ground_seq AS under_seq,
+    grounds.scope,
+    grounds.robot AS policy_of,
+    grounds.outcome,
+    grounds.opened_us / 1000000 AS opened_s,
+    grounds.closed_us / 1000000 AS closed_s,
+    denials.supervised_by
+FROM denied_actions AS denials
+LEFT JOIN denial_grounds AS grounds ON denials.run_id = grounds.run_id AND denials.seq = grounds.seq
+WHERE $run IN ('all', denials.run_id) AND $action IN ('all', denials.action_id)
