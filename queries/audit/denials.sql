@@ -9,7 +9,7 @@
 --   said about the window or rule when none on record explains the denial; closed_s when it was never closed
 -- Example: fsar-ledger query audit/denials LEDGER --param run=RUN
 --   answers A1-1/3.1 at 31.046 s: denied by robot/B1 for policy, under window local/B1/0, supervised by supervisor/B1
--- Parameters: run = all, action = all
+-- Parameters: run: run = all, action: action = all
 SELECT
     denials.run_id, denials.seq,
     denials.time_us / 1000000 AS denied_s,

@@ -44,7 +44,7 @@ def test_the_call_that_the_list_suggests_runs(call: Call, ledger: Path) -> None:
 
 def test_the_door_relay_is_told_from_gap_to_result(call: Call, workflows: Path) -> None:
     said = call("explain", workflows, "--run", DOOR, "--request", "A1-1/2.1")
-    lines = [line[15:] for line in said.out.splitlines() if line.startswith("    ")]
+    lines = [line[22:] for line in said.out.splitlines() if line.startswith("    ")]
     assert [line.split("  ")[0] for line in lines] == [
         "robot/A1",
         "robot/A1 -> service/registry",
@@ -73,7 +73,7 @@ def test_a_failure_is_told_level_by_level_with_the_time_at_each(call: Call, work
     assert list(dict.fromkeys(row["level"] for row in rows)) == ["local", "peer", "fleet", "human"]
     for row in rows:
         assert f"{row['level_number']} {row['level']:<6}{row['spent_s']:>9.3f} s" in said.out
-        assert f"{row['time_s']:>10.3f} s    {row['what']}" in said.out
+        assert f"{row['time_s']:>10.3f} s {row['seq']:>6}   {row['what']}" in said.out
     assert "budget exhausted (2 attempts within 30 s)" in said.out
 
 

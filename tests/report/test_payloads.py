@@ -83,6 +83,7 @@ def drawn(kind: str, payloads: Sequence[str]) -> Iterator[bytes]:
     ]
     rung: dict[str, object] = {
         "failure": 1,
+        "seq": 7,
         "level_number": 1,
         "spent_s": 1.0,
         "time_s": 1.0,

@@ -22,6 +22,7 @@ def told(
 ) -> dict[str, Any]:
     return {
         "step": step,
+        "seq": 500 + step,
         "time_s": step / 2,
         "sender": sender,
         "receiver": receiver,
@@ -68,6 +69,11 @@ def test_the_sequence_shows_principals_messages_times_and_the_evaluation() -> No
         assert text in drawn
     assert {"evaluate: policy allow", "trust task", "authority (1, 1, 0, 1)"} <= set(drawn)
     assert [text for text in drawn if text.endswith(" s")] == [f"{step / 2:.3f} s" for step in range(1, 8)]
+
+
+def test_each_step_shows_its_position_in_the_run() -> None:
+    assert {str(row["seq"]) for row in TIMELINE} <= set(words(sequence.sequence(TIMELINE)))
+    assert {str(row["seq"]) for row in RECOVERY} <= set(words(sequence.ladder(RECOVERY)))
 
 
 def test_an_instant_is_written_once() -> None:
@@ -126,6 +132,7 @@ def rung(
 ) -> dict[str, Any]:
     row = {
         "failure": 1,
+        "seq": 700 + number,
         "level_number": number,
         "level": level,
         "to_level": to_level,

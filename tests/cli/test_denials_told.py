@@ -1,0 +1,144 @@
+"""The story of a denial tells what its event carries: who asked, denied and supervised, when, under which window."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsar_ledger import Ledger, open_ledger
+from fsar_ledger.cli.commands import explain
+from fsar_ledger.metrics.database import plain_rows
+from tests.cli.conftest import Call
+from tests.queries.histories import Row, S, event, run
+from tests.recycled import from_rows
+
+A, B, SUPERVISOR = "robot/A1", "robot/B1", "supervisor/B1"
+PRINCIPALS = ("decided_by", "requested_by", "executed_by", "supervised_by")
+
+
+def story(ledger: Ledger, run_id: str, action: str) -> tuple[dict[str, Any], str]:
+    """The row of the action and its story as text."""
+    account = ledger.explain(run=run_id, request=action)
+    told = "\n".join(explain._told(account.run, action, explain.shown(account.timeline), account.parties))
+    return account.parties, told
+
+
+def missing(ledger: Ledger) -> list[str]:
+    """What events of denials carry and the story of their action does not say."""
+    left_out = []
+    sql = "SELECT d.*, a.action_id AS about FROM request_denied AS d JOIN denied_actions AS a USING (run_id, seq)"
+    denials = ledger.sql(sql).rows()
+    assert denials
+    stories = {(row["run_id"], row["about"]): story(ledger, row["run_id"], row["about"]) for row in denials}
+    for row in denials:
+        parties, told = stories[row["run_id"], row["about"]]
+        at = f"{row['run_id']}:{row['seq']}"
+        (line,) = [line for line in told.splitlines() if line[13:19] == f"{row['seq']:>6}"]
+        carried = [*(row[name] for name in PRINCIPALS), *row["path"]]
+        left_out += [f"{at} line: {name}" for name in carried if name is not None and name not in line]
+        for column, name in (("denied_by", "decided_by"), ("supervised_by", "supervised_by")):
+            if row[name] is not None and row[name] not in (parties[column] or "").split(" and "):
+                left_out.append(f"{at} {column}: {row[name]}")
+    return left_out
+
+
+def test_each_principal_that_a_denial_carries_is_in_the_story_of_its_action(ledger: Path) -> None:
+    assert missing(open_ledger(ledger)) == []
+
+
+def asked(name: str, columns: str, *events: Row) -> list[tuple[Any, ...]]:
+    with from_rows(run(*events)) as database:
+        rows = plain_rows(database.query(f"audit/{name}"))
+    return [tuple(row[column] for column in columns.split()) for row in rows]
+
+
+def about(by: str, **fields: Any) -> dict[str, Any]:
+    parties = {"requested_by": A, "executed_by": B, "supervised_by": SUPERVISOR, "decided_by": by, "path": [by]}
+    return {"task_id": "t1", "action_id": "t1/1.1", **parties, **fields}
+
+
+def window(name: str, robot: str, opened_us: int, scope: str = "local", outcome: str = "deny") -> Row:
+    return event("PolicyWindowOpened", opened_us, robot=robot, scope=scope, window=name, outcome=outcome)
+
+
+def closed(name: str, robot: str, closed_us: int) -> Row:
+    return event("PolicyWindowClosed", closed_us, robot=robot, scope="local", window=name)
+
+
+def request(carried: str = "allow") -> Row:
+    return event("RequestIssued", 4 * S, **about(A), capability="lift", carried_policy=carried)
+
+
+DENIED = event("RequestDenied", 5 * S, **about(B), reason="policy")
+UNDER = "denied_by denied_s reason denied_under policy_of opened_s closed_s supervised_by"
+
+
+def test_a_denial_names_the_window_in_force_and_who_supervised() -> None:
+    history = (window("night-shift", B, 1 * S), request(), DENIED, closed("night-shift", B, 9 * S))
+    assert asked("denials", UNDER, *history) == [(B, 5.0, "policy", "night-shift", B, 1.0, 9.0, SUPERVISOR)]
+
+
+def test_a_window_that_closed_at_the_instant_of_the_denial_does_not_explain_it() -> None:
+    history = (window("night-shift", B, 1 * S), request(), closed("night-shift", B, 5 * S), DENIED)
+    assert asked("denials", "denied_under under_seq scope", *history) == [(None, None, None)]
+
+
+def test_a_window_that_only_asks_for_review_does_not_explain_a_denial() -> None:
+    history = (window("inspection", B, 1 * S, outcome="review"), request(), DENIED)
+    assert asked("denials", "denied_under", *history) == [(None,)]
+
+
+def test_the_requesters_window_explains_it_only_if_the_request_carried_a_denial() -> None:
+    assert asked("denials", "denied_under policy_of", window("home", A, 1 * S), request("deny"), DENIED) == [
+        ("home", A)
+    ]
+    assert asked("denials", "denied_under", window("home", A, 1 * S), request(), DENIED) == [(None,)]
+
+
+def test_a_fleet_window_counts_as_the_executor_had_learned_of_it() -> None:
+    def learned(as_of_us: int) -> Row:
+        return event("FleetRuleLearned", 3 * S, robot=B, outcome="deny", as_of_us=as_of_us)
+
+    zone = window("zone", B, 2 * S, scope="fleet")
+    assert asked("denials", "denied_under scope", zone, learned(2 * S), request(), DENIED) == [("zone", "fleet")]
+    assert asked("denials", "denied_under", zone, learned(1 * S), request(), DENIED) == [(None,)]
+
+
+def test_each_of_two_windows_is_a_row_and_the_request_names_both() -> None:
+    history = (window("first", B, 1 * S), window("second", B, 2 * S), request(), DENIED)
+    assert sorted(asked("denials", "denied_under", *history)) == [("first",), ("second",)]
+    columns = "denied_by denied_s denied_under denials supervised_by result"
+    assert asked("requests", columns, *history) == [(B, 5.0, "first and second", 1, SUPERVISOR, "denied: policy")]
+
+
+def test_a_rule_is_named_by_the_event_that_set_it() -> None:
+    founded = event("RobotJoined", 0, robot=B, role="B", team=1)
+    rule = event("PolicyRuleSet", 1 * S, scope="local", robot=B, capability="lift", outcome="deny")
+    rows = asked("denials", "denied_under under_seq", founded, rule, request(), DENIED)
+    assert [(f"rule {seq}", seq) for _, seq in rows] == rows
+    assert len(rows) == 1
+
+
+def test_the_supervisor_of_a_denial_is_the_actions_with_the_seq_of_its_records() -> None:
+    columns = "supervised_by first_seq last_seq records"
+    (row,) = asked("supervisor_of", columns, DENIED)
+    assert row[0] == SUPERVISOR
+    assert row[1] == row[2]
+    assert row[3] == 1
+
+
+def test_the_call_that_a_story_suggests_proves_its_decisive_event(call: Call, ledger: Path) -> None:
+    listed = json.loads(call("explain", ledger, "--json").out)
+    one = listed["requests"][0]
+    said = call("explain", ledger, "--run", listed["run"], "--request", one["action_id"]).out
+    hint = said.splitlines()[-1].partition("`")[2].partition("`")[0]
+    assert hint.endswith(f"{listed['run']}:{one['seq']}")
+    assert call(*hint.split()[1:]).code == 0
+
+
+@pytest.mark.slow
+def test_no_denial_of_any_scenario_leaves_a_principal_out(call: Call, tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    assert call("simulate", path, "--runs", "2").code == 0
+    assert missing(open_ledger(path)) == []
