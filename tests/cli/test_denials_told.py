@@ -37,6 +37,8 @@ def missing(ledger: Ledger) -> list[str]:
         (line,) = [line for line in told.splitlines() if line[13:19] == f"{row['seq']:>6}"]
         carried = [*(row[name] for name in PRINCIPALS), *row["path"]]
         left_out += [f"{at} line: {name}" for name in carried if name is not None and name not in line]
+        if row["executed_by"] not in (None, row["decided_by"]) and f"asked of {row['executed_by']}" not in line:
+            left_out.append(f"{at} line: asked of {row['executed_by']}")
         for column, name in (("denied_by", "decided_by"), ("supervised_by", "supervised_by")):
             if row[name] is not None and row[name] not in (parties[column] or "").split(" and "):
                 left_out.append(f"{at} {column}: {row[name]}")
