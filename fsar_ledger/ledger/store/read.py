@@ -203,8 +203,10 @@ def open_ledger(path: Path) -> LedgerView:
     records: list[CommitRecord] = []
     sha256 = manifest_sha256 = sha256_hex(data)
     for commit in walk(path, manifest.origin, manifest_sha256, _count(path)):
-        if commit.problems or commit.record is None or commit.sha256 is None:
+        if commit.problems:
             raise _refused(path, commit)
+        assert commit.record is not None  # as of every commit without problems
+        assert commit.sha256 is not None
         records.append(commit.record)
         sha256 = commit.sha256
     return LedgerView(path, manifest, manifest_sha256, sha256, tuple(records))
