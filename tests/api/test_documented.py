@@ -16,6 +16,8 @@ from tests.test_documentation import COMMANDS
 
 DOCS = Path(fsar_ledger.__file__).resolve().parent.parent / "docs"
 PAGE = (DOCS / "python.md").read_text("utf-8")
+NOTEBOOKS = {"tour.ipynb": ["out/tour.svg"], "auditors-hour.ipynb": ["out/denial.tlog-proof"]}
+"""The notebooks, and the file that the last cells of each make."""
 ONLY_SERVES = {"witness serve"}
 """Runs until it is interrupted; there is nothing to return."""
 
@@ -60,29 +62,36 @@ def test_the_examples_of_the_page_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_cells_of_the_tour_run(tmp_path: Path) -> None:
-    run_in_order(cells(), tmp_path)
-    assert (tmp_path / "out" / "tour.svg").read_bytes().startswith(b"<?xml")
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_the_cells_of_a_notebook_run(tmp_path: Path, name: str) -> None:
+    run_in_order(cells(name), tmp_path)
+    assert [(tmp_path / made).exists() for made in NOTEBOOKS[name]] == [True]
 
 
-def test_the_tour_holds_no_output() -> None:
-    tour = json.loads((DOCS / "tour.ipynb").read_text("utf-8"))
-    assert [cell for cell in tour["cells"] if cell.get("outputs") or cell.get("execution_count")] == []
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_holds_no_output(name: str) -> None:
+    notebook = json.loads((DOCS / name).read_text("utf-8"))
+    assert [cell for cell in notebook["cells"] if cell.get("outputs") or cell.get("execution_count")] == []
 
 
-def test_the_tour_runs_in_a_kernel(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_runs_in_a_kernel(tmp_path: Path, name: str) -> None:
     client = pytest.importorskip("nbclient", reason="the notebook extra is not installed")
     nbformat = pytest.importorskip("nbformat", reason="the notebook extra is not installed")
     pytest.importorskip("ipykernel", reason="the notebook extra is not installed")
-    tour = nbformat.read(DOCS / "tour.ipynb", as_version=4)
-    client.NotebookClient(tour, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
-    assert (tmp_path / "out" / "tour.svg").exists()
+    notebook = nbformat.read(DOCS / name, as_version=4)
+    client.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    assert [(tmp_path / made).exists() for made in NOTEBOOKS[name]] == [True]
 
 
-def cells() -> list[str]:
-    """The code of the tour, cell by cell."""
-    tour = json.loads((DOCS / "tour.ipynb").read_text("utf-8"))
-    return ["".join(cell["source"]) for cell in tour["cells"] if cell["cell_type"] == "code"]
+def test_every_notebook_is_run() -> None:
+    assert {file.name for file in DOCS.glob("*.ipynb")} == set(NOTEBOOKS)
+
+
+def cells(name: str) -> list[str]:
+    """Return the code of a notebook, cell by cell."""
+    notebook = json.loads((DOCS / name).read_text("utf-8"))
+    return ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
 
 
 def run_in_order(parts: list[str], folder: Path) -> None:
