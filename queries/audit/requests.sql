@@ -29,68 +29,6 @@ denials AS (
         count(*) AS denials
     FROM denied
     GROUP BY run_id, action_id
-),
-
-told AS (
-    SELECT run_id, seq, action_id
-    FROM keyed_events
-    WHERE action_id IS NOT NULL AND $run IN ('all', run_id) AND $action IN ('all', action_id)
-    UNION ALL
-    SELECT run_id, seq, action_id
-    FROM competing_calls
-    WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
-    UNION ALL
-    SELECT run_id, seq, action_id
-    FROM denied
-),
-
-actions AS (
-    SELECT
-        told.run_id, told.action_id,
-        min(time_us) AS began_us,
-        arg_min(capability, events.seq) AS capability,
-        coalesce(
-            arg_min(decided_by, events.seq) FILTER (
-                type IN ('RequestIssued.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')
-            ),
-            arg_min(requested_by, events.seq), arg_min(robot, events.seq) FILTER (type = 'OutsiderRequestInjected.v1')
-        ) AS asked_by,
-        string_agg(DISTINCT decided_by, ' and ' ORDER BY decided_by) FILTER (
-            type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'OwnStepDecided.v1')
-            OR (type = 'SupervisorResponded.v1' AND purpose = 'review' AND approves)
-        ) AS allowed_by,
-        string_agg(DISTINCT executed_by, ' and ' ORDER BY executed_by) FILTER (type = 'ExecutionStarted.v1')
-            AS executed_by,
-        list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by)) FILTER (
-            type IN ('ExecutionStarted.v1', 'RequestDenied.v1', 'SupervisorResponded.v1')
-        ) AS supervisors,
-        count(*) FILTER (type = 'ExecutionFailed.v1') AS failures,
-        max(time_us) FILTER (
-            type IN ('ExecutionFinished.v1', 'RequestClosed.v1', 'RequestDenied.v1', 'RequestUnanswered.v1')
-        ) AS ended_us,
-        max(events.seq) FILTER (type IN ('CommandIssued.v1', 'ExecutionStarted.v1')) AS begun_seq,
-        max(events.seq) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refused_seq,
-        max(events.seq) FILTER (
-            type IN ('ExecutionFinished.v1', 'RequestClosed.v1') AND result IS NOT NULL
-        ) AS result_seq,
-        arg_max(result, events.seq) FILTER (type IN ('ExecutionFinished.v1', 'RequestClosed.v1')) AS result,
-        arg_max(
-            CASE
-                WHEN type = 'RequestDenied.v1' THEN 'denied: ' || reason
-                WHEN executed_by IS NULL THEN 'nobody to ask'
-                ELSE 'no answer'
-            END,
-            events.seq
-        ) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refusal,
-        if(count(*) FILTER (type = 'ExecutionStarted.v1') > 0, 'not finished', 'not begun') AS state,
-        coalesce(max(len(candidates)) FILTER (type = 'RegistryQueried.v1'), 0) > 0 AS is_offered,
-        count(*) FILTER (
-            target_role IS NOT NULL
-            OR type IN ('RequestIssued.v1', 'CommandIssued.v1', 'RegistryQueried.v1', 'OutsiderRequestInjected.v1')
-        ) > 0 AS is_request
-    FROM told
-    INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
-    GROUP BY told.run_id, told.action_id
 )
 
 SELECT
@@ -117,6 +55,8 @@ SELECT
         WHEN actions.begun_seq > actions.refused_seq THEN NULL
         ELSE actions.refused_seq
     END AS seq
-FROM actions
+FROM action_records AS actions
 LEFT JOIN denials ON actions.run_id = denials.run_id AND actions.action_id = denials.action_id
-WHERE actions.is_request OR actions.failures > 0 OR denials.denials > 0 OR $action = actions.action_id
+WHERE
+    $run IN ('all', actions.run_id) AND $action IN ('all', actions.action_id)
+    AND (actions.is_request OR actions.failures > 0 OR denials.denials > 0 OR $action = actions.action_id)

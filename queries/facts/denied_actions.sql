@@ -4,8 +4,10 @@
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id when neither the record nor what caused it names one; a principal that the record does not name;
---   denied_under (their names) and grounds (in words) when no window or rule on record explains the denial
+--   denied_under (names of windows and rules) when none on record explains the denial; note (of whom it was asked, the
+--   windows and rules, through whom it was decided, who supervised) when the record names none of these
 -- Example: fsar-ledger query facts/denied_actions LEDGER
+-- Stored: requests, messages and denials read it
 WITH RECURSIVE causes AS (
     SELECT run_id, seq, caused_by, action_id
     FROM keyed_events
@@ -39,7 +41,15 @@ grounds AS (
 
 SELECT
     denied.run_id, denied.seq, denied.time_us, actions.action_id, denied.requested_by, denied.executed_by,
-    denied.decided_by, denied.reason, grounds.denied_under, grounds.grounds, denied.supervised_by
+    denied.decided_by, denied.reason, grounds.denied_under, denied.supervised_by,
+    nullif(concat_ws(
+        '; ',
+        'asked of ' || if(denied.executed_by = denied.decided_by, NULL, denied.executed_by),
+        'under ' || grounds.grounds,
+        'decided through '
+        || nullif(array_to_string(list_filter(denied.path, LAMBDA one: one <> denied.decided_by), ', '), ''),
+        'supervised by ' || denied.supervised_by
+    ), '') AS note
 FROM request_denied AS denied
 INNER JOIN actions ON denied.run_id = actions.run_id AND denied.seq = actions.seq
 LEFT JOIN grounds ON denied.run_id = grounds.run_id AND denied.seq = grounds.seq

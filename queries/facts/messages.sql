@@ -3,17 +3,11 @@
 -- Grain: one row per event in the timeline of an action, two for a registry's answer (part 1 and 2)
 -- Key: run_id, seq, part
 -- Units: time_us microseconds of run time; part counts from 1
--- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is
---   nothing to add. A robot's own deed has the robot as sender and receiver, whatever principal the record names. Who
---   calls a supervisor is not recorded: for a review that names a robot it is the coordinator, else the executor (for
---   recovery: the decider) that the action's record named last
+-- NULL: action_id, sender, receiver when the record does not say; note when there is nothing to add. A robot's own deed
+--   has the robot as both, whatever principal the record names. Who calls a supervisor is not recorded: for a review
+--   that names a robot it is the coordinator, else the executor (for recovery: the decider) that was named last
 -- Example: fsar-ledger query facts/messages LEDGER
-WITH denials AS (
-    SELECT run_id, seq, grounds
-    FROM denied_actions
-),
-
-told AS (
+WITH told AS (
     SELECT
         events.run_id, events.seq, events.time_us, events.type, keyed_events.action_id,
         MAP {
@@ -44,7 +38,7 @@ told AS (
                 ELSE CASE purpose WHEN 'review' THEN 'approved' WHEN 'recovery' THEN 'resolved' ELSE 'ordered' END
             END
         } AS details,
-        concat_ws(
+        nullif(concat_ws(
             '; ',
             'carries policy ' || carried_policy, 'through ' || relay, 'trust ' || trust,
             if(may_request IS NULL, NULL, format(
@@ -57,24 +51,15 @@ told AS (
                 list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '
             ), ''),
             CASE WHEN events.type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END,
-            CASE WHEN events.type = 'RequestDenied.v1' THEN concat_ws(
-                '; ',
-                'asked of ' || if(executed_by = decided_by, NULL, executed_by),
-                'under ' || denials.grounds,
-                'decided through '
-                || nullif(array_to_string(list_filter(path, LAMBDA one: one <> decided_by), ', '), ''),
-                'supervised by ' || supervised_by
-            ) END,
             'gives way to ' || preempted_by, keyed_events.action_id || ' competes with ' || competing,
             CASE WHEN events.type = 'RecoveryAttempted.v1' THEN 'level ' || level END,
             'achieved ' || nullif(array_to_string(achieved, ', '), ''),
             CASE WHEN events.type = 'ExecutionStarted.v1' AND robot <> on_behalf_of THEN 'for ' || on_behalf_of END,
             CASE WHEN events.type = 'ExecutionStarted.v1' AND executed_by IS NULL THEN 'no executor on record' END
-        ) AS note
+        ), '') AS note
     FROM events
     INNER JOIN keyed_events ON events.run_id = keyed_events.run_id AND events.seq = keyed_events.seq
     INNER JOIN runs ON events.run_id = runs.run_id
-    LEFT JOIN denials ON events.run_id = denials.run_id AND events.seq = denials.seq
     WHERE
         events.type IN (SELECT message_words.type FROM message_words)
         AND (events.type <> 'AuthorityClaimed.v1' OR reason = 'revocation')
@@ -89,6 +74,7 @@ SELECT
     told.parties[words.sender] AS sender,
     told.parties[words.receiver] AS receiver,
     words.words || coalesce(': ' || told.details[words.detail], '') AS message,
-    CASE WHEN told.type <> 'RegistryQueried.v1' OR words.part = 2 THEN nullif(told.note, '') END AS note
+    nullif(concat_ws('; ', if(told.type <> 'RegistryQueried.v1' OR part = 2, told.note, NULL), denied.note), '') AS note
 FROM told
 INNER JOIN message_words AS words ON told.type = words.type
+LEFT JOIN denied_actions AS denied ON told.run_id = denied.run_id AND told.seq = denied.seq
