@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from fsar_ledger.api.table import rows_of
 from fsar_ledger.ledger.store.read import Head
 from fsar_ledger.metrics.sandbox import Limits
 from fsar_ledger.metrics.untrusted import stream_untrusted
@@ -19,4 +20,5 @@ class Answer(NamedTuple):
 
 def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Answer:
     with stream_untrusted(ledger, sql, limits, demanded) as answer:
-        return Answer(answer.head, answer.rows_verified, answer.columns, [row for part in answer.parts for row in part])
+        rows = [row for batch in answer.batches for part in rows_of(batch) for row in part]
+        return Answer(answer.head, answer.rows_verified, answer.columns, rows)

@@ -1,4 +1,4 @@
-"""Write answers to CSV and Parquet files, each whole or not at all.
+"""Write answers to CSV, Parquet and JSON files, each whole or not at all.
 
 A file is written under a temporary name beside its place and renamed when it is complete, so that neither Ctrl-C nor a
 full disk leaves half of one.
@@ -8,21 +8,27 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TextIO
 
 import msgspec
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, WriteFailed, option
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.memory import unfinished
+from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 
 from .provenance import Provenance
+from .texts import harmless, json_lines, json_texts
+
+LINES = (".ndjson", ".jsonl")
+SUFFIXES = (".csv", ".parquet", *LINES)
 
 
 class Written(msgspec.Struct, frozen=True):
@@ -38,7 +44,7 @@ def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | 
     Text in CSV is as `printable.field` makes it, unless `raw`.
 
     Raises:
-        UsageError: The name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
+        UsageError: The name of the file ends in none of `SUFFIXES`, or it lies inside a ledger.
         WriteFailed: The file cannot be written.
     """
     require_place(out)
@@ -72,10 +78,10 @@ def require_place(out: Path) -> None:
 
 
 def _format_of(out: Path) -> str:
-    if out.suffix not in (".csv", ".parquet"):
+    if out.suffix not in SUFFIXES:
         raise UsageError(
-            f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv or .parquet; choose "
-            "one of them"
+            f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv, .parquet, .ndjson or "
+            ".jsonl; choose one of them"
         )
     return out.suffix
 
@@ -95,39 +101,33 @@ def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iter
     if _format_of(out) == ".parquet":
         with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
             yield lambda table: writer.write_table(table)
+    elif out.suffix in LINES:
+        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            yield lambda table: _write_lines(file, table)
     else:
         # Text is quoted and NULL is not, so that an empty text differs from NULL; names of columns need no quotes.
         options = pa_csv.WriteOptions(quoting_header="none")
-        with pa_csv.CSVWriter(temporary, _flat(schema.empty_table()).schema, write_options=options) as writer:
-            yield lambda table: writer.write_table(_flat(table) if raw else _harmless(_flat(table)))
+        empty = _fields(schema.empty_table(), raw=raw).schema
+        with pa_csv.CSVWriter(temporary, empty, write_options=options) as writer:
+            yield lambda table: writer.write_table(_fields(table, raw=raw))
 
 
-def _flat(table: pa.Table) -> pa.Table:
-    """Return the table with each list as JSON text, because a CSV field holds no list."""
+def _write_lines(file: TextIO, table: pa.Table) -> None:
+    for batch in table.to_batches():
+        file.writelines(map(json_lines, slices(batch, SENT_BYTES)))
+
+
+def _fields(table: pa.Table, *, raw: bool) -> pa.Table:
+    """Return the table as CSV writes it: each list as JSON text, and text harmless unless `raw`."""
     for at, field in enumerate(table.schema):
         if pa.types.is_nested(field.type):
-            texts = [
-                None if value is None else printable.ascii_json(msgspec.json.encode(value).decode())
-                for value in table.column(at).to_pylist()
-            ]
-            table = table.set_column(at, field.name, pa.array(texts, pa.string()))
+            chunks = [pc.if_else(chunk.is_valid(), json_texts(chunk), None) for chunk in table.column(at).chunks]
+        elif pa.types.is_string(field.type) and not raw:
+            chunks = list(map(harmless, table.column(at).chunks))
+        else:
+            continue
+        table = table.set_column(at, field.name, pa.chunked_array(chunks, pa.string()))
     return table
-
-
-def _harmless(table: pa.Table) -> pa.Table:
-    """Return the table with each text as `printable.field` makes it; each distinct text is escaped once."""
-    for at, field in enumerate(table.schema):
-        if pa.types.is_string(field.type):
-            chunks = [_harmless_chunk(chunk) for chunk in table.column(at).chunks]
-            table = table.set_column(at, field, pa.chunked_array(chunks, field.type))
-    return table
-
-
-def _harmless_chunk(texts: pa.Array) -> pa.Array:
-    coded = texts.dictionary_encode()
-    found = coded.dictionary.to_pylist()
-    shown = [None if text is None else printable.field(text) for text in found]
-    return texts if shown == found else pa.array(shown, texts.type).take(coded.indices)
 
 
 @contextmanager

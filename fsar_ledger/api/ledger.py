@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.opening import open_for_answers
@@ -15,6 +15,8 @@ from .timelines import Timelines
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from fsar_ledger.ledger.store.read import Head
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.sandbox import Limits
@@ -182,14 +184,14 @@ class Ledger(Timelines, Integrity):
     @contextmanager
     def stream(
         self, select: str, limits: "Limits"
-    ) -> "Iterator[tuple[Provenance, list[str], Iterator[list[dict[str, Any]]]]]":
-        """Yield the answer of `sql` in parts, so that a long one is never in memory at once."""
+    ) -> "Iterator[tuple[Provenance, list[str], Iterator[pa.RecordBatch]]]":
+        """Yield the answer of `sql` in Arrow batches, so that a long one is never in memory at once."""
         from fsar_ledger.metrics.untrusted import stream_untrusted
 
         from .provenance import Provenance
 
         with stream_untrusted(self.path, select, limits, self._demanded) as found:
-            yield Provenance(found.head, found.rows_verified), found.columns, found.parts
+            yield Provenance(found.head, found.rows_verified), found.columns, found.batches
 
     def requests(self, run: str | None = None) -> "Table":
         """Return the requests of a run, the first by default: who asked, allowed, executed, supervised; the result."""
@@ -279,7 +281,7 @@ class Ledger(Timelines, Integrity):
     def export(
         self, out: Place, query: str | None = None, parameters: Mapping[str, object] | None = None, *, raw: bool = False
     ) -> "Written":
-        """Write every event, or the answer of a query, to a .csv or .parquet file; return the number of rows.
+        """Write every event, or the answer of a query, to a .csv, .parquet, .ndjson or .jsonl file.
 
         Args:
             out: The file; replaced if it exists.

@@ -10,7 +10,7 @@ import pyarrow as pa
 from fsar_ledger import printable
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.database import plain_rows
-from fsar_ledger.metrics.sandbox import slices
+from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 
 from .provenance import Provenance
 
@@ -68,14 +68,12 @@ class Table:
             QueryFailed: Python cannot hold a date or time.
         """
         for batch in self.stored.to_batches():
-            for part in slices(batch):
-                try:
-                    yield plain_rows(pa.Table.from_batches([part]))
-                except (OverflowError, ValueError) as error:
-                    raise QueryFailed(
-                        "the answer: found a date or time that Python cannot hold, expected years 1 to 9999 and whole "
-                        "microseconds; use arrow(), or make it text, as in CAST(... AS VARCHAR)"
-                    ) from error
+            yield from rows_of(batch)
+
+    def batches(self) -> Iterator[pa.RecordBatch]:
+        """Yield the rows in Arrow, some megabytes at a time."""
+        for batch in self.stored.to_batches():
+            yield from slices(batch, SENT_BYTES)
 
     def __iter__(self) -> Iterator[Row]:
         return (row for part in self.parts() for row in part)
@@ -94,6 +92,22 @@ class Table:
         more = len(self) - len(shown)
         rest = f"<p>... {more:,} more rows</p>" if more else ""
         return f"<table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table>{rest}"
+
+
+def rows_of(batch: pa.RecordBatch) -> Iterator[list[Row]]:
+    """Yield the rows as dictionaries, some at a time.
+
+    Raises:
+        QueryFailed: Python cannot hold a date or time.
+    """
+    for part in slices(batch):
+        try:
+            yield plain_rows(pa.Table.from_batches([part]))
+        except (OverflowError, ValueError) as error:
+            raise QueryFailed(
+                "the answer: found a date or time that Python cannot hold, expected years 1 to 9999 and whole "
+                "microseconds; use arrow(), or make it text, as in CAST(... AS VARCHAR)"
+            ) from error
 
 
 def of_structs(rows: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> pa.Table:

@@ -26,6 +26,7 @@ NewLedgerArgument = Annotated[
     typer.Argument(metavar="OUT", help="A new folder, or that of a ledger to continue or enlarge.", show_default=False),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
+NdjsonOption = Annotated[bool, typer.Option("--ndjson", help="Answer as JSON, one row a line and nothing else.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Answer as comma-separated values.")]
 RawOption = Annotated[
     bool,

@@ -93,10 +93,11 @@ def telling(rows: Sequence[Row]) -> list[str]:
     return [name for name in (rows[0] if rows else ()) if name not in SETTING or len({row[name] for row in rows}) > 1]
 
 
-def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
-    """Check the form of an answer. Raises: UsageError for --json with --csv, or --raw without --csv."""
-    if as_json and as_csv:
-        raise UsageError("found --json and --csv, expected one of them")
+def check_form(*, as_json: bool, as_csv: bool, raw: bool, as_ndjson: bool = False) -> None:
+    """Check the form of an answer. Raises: UsageError for two forms at once, or --raw without --csv."""
+    asked = {"--json": as_json, "--csv": as_csv, "--ndjson": as_ndjson}
+    if len(found := [option for option, is_asked in asked.items() if is_asked]) > 1:
+        raise UsageError(f"found {' and '.join(found)}, expected one of them")
     if raw and not as_csv:
         raise UsageError(
             "found --raw without --csv, expected both or neither; --json always gives the values themselves"

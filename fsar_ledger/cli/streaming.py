@@ -2,18 +2,20 @@
 
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import msgspec
 
 from fsar_ledger.api.fields import Row, csv_text
 from fsar_ledger.printable import Shown
 
-from .output import answer_json, check_form, json_text, more_text
+from .output import answer_json, check_form, more_text
 from .tables import table
 from .terminal import show
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from fsar_ledger.api.provenance import Provenance
 
 KEPT_BYTES = 16 << 20
@@ -22,7 +24,9 @@ PIECE = 1 << 20
 
 
 class Form(msgspec.Struct, frozen=True, kw_only=True):
-    """The form of an answer: JSON, CSV, or a table of at most `limit` rows (0: all), with `wide` with every column.
+    """The form of an answer: JSON, a JSON object a line, CSV, or a table.
+
+    A table has at most `limit` rows (0: all), and with `wide` every column.
 
     Raises:
         UsageError: As `check_form`.
@@ -30,20 +34,29 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
 
     as_json: bool = False
     as_csv: bool = False
+    as_ndjson: bool = False
     raw: bool = False
     limit: int = 0
     wide: bool = False
 
     def __post_init__(self) -> None:
-        check_form(as_json=self.as_json, as_csv=self.as_csv, raw=self.raw)
+        check_form(as_json=self.as_json, as_csv=self.as_csv, as_ndjson=self.as_ndjson, raw=self.raw)
 
     def pieces(
-        self, provenance: "Provenance", columns: Sequence[str], parts: Iterable[Sequence[Row]]
+        self, provenance: "Provenance", columns: Sequence[str], batches: "Iterable[pa.RecordBatch]"
     ) -> Iterator[Shown]:
-        """Yield the rows in this form, as text; each of the parts holds some rows."""
+        """Yield the rows in this form, as text: in JSON with all their columns, else with these.
+
+        Raises:
+            QueryFailed: Python cannot hold a date or time.
+        """
         if self.as_json:
-            return _json(answer_json(provenance, {"rows": []}), parts)
-        return _csv(columns, parts, raw=self.raw) if self.as_csv else _table(columns, parts, self.limit, wide=self.wide)
+            return _json(answer_json(provenance, {"rows": []}), batches)
+        if self.as_ndjson:
+            return _ndjson(batches)
+        if self.as_csv:
+            return _csv(columns, batches, raw=self.raw)
+        return _table(columns, _rows(batches), self.limit, wide=self.wide)
 
     def show(self, pieces: Iterable[Shown]) -> None:
         """Show the answer."""
@@ -51,22 +64,35 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
             show(piece, raw=self.raw)
 
 
-def _json(empty: str, parts: Iterable[Sequence[Row]]) -> Iterator[Shown]:
+def _json(empty: str, batches: "Iterable[pa.RecordBatch]") -> Iterator[Shown]:
+    from fsar_ledger.api.texts import json_items
+
     before, after = empty.rsplit("[]", 1)
-    bare = json_text(None, {"rows": []}).rsplit("[]", 1)
     is_first = True
-    for rows in filter(len, parts):
-        text = json_text(None, {"rows": rows})
-        yield Shown((before + "[\n" if is_first else ",\n") + text[len(bare[0]) + 2 : -len(bare[1]) - 4])
+    for batch in filter(len, batches):
+        yield Shown((before + "[\n" if is_first else ",\n") + json_items(batch).removesuffix(",\n"))
         is_first = False
     yield Shown(f"{before}[]{after}" if is_first else f"\n  ]{after}")
 
 
-def _csv(columns: Sequence[str], parts: Iterable[Sequence[Row]], *, raw: bool) -> Iterator[Shown]:
-    header = csv_text([], columns, raw=raw)
-    yield header
-    for rows in parts:
-        yield Shown(csv_text(rows, columns, raw=raw)[len(header) :])
+def _ndjson(batches: "Iterable[pa.RecordBatch]") -> Iterator[Shown]:
+    from fsar_ledger.api.texts import json_lines
+
+    return (Shown(json_lines(batch)) for batch in batches)
+
+
+def _csv(columns: Sequence[str], batches: "Iterable[pa.RecordBatch]", *, raw: bool) -> Iterator[Shown]:
+    from fsar_ledger.api.texts import csv_lines
+
+    yield csv_text([], columns, raw=raw)
+    for batch in batches:
+        yield Shown(csv_lines(batch.select(list(columns)), raw=raw))
+
+
+def _rows(batches: "Iterable[pa.RecordBatch]") -> Iterator[list[dict[str, Any]]]:
+    from fsar_ledger.api.table import rows_of
+
+    return (rows for batch in batches for rows in rows_of(batch))
 
 
 def _table(columns: Sequence[str], parts: Iterable[Sequence[Row]], limit: int, *, wide: bool) -> Iterator[Shown]:

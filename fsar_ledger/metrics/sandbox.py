@@ -30,10 +30,10 @@ FILES = 64
 """Open files at once; reading 167,000 events of 12 segments takes 11."""
 
 
-SLICE_BYTES, VALUE_BYTES = 1 << 20, 16
-"""Bytes that are sent at once, so that the caller holds little (as Python values some tens of MiB).
+SENT_BYTES, SLICE_BYTES, VALUE_BYTES = 16 << 20, 1 << 20, 16
+"""Bytes that are sent at once, and that become Python values at once, so that the caller holds little.
 
-The second is what a value counts beside its bytes.
+The third is what a value counts beside its bytes.
 """
 
 ROW_BYTES = 64 << 20
@@ -94,7 +94,7 @@ def answer(descriptor: int) -> None:
             return
         pipe.send_bytes(b"null")
         for batch in batches:
-            for part in slices(batch):
+            for part in slices(batch, SENT_BYTES):
                 pipe.send_bytes(_stream(part))
         pipe.send_bytes(b"")
 
@@ -187,14 +187,14 @@ def _stream(batch: pa.RecordBatch) -> pa.Buffer:
     return sink.getvalue()
 
 
-def slices(batch: pa.RecordBatch) -> Iterator[pa.RecordBatch]:
-    """Yield the batch in parts that stay small as Python values; a row is never split."""
-    if batch.num_rows < 2 or weight(batch) <= SLICE_BYTES:
+def slices(batch: pa.RecordBatch, most: int = SLICE_BYTES) -> Iterator[pa.RecordBatch]:
+    """Yield the batch in parts of at most so many bytes, as `weight` counts; a row is never split."""
+    if batch.num_rows < 2 or weight(batch) <= most:
         yield batch
         return
     half = batch.num_rows // 2
-    yield from slices(batch.slice(0, half))
-    yield from slices(batch.slice(half))
+    yield from slices(batch.slice(0, half), most)
+    yield from slices(batch.slice(half), most)
 
 
 def weight(batch: pa.RecordBatch) -> int:

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Pipe
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import pyarrow as pa
@@ -25,7 +25,7 @@ from fsar_ledger.errors import QueryFailed
 from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.read import Head
 
-from .database import SHOWN, first_damage, plain_rows
+from .database import SHOWN, first_damage
 from .sandbox import GRACE_S, Limits, Question, Refusal
 from .verified import is_verified
 
@@ -56,13 +56,13 @@ OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory", "out of m
 class Stream(NamedTuple):
     """The answer of a SELECT at this head, and whether the rows that it read were compared with the head's root.
 
-    `parts` yields some rows at a time. It raises QueryFailed when the time is over, or a value cannot be shown.
+    `batches` yields some rows at a time. It raises QueryFailed when the time is over.
     """
 
     head: Head
     rows_verified: bool
     columns: list[str]
-    parts: Iterator[list[dict[str, Any]]]
+    batches: Iterator[pa.RecordBatch]
 
 
 @contextmanager
@@ -71,7 +71,7 @@ def stream_untrusted(
 ) -> Iterator[Stream]:
     """Yield the answer of this SELECT over the ledger's present head; with `demanded`, only of that head.
 
-    The time limit holds until the last part has been taken.
+    The time limit holds until the last batch has been taken.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; LedgerCorrupted also for a segment
@@ -80,7 +80,7 @@ def stream_untrusted(
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
     with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, first, process):
-        yield Stream(head, rows_verified, pa.ipc.open_stream(first).schema.names, _parts(process))
+        yield Stream(head, rows_verified, pa.ipc.open_stream(first).schema.names, _batches(process))
 
 
 def table_untrusted(
@@ -115,16 +115,9 @@ def _answering(
         yield view.head, rows_verified, process.receive(), process
 
 
-def _parts(process: "_Process") -> Iterator[list[dict[str, Any]]]:
+def _batches(process: "_Process") -> Iterator[pa.RecordBatch]:
     while data := process.receive():
-        try:
-            rows = plain_rows(pa.ipc.open_stream(data).read_all())
-        except (OverflowError, ValueError) as error:
-            found = (
-                "SQL: found a date or time that an answer cannot show, expected years 1 to 9999 and whole microseconds"
-            )
-            raise QueryFailed(f"{found}; make it text, as in CAST(... AS VARCHAR)") from error
-        yield rows
+        yield from pa.ipc.open_stream(data)
         process.check_time()
 
 

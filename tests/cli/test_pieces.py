@@ -4,6 +4,7 @@ at all."""
 from collections.abc import Iterator
 from itertools import pairwise
 
+import pyarrow as pa
 import pytest
 
 from fsar_ledger.api.fields import Row, csv_text
@@ -43,9 +44,10 @@ def at_once(form: Form, rows: list[Row], columns: list[str]) -> str:
 )
 @pytest.mark.parametrize("cuts", [[], [0, 10], [0, 3, 3, 10], [0, 1, 4, 10, 10], [0, 0], [10, 10]])
 def test_the_pieces_are_the_answer(form: Form, cuts: list[int]) -> None:
-    parts = [ROWS[one:other] for one, other in pairwise(cuts)]
-    rows = [row for part in parts for row in part]
-    assert "".join(form.pieces(ABOUT, COLUMNS, parts)) == at_once(form, rows, COLUMNS)
+    whole = pa.RecordBatch.from_pylist(ROWS)
+    batches = [whole[one:other] for one, other in pairwise(cuts)]
+    rows = [row for batch in batches for row in batch.to_pylist()]
+    assert "".join(form.pieces(ABOUT, COLUMNS, batches)) == at_once(form, rows, COLUMNS)
 
 
 def test_an_answer_has_one_form() -> None:

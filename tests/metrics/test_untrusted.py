@@ -62,18 +62,18 @@ def test_several_may_ask_at_once(ledger: Path) -> None:
 def test_a_long_answer_comes_in_parts_and_in_order(ledger: Path) -> None:
     with stream_untrusted(ledger, "SELECT i, [i, i + 1] AS pair FROM range(50000) AS t(i)") as answer:
         assert answer.columns == ["i", "pair"]
-        parts = list(answer.parts)
-    assert len(parts) > 4
-    assert [row["i"] for part in parts for row in part] == list(range(50_000))
-    assert parts[-1][-1] == {"i": 49_999, "pair": [49_999, 50_000]}
+        batches = list(answer.batches)
+    assert len(batches) > 4
+    assert [i for batch in batches for i in batch["i"].to_pylist()] == list(range(50_000))
+    assert batches[-1].to_pylist()[-1] == {"i": 49_999, "pair": [49_999, 50_000]}
 
 
 def test_the_time_of_whoever_takes_the_answer_counts(ledger: Path) -> None:
     with stream_untrusted(ledger, "SELECT i FROM range(200000) AS t(i)", Limits(seconds=2)) as answer:
-        next(answer.parts)
+        next(answer.batches)
         time.sleep(2)
         with pytest.raises(QueryFailed, match="after 2 s, the limit"):
-            next(answer.parts)
+            next(answer.batches)
 
 
 def test_a_row_that_cannot_be_cut_has_a_limit(ledger: Path) -> None:

@@ -21,7 +21,10 @@ def export(
     out: Annotated[
         Path,
         typer.Option(
-            "--out", metavar="FILE", help="A .csv or .parquet file; replaced if it exists.", show_default=False
+            "--out",
+            metavar="FILE",
+            help="A .csv, .parquet, .ndjson or .jsonl file; replaced if it exists.",
+            show_default=False,
         ),
     ],
     name: Annotated[
@@ -40,8 +43,8 @@ def export(
 ) -> None:
     """Write events, or the answer of a query, to a file.
 
-    The name of the file decides the format, CSV or Parquet. In CSV, lists are JSON text, and text is made harmless for
-    spreadsheets and terminals unless --raw is given. Parquet always holds the values themselves.
+    The name of the file decides the format: CSV, Parquet, or JSON with one row a line. In CSV, lists are JSON text, and
+    text is made harmless for spreadsheets and terminals unless --raw is given. The others hold the values themselves.
     """
     from fsar_ledger.api.files import require_place
     from fsar_ledger.cli.answering import opened, warn

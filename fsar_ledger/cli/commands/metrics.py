@@ -49,5 +49,5 @@ def metrics(
     found = opened(ledger, verified=verified).metrics(by, pool)  # type: ignore[arg-type]  # it refuses any other text
     rows = found.rows()
     columns = found.columns if rows and (as_json or as_csv) else telling(rows)
-    form.show(form.pieces(found.provenance, columns, [rows]))
+    form.show(form.pieces(found.provenance, columns, found.batches()))
     warn(ledger, found.provenance)

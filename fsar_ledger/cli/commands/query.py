@@ -16,6 +16,7 @@ from fsar_ledger.cli.options import (
     FileOption,
     JsonOption,
     LimitOption,
+    NdjsonOption,
     ParameterOption,
     QueryMemoryOption,
     RawOption,
@@ -67,6 +68,7 @@ def query(
     ] = False,
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
+    as_ndjson: NdjsonOption = False,
     raw: RawOption = False,
     limit: LimitOption = SHOWN_ROWS,
     wide: WideOption = False,
@@ -81,7 +83,7 @@ def query(
     """
     from fsar_ledger.cli.streaming import Form
 
-    form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, wide=wide)
+    form = Form(as_json=as_json, as_csv=as_csv, as_ndjson=as_ndjson, raw=raw, limit=limit, wide=wide)
     if list_all and not list_named:
         raise UsageError("found --all without --list, expected both or neither")
     if list_named:
@@ -126,7 +128,7 @@ def _of_name(
         )
     found = opened(ledger, verified=verified).query(name, **parameters)
     warn(ledger, found.provenance)
-    return form.pieces(found.provenance, found.columns, found.parts())
+    return form.pieces(found.provenance, found.columns, found.batches())
 
 
 def _of_file(

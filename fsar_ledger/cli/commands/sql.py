@@ -13,6 +13,7 @@ from fsar_ledger.cli.options import (
     LedgerArgument,
     LimitOption,
     MemoryOption,
+    NdjsonOption,
     RawOption,
     SecondsOption,
     VerifiedOption,
@@ -36,6 +37,7 @@ def sql(
     select: Annotated[str, typer.Argument(metavar="SELECT", help="One SELECT in DuckDB's SQL.", show_default=False)],
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
+    as_ndjson: NdjsonOption = False,
     raw: RawOption = False,
     limit: LimitOption = SHOWN_ROWS,
     wide: WideOption = False,
@@ -51,7 +53,7 @@ def sql(
     from fsar_ledger.api.limits import limits_of
     from fsar_ledger.cli.streaming import Form
 
-    form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, wide=wide)
+    form = Form(as_json=as_json, as_csv=as_csv, as_ndjson=as_ndjson, raw=raw, limit=limit, wide=wide)
     form.show(answer_select(ledger, select, limits_of(seconds, memory), form, verified=verified))
 
 
@@ -63,7 +65,7 @@ def answer_select(ledger: Path, select: str, limits: "Limits", form: "Form", *, 
     from fsar_ledger.cli.answering import opened, warn
     from fsar_ledger.cli.streaming import Kept
 
-    with opened(ledger, verified=verified).stream(select, limits) as (provenance, columns, parts):
-        text = Kept(form.pieces(provenance, columns, parts))
+    with opened(ledger, verified=verified).stream(select, limits) as (provenance, columns, batches):
+        text = Kept(form.pieces(provenance, columns, batches))
     warn(ledger, provenance)
     return text
