@@ -64,7 +64,7 @@ def write_text(out: Path, text: str) -> None:
     Raises:
         WriteFailed: The file cannot be written.
     """
-    with _whole_file(out) as temporary:
+    with whole_file(out) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
@@ -89,7 +89,7 @@ def _format_of(out: Path) -> str:
 def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, raw: bool) -> int:
     """Write the tables one after the other; memory holds one of them at a time."""
     rows = 0
-    with _whole_file(out) as temporary, _writer(out, temporary, schema, raw=raw) as write:
+    with whole_file(out) as temporary, _writer(out, temporary, schema, raw=raw) as write:
         for table in tables:
             write(table)
             rows += table.num_rows
@@ -131,7 +131,8 @@ def _fields(table: pa.Table, *, raw: bool) -> pa.Table:
 
 
 @contextmanager
-def _whole_file(out: Path) -> Iterator[Path]:
+def whole_file(out: Path) -> Iterator[Path]:
+    """Yield a temporary name beside the file, which takes its place at the end. Raises: WriteFailed."""
     temporary = out.with_name(f".{out.name}.{os.getpid()}.part")
     unfinished.add(temporary)
     try:

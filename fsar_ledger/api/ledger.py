@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from .files import Written
     from .info import Contents
     from .multiverse import MultiverseResult
+    from .open import Opened
     from .provenance import Provenance
     from .statistics import Statistics
     from .table import Table
@@ -303,6 +304,20 @@ class Ledger(Timelines, Integrity):
         if parameters:
             raise UsageError(f"export: found parameter {next(iter(parameters))} and no query, expected both or neither")
         return write_events(self.path, file, raw=raw, demanded=self._demanded)
+
+    def open(self, out: Place | None = None) -> "Opened":
+        """Write a DuckDB file with every view and packaged query of the present head, for other programs.
+
+        Args:
+            out: A .duckdb file, replaced if `open` wrote it; None: named as the ledger, in the working folder.
+
+        Raises:
+            UsageError: The file has another suffix, lies inside a ledger, or is not one of `open`.
+            WriteFailed: The file cannot be written.
+        """
+        from .open import write_database
+
+        return write_database(self.path, None if out is None else Path(out), self._demanded)
 
     def report(
         self,

@@ -26,7 +26,8 @@ from .terminal import Enough, say, show
 
 INTERRUPTED = 130
 ORDER = (
-    *("simulate", "info", "metrics", "statistics", "compare", "multiverse", "query", "sql", "export", "explain", "log"),
+    *("simulate", "info", "metrics", "statistics", "compare", "multiverse"),
+    *("query", "sql", "export", "open", "explain", "log"),
     *("audit", "verify", "prove", "verify_proof", "key", "witness", "recover", "report"),
     *("calibrate", "predict", "judge", "sensitivity", "reproduce"),
 )

@@ -19,7 +19,7 @@ from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_table
 from fsar_ledger.ledger.store.read import Head
 
-from .functions import register
+from .functions import NAMES, register
 from .library import Library, Query, library
 from .query_parameters import values
 
@@ -55,6 +55,8 @@ FAULTS_OF_SQL = (
 """DuckDB errors caused by the SQL or by this machine, never by a damaged segment."""
 
 _GIVEN = "given"
+_CALL = re.compile(r"\b([a-z_0-9]+)\(")
+_PARAMETER = re.compile(r"\$(\w+)")
 NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
 _NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
 _UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
@@ -79,6 +81,7 @@ class Database:
         *,
         rows_verified: bool | None = None,
         caches_files: bool = True,
+        file: Path | None = None,
     ):
         self.head = head
         self.rows_verified = rows_verified
@@ -96,7 +99,9 @@ class Database:
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._given: dict[str, str] = {}  # how those were made that no packaged query defines
-        self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
+        self._file = file
+        """Where the relations stay for other programs; None: in memory."""
+        self._connection = duckdb.connect(str(file or ":memory:"), config={"threads": threads} if threads else {})
         # The wide relation is read often, so its files stay open. UTC and no progress bar make the answer the same
         # everywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'"):
@@ -125,9 +130,14 @@ class Database:
 
     def hold(self, name: str, table: Any) -> None:
         """Make an Arrow table or dataset the relation of this name, in place of any packaged query."""
-        self._connection.register(name, table)
-        self._made.add(name)
-        self._given[name] = "held"
+        if self._file is None:
+            self._connection.register(name, table)
+            self._made.add(name)
+            self._given[name] = "held"
+            return
+        self._connection.register(_GIVEN, table)
+        self.define(name, f"SELECT * FROM {_GIVEN}", is_stored=True)
+        self._connection.unregister(_GIVEN)
 
     def refill(self, events: pa.Table) -> None:
         """Replace `events` by these few rows, in a table of DuckDB's own; columns that they lack are NULL.
@@ -182,9 +192,30 @@ class Database:
         for query in self.library.needs(self.library.mentioned(sql), self._given):
             if query.relation in self._made or query.parameters:
                 continue
-            kind = "TABLE" if query.is_stored else "VIEW"
+            kind = "TABLE" if self.keeps(query) else "VIEW"
             self._change(f"CREATE {kind} {query.relation} AS\n{self._body(query)}")
             self._made.add(query.relation)
+
+    def keeps(self, query: Query) -> bool:
+        """Tell whether a query becomes a table here; in a file also one that calls our functions, which others lack."""
+        return query.is_stored or (self._file is not None and not NAMES.isdisjoint(_CALL.findall(query.sql)))
+
+    def macro(self, query: Query) -> bool:
+        """Make a query with parameters a table macro that takes them by name; False if it calls our functions."""
+        if self.keeps(query):
+            return False
+        self.prepare(query.sql)
+        # A parameter hides the column of its name, so that a macro of its own holds the SELECT, with other names. DuckDB
+        # compares the names when it makes a macro, not when one is called, so that the SELECT comes last.
+        sql = _PARAMETER.sub(r"\1_given", query.sql)
+        defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
+        inner = ", ".join(f"{name}_given" for name in defaults)
+        taken = ", ".join(name if value is None else f"{name} := '{value}'" for name, value in defaults.items())
+        passed = ", ".join(defaults)
+        self._change(f"CREATE MACRO {query.relation}_given({inner}) AS TABLE SELECT NULL")
+        self._change(f"CREATE MACRO {query.relation}({taken}) AS TABLE FROM {query.relation}_given({passed})")
+        self._change(f"CREATE OR REPLACE MACRO {query.relation}_given({inner}) AS TABLE\n{sql}")
+        return True
 
     def _body(self, query: Query) -> str:
         """Return the SELECT of a packaged query, in the form that reads least here."""

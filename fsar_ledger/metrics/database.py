@@ -41,13 +41,16 @@ FEW_ROWS = 20_000
 """Up to this many rows, copying costs less than planning over an Arrow table does."""
 
 
-def connect(ledger: Path, threads: int | None = None, demanded: str | None = None) -> Database:
+def connect(
+    ledger: Path, threads: int | None = None, demanded: str | None = None, file: Path | None = None
+) -> Database:
     """Open a database over the committed segments of one head of this ledger, each checked against its hash.
 
     Args:
         ledger: Its folder.
         threads: Of DuckDB; None is one per core.
         demanded: The newest record that `required_look` has just checked, if no other head will do.
+        file: A new file of DuckDB in which the relations stay, for other programs; None: they are in memory.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; also LedgerCorrupted for a segment
@@ -57,7 +60,7 @@ def connect(ledger: Path, threads: int | None = None, demanded: str | None = Non
     view = open_for_answers(ledger)
     rows_verified = is_verified(view, demanded)
     segments = view.segments()
-    database = Database(view.head, segments, threads, rows_verified=rows_verified)
+    database = Database(view.head, segments, threads, rows_verified=rows_verified, file=file)
     try:
         if segments:
             relation.hold_segments(database, segments, [record.release for record in view.records])

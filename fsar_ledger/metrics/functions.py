@@ -93,6 +93,10 @@ BINARY = {
 }
 
 
+NAMES = frozenset((*UNARY, *BINARY, "constants_of", "default_of"))
+"""What SQL can call only over a connection that has them."""
+
+
 def _read(column: pa.Array) -> pa.Array:
     """Return the constants of each text of an Arrow column."""
     return pa.array([constants_of(text) for text in column.to_pylist()], _CONSTANTS)

@@ -1,0 +1,97 @@
+"""Write a file of DuckDB through which other programs read a ledger: every relation by its name, at one head."""
+
+from pathlib import Path
+
+import duckdb
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger.errors import UsageError, WriteFailed, option
+from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.database import Database, connect
+
+from .files import whole_file
+from .provenance import Provenance
+
+SUFFIX = ".duckdb"
+HEAD = "ledger_head"
+"""The table by which a file of ours is known."""
+
+
+class Opened(msgspec.Struct, frozen=True):
+    """The file, how many relations and macros it holds, which queries it does not, and the provenance."""
+
+    file: Path
+    relations: int
+    macros: int
+    not_included: tuple[str, ...]
+    provenance: Provenance
+
+
+def write_database(ledger: Path, out: Path | None = None, demanded: str | None = None) -> Opened:
+    """Write the file: views of the committed segments by their absolute paths, tables where views would be slow.
+
+    Raises:
+        UsageError: The name does not end in .duckdb, lies inside a ledger, or is of a file that is not ours.
+        WriteFailed: The file cannot be written.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
+    """
+    place = ledger.resolve()
+    file = Path(f"{place.name}{SUFFIX}") if out is None else out
+    _require_ours(file)
+    with whole_file(file) as temporary:
+        try:
+            with connect(place, demanded=demanded, file=temporary) as database:
+                return _fill(database, place, file)
+        except duckdb.IOException as problem:
+            raise WriteFailed(f"{file}: cannot be written ({problem}); make room or choose another place") from problem
+
+
+def _fill(database: Database, ledger: Path, file: Path) -> Opened:
+    """Make every relation and macro, and the tables that say what the file is."""
+    found = list(database.library.queries.values())
+    plain = [query.relation for query in found if not query.parameters]
+    database.prepare(" ".join(plain))
+    asked = [query for query in found if query.parameters]
+    left_out = [query for query in asked if not database.macro(query)]
+    head = database.head
+    assert head is not None
+    database.hold(
+        HEAD,
+        pa.table(
+            {
+                "path": [str(ledger)],
+                "commits": [head.commits],
+                "events": [head.size],
+                "root": [head.root],
+                "rows_verified": [database.rows_verified],
+            }
+        ),
+    )
+    names = pa.array([query.relation for query in left_out], pa.string())
+    reasons = pa.array(["needs functions that only fsar-ledger has"] * len(left_out), pa.string())
+    database.hold("not_included", pa.table({"name": names, "reason": reasons}))
+    provenance = Provenance(head, database.rows_verified)
+    return Opened(file, len(plain), len(asked) - len(left_out), tuple(names.to_pylist()), provenance)
+
+
+def _require_ours(file: Path) -> None:
+    if file.suffix != SUFFIX:
+        raise UsageError(
+            f"{file}: found a file name that ends in {file.suffix or 'nothing'!r}, expected {SUFFIX}; choose another one"
+        )
+    require_outside(file, option("out", file))
+    if not file.exists():
+        return
+    try:
+        with duckdb.connect(str(file), read_only=True) as connection:
+            is_ours = connection.execute(
+                "SELECT count(*) FROM duckdb_tables() WHERE table_name = ?", [HEAD]
+            ).fetchone() == (1,)
+    except duckdb.Error:
+        is_ours = False
+    if not is_ours:
+        raise UsageError(
+            f"{file}: found a file that `open` has not written, or that another program has open; close it there, or "
+            "choose another name"
+        )
