@@ -72,8 +72,12 @@ def main() -> None:
         connection.register("answer", table)
         print(f"{asked.rows:,} rows of {table.num_columns} columns; ratios are ours to DuckDB's")
         for kind in COPY:
-            own, own_bytes = best(asked.repeats, lambda out, kind=kind: ours(table, kind, out), Path(folder, f"a.{kind}"))  # type: ignore[misc]
-            copy, bytes_ = best(asked.repeats, lambda out, kind=kind: duckdb_copy(connection, kind, out), Path(folder, f"b.{kind}"))  # type: ignore[misc]
+            own, own_bytes = best(
+                asked.repeats, lambda out, kind=kind: ours(table, kind, out), Path(folder, f"a.{kind}")
+            )  # type: ignore[misc]
+            copy, bytes_ = best(
+                asked.repeats, lambda out, kind=kind: duckdb_copy(connection, kind, out), Path(folder, f"b.{kind}")
+            )  # type: ignore[misc]
             print(
                 f"{kind:8} {own:6.2f} s and {own_bytes >> 20:4} MiB, COPY {copy:6.2f} s and {bytes_ >> 20:4} MiB: time "
                 f"{own / copy:.2f}, size {own_bytes / bytes_:.2f}"

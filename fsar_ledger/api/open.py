@@ -41,7 +41,7 @@ def write_database(ledger: Path, out: Path | None = None, demanded: str | None =
     _require_ours(file)
     with whole_file(file) as temporary:
         try:
-            with connect(place, demanded=demanded, file=temporary) as database:
+            with connect(place, 1, demanded, temporary) as database:
                 return _fill(database, place, file)
         except duckdb.IOException as problem:
             raise WriteFailed(f"{file}: cannot be written ({problem}); make room or choose another place") from problem
