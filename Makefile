@@ -142,6 +142,7 @@ bench: $(READY_TEST)
 	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/simulate_and_append.py
 	$(BIN)/python benchmarks/metrics.py
+	$(BIN)/python benchmarks/rows.py
 	$(BIN)/python benchmarks/registry_lookup.py
 	$(BIN)/python benchmarks/inclusion_proof.py
 	$(BIN)/python benchmarks/trust.py

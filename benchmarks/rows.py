@@ -7,6 +7,7 @@ python benchmarks/rows.py --rows 100000      fewer
 import argparse
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -72,15 +73,12 @@ def main() -> None:
         connection.register("answer", table)
         print(f"{asked.rows:,} rows of {table.num_columns} columns; ratios are ours to DuckDB's")
         for kind in COPY:
-            own, own_bytes = best(
-                asked.repeats, lambda out, kind=kind: ours(table, kind, out), Path(folder, f"a.{kind}")
-            )  # type: ignore[misc]
-            copy, bytes_ = best(
-                asked.repeats, lambda out, kind=kind: duckdb_copy(connection, kind, out), Path(folder, f"b.{kind}")
-            )  # type: ignore[misc]
+            one, other = Path(folder, f"own.{kind}"), Path(folder, f"copy.{kind}")
+            own, own_bytes = best(asked.repeats, partial(ours, table, kind), one)
+            copy, copy_bytes = best(asked.repeats, partial(duckdb_copy, connection, kind), other)
             print(
-                f"{kind:8} {own:6.2f} s and {own_bytes >> 20:4} MiB, COPY {copy:6.2f} s and {bytes_ >> 20:4} MiB: time "
-                f"{own / copy:.2f}, size {own_bytes / bytes_:.2f}"
+                f"{kind:8} {own:6.2f} s and {own_bytes >> 20:4} MiB, COPY {copy:6.2f} s and {copy_bytes >> 20:4} MiB: time "
+                f"{own / copy:.2f}, size {own_bytes / copy_bytes:.2f}"
             )
 
 

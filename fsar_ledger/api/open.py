@@ -78,7 +78,8 @@ def _fill(database: Database, ledger: Path, file: Path) -> Opened:
 def _require_ours(file: Path) -> None:
     if file.suffix != SUFFIX:
         raise UsageError(
-            f"{file}: found a file name that ends in {file.suffix or 'nothing'!r}, expected {SUFFIX}; choose another one"
+            f"{file}: found a file name that ends in {file.suffix or 'nothing'!r}, expected {SUFFIX}; choose another "
+            "name"
         )
     require_outside(file, option("out", file))
     if not file.exists():

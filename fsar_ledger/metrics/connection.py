@@ -205,8 +205,8 @@ class Database:
         if self.keeps(query):
             return False
         self.prepare(query.sql)
-        # A parameter hides the column of its name, so that a macro of its own holds the SELECT, with other names. DuckDB
-        # compares the names when it makes a macro, not when one is called, so that the SELECT comes last.
+        # A parameter hides the column of its name, so that a macro of its own holds the SELECT, with other names.
+        # DuckDB compares the names when it makes a macro, not when one is called, so that the SELECT comes last.
         sql = _PARAMETER.sub(r"\1_given", query.sql)
         defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
         inner = ", ".join(f"{name}_given" for name in defaults)
