@@ -77,8 +77,8 @@ def main() -> None:
             own, own_bytes = best(asked.repeats, partial(ours, table, kind), one)
             copy, copy_bytes = best(asked.repeats, partial(duckdb_copy, connection, kind), other)
             print(
-                f"{kind:8} {own:6.2f} s and {own_bytes >> 20:4} MiB, COPY {copy:6.2f} s and {copy_bytes >> 20:4} MiB: time "
-                f"{own / copy:.2f}, size {own_bytes / copy_bytes:.2f}"
+                f"{kind:8} {own:6.2f} s and {own_bytes >> 20:4} MiB, COPY {copy:6.2f} s and {copy_bytes >> 20:4} MiB: "
+                f"time {own / copy:.2f}, size {own_bytes / copy_bytes:.2f}"
             )
 
 
