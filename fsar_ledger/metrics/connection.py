@@ -21,6 +21,7 @@ from fsar_ledger.ledger.store.read import Head
 
 from .functions import NAMES, register
 from .library import Library, Query, library
+from .macros import statements
 from .query_parameters import values
 
 LOCK = (
@@ -56,7 +57,6 @@ FAULTS_OF_SQL = (
 
 _GIVEN = "given"
 _CALL = re.compile(r"\b([a-z_0-9]+)\(")
-_PARAMETER = re.compile(r"\$(\w+)")
 NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
 _NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
 _UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
@@ -99,8 +99,7 @@ class Database:
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._given: dict[str, str] = {}  # how those were made that no packaged query defines
-        self._file = file
-        """Where the relations stay for other programs; None: in memory."""
+        self._file = file  # where the relations stay for other programs; None: in memory
         self._connection = duckdb.connect(str(file or ":memory:"), config={"threads": threads} if threads else {})
         # The wide relation is read often, so its files stay open. UTC and no progress bar make the answer the same
         # everywhere.
@@ -134,10 +133,10 @@ class Database:
             self._connection.register(name, table)
             self._made.add(name)
             self._given[name] = "held"
-            return
-        self._connection.register(_GIVEN, table)
-        self.define(name, f"SELECT * FROM {_GIVEN}", is_stored=True)
-        self._connection.unregister(_GIVEN)
+        else:
+            self._connection.register(_GIVEN, table)
+            self.define(name, f"SELECT * FROM {_GIVEN}", is_stored=True)
+            self._connection.unregister(_GIVEN)
 
     def refill(self, events: pa.Table) -> None:
         """Replace `events` by these few rows, in a table of DuckDB's own; columns that they lack are NULL.
@@ -205,16 +204,8 @@ class Database:
         if self.keeps(query):
             return False
         self.prepare(query.sql)
-        # A parameter hides the column of its name, so that a macro of its own holds the SELECT, with other names.
-        # DuckDB compares the names when it makes a macro, not when one is called, so that the SELECT comes last.
-        sql = _PARAMETER.sub(r"\1_given", query.sql)
-        defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
-        inner = ", ".join(f"{name}_given" for name in defaults)
-        taken = ", ".join(name if value is None else f"{name} := '{value}'" for name, value in defaults.items())
-        passed = ", ".join(defaults)
-        self._change(f"CREATE MACRO {query.relation}_given({inner}) AS TABLE SELECT NULL")
-        self._change(f"CREATE MACRO {query.relation}({taken}) AS TABLE FROM {query.relation}_given({passed})")
-        self._change(f"CREATE OR REPLACE MACRO {query.relation}_given({inner}) AS TABLE\n{sql}")
+        for statement in statements(query):
+            self._change(statement)
         return True
 
     def _body(self, query: Query) -> str:

@@ -1,0 +1,76 @@
+"""Text made a column at a time is the text that each value alone has, whatever the values are."""
+
+import datetime as dt
+from decimal import Decimal
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsar_ledger.api.fields import csv_text
+from fsar_ledger.api.texts import csv_lines, json_items, json_lines
+from fsar_ledger.cli.output import json_text
+from fsar_ledger.metrics.connection import plain_rows
+
+TEXT = st.text(alphabet="ab =+-@'\",\\\n\r\t\x00\x1b\x7f\x85\u202e\u0301é\u05d0\u2800\U000e0001xuUn", max_size=6)
+NUMBER = st.floats() | st.sampled_from((0.0, -0.0, 1e16, 1e15, 1e-4, 9.9e-5, 5.0))
+INTEGER = st.integers(-(2**63), 2**63 - 1)
+MOMENT = dt.datetime(2020, 1, 2, 3, 4, 5, 6)
+KINDS: tuple[tuple[pa.DataType, st.SearchStrategy[Any]], ...] = (
+    (pa.string(), TEXT),
+    (pa.float64(), NUMBER),
+    (pa.int64(), INTEGER),
+    (pa.bool_(), st.booleans()),
+    (pa.list_(pa.string()), st.lists(st.none() | TEXT, max_size=3)),
+    (pa.list_(pa.float64()), st.lists(st.none() | NUMBER, max_size=3)),
+    (pa.list_(pa.int64()), st.lists(st.none() | INTEGER, max_size=3)),
+    (pa.list_(pa.list_(pa.string())), st.lists(st.none() | st.lists(TEXT, max_size=2), max_size=2)),
+    (pa.date32(), st.just(dt.date(2020, 1, 2))),
+    (pa.timestamp("us"), st.just(MOMENT)),
+    (pa.timestamp("us", "UTC"), st.just(MOMENT)),
+    (pa.duration("us"), st.just(dt.timedelta(seconds=5))),
+    (pa.decimal128(10, 2), st.sampled_from((Decimal("1.50"), Decimal(-3)))),
+    (pa.decimal128(38, 0), st.sampled_from((Decimal(2**70), Decimal(-3)))),
+    (pa.binary(), st.sampled_from((b'\xff"a', b""))),
+    (pa.null(), st.none()),
+    (pa.struct([("a", pa.string())]), st.fixed_dictionaries({"a": st.none() | TEXT})),
+)
+
+
+@st.composite
+def batches(draw: st.DrawFn) -> pa.RecordBatch:
+    """Draw rows of some kinds of columns, also as a slice of a longer batch."""
+    count = draw(st.integers(0, 5))
+    kinds = draw(st.lists(st.sampled_from(KINDS), min_size=1, max_size=4))
+    columns = [
+        pa.array(draw(st.lists(st.none() | values, min_size=count, max_size=count)), kind) for kind, values in kinds
+    ]
+    names = [f"{at}{draw(st.sampled_from(('', chr(34) + 'é' + chr(10))))}" for at in range(len(columns))]
+    return pa.record_batch(columns, names=names).slice(draw(st.integers(0, count)))
+
+
+@given(batches(), st.booleans())
+def test_csv_of_columns_is_csv_of_values(batch: pa.RecordBatch, raw: bool) -> None:
+    rows, names = plain_rows(pa.Table.from_batches([batch])), batch.schema.names
+    assert csv_lines(batch, raw=raw) == csv_text(rows, names, raw=raw)[len(csv_text([], names, raw=raw)) :]
+
+
+@given(batches())
+def test_json_of_columns_is_json_of_values(batch: pa.RecordBatch) -> None:
+    rows = plain_rows(pa.Table.from_batches([batch]))
+    if not rows:
+        return
+    before, after = json_text(None, {"rows": []}).rsplit("[]", 1)
+    text = json_text(None, {"rows": rows})
+    assert json_items(batch) == text[len(before) + 2 : -len(after) - 4] + ",\n"
+
+
+@given(batches())
+def test_each_line_of_ndjson_is_a_row(batch: pa.RecordBatch) -> None:
+    rows = msgspec.json.decode(json_text(None, {"rows": plain_rows(pa.Table.from_batches([batch]))}))["rows"]
+    *lines, end = json_lines(batch).split("\n")
+    assert end == ""
+    assert [msgspec.json.decode(line) for line in lines] == rows
+    assert all(line.isascii() and line.isprintable() for line in lines)
