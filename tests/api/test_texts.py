@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 import pyarrow as pa
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.api.fields import csv_text
@@ -41,9 +41,9 @@ KINDS: tuple[tuple[pa.DataType, st.SearchStrategy[Any]], ...] = (
 
 @st.composite
 def batches(draw: st.DrawFn) -> pa.RecordBatch:
-    """Draw rows of some kinds of columns, also as a slice of a longer batch."""
-    count = draw(st.integers(0, 5))
-    kinds = draw(st.lists(st.sampled_from(KINDS), min_size=1, max_size=4))
+    """Draw rows of some kinds of columns, text always among them, also as a slice of a longer batch."""
+    count = draw(st.integers(0, 8))
+    kinds = [(pa.string(), TEXT), *draw(st.lists(st.sampled_from(KINDS), max_size=3))]
     columns = [
         pa.array(draw(st.lists(st.none() | values, min_size=count, max_size=count)), kind) for kind, values in kinds
     ]
@@ -51,12 +51,14 @@ def batches(draw: st.DrawFn) -> pa.RecordBatch:
     return pa.record_batch(columns, names=names).slice(draw(st.integers(0, count)))
 
 
+@settings(max_examples=300, deadline=None)
 @given(batches(), st.booleans())
 def test_csv_of_columns_is_csv_of_values(batch: pa.RecordBatch, raw: bool) -> None:
     rows, names = plain_rows(pa.Table.from_batches([batch])), batch.schema.names
     assert csv_lines(batch, raw=raw) == csv_text(rows, names, raw=raw)[len(csv_text([], names, raw=raw)) :]
 
 
+@settings(max_examples=300, deadline=None)
 @given(batches())
 def test_json_of_columns_is_json_of_values(batch: pa.RecordBatch) -> None:
     rows = plain_rows(pa.Table.from_batches([batch]))
@@ -67,6 +69,7 @@ def test_json_of_columns_is_json_of_values(batch: pa.RecordBatch) -> None:
     assert json_items(batch) == text[len(before) + 2 : -len(after) - 4] + ",\n"
 
 
+@settings(max_examples=300, deadline=None)
 @given(batches())
 def test_each_line_of_ndjson_is_a_row(batch: pa.RecordBatch) -> None:
     rows = msgspec.json.decode(json_text(None, {"rows": plain_rows(pa.Table.from_batches([batch]))}))["rows"]
