@@ -13,7 +13,7 @@ import pytest
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.sandbox import Limits
 from fsar_ledger.metrics.untrusted import ENVIRONMENT, cause_of_death
-from tests.untrusted import run_untrusted
+from tests.untrusted import children, run_untrusted
 
 NEVER_ENDS = "SELECT sum(x % 7) FROM range(1000000000000) AS t(x)"
 IN_TIME = (
@@ -85,8 +85,3 @@ def test_a_process_that_somebody_kills_says_so(ledger: Path) -> None:
     with pytest.raises(QueryFailed, match=r"was killed from outside \(SIGKILL\)"):
         run_untrusted(ledger, NEVER_ENDS)
     killing.join()
-
-
-def children() -> set[str]:
-    """The numbers of the processes that this one has started."""
-    return {number for task in Path("/proc/self/task").glob("*/children") for number in task.read_text().split()}

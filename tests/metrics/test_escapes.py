@@ -18,7 +18,7 @@ from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.sandbox import Limits
 from fsar_ledger.metrics.untrusted import ENVIRONMENT, NEEDED
-from tests.untrusted import run_untrusted
+from tests.untrusted import children, run_untrusted
 
 from .conftest import record
 
@@ -229,11 +229,6 @@ def contents(folder: Path) -> dict[Path, bytes | None]:
     return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
-def children() -> set[str]:
-    """The numbers of the processes that this one has started, where the system lists them."""
-    return {number for task in Path("/proc/self/task").glob("*/children") for number in task.read_text().split()}
-
-
 def filled(sql: str, base: Path) -> str:
     return (
         sql.format(base=str(base).replace("'", "''"), ledger=str(ledger_in(base)).replace("'", "''"))
@@ -254,7 +249,7 @@ def test_it_is_refused_for_its_reason_and_leaves_no_trace(surrounded: Path, esca
     with pytest.raises(QueryFailed) as refused:
         run_untrusted(ledger_in(surrounded), filled(sql, surrounded), PATIENT)
     message = str(refused.value)
-    assert message.startswith("SQL: ")
+    assert message.startswith(("SQL: ", "the answer: "))
     assert reason in message
     assert len(message) < 2_000
 
