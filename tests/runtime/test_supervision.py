@@ -203,6 +203,13 @@ def test_an_answer_that_does_not_fit_is_rejected(call: SupervisorCalled, command
     assert refusal(respond_to_call(failing(call), command)).startswith(reason)
 
 
+def test_an_answer_about_what_has_ended_is_rejected_as_it_would_name_nobody() -> None:
+    state = given("fsar", REVIEW)
+    refused = refusal(respond_to_call(state, RespondToCall(H_F, ACTION, True)))
+    assert refused == "what the call was about has ended, expected an action or a request under way"
+    assert respond(state, Respond(1)) == ()
+
+
 def test_a_call_is_answered_once() -> None:
     state = given("fsar", *REQUESTED, REVIEW)
     for event in respond_to_call(state, RespondToCall(H_F, ACTION, True)):

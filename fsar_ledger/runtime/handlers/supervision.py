@@ -79,9 +79,7 @@ NameRequester = Callable[[Request], Principal | None]
 def respond(state: State, command: Respond, name_requester: NameRequester = requester_of) -> tuple[Event, ...]:
     """Approve the review, order the commands or resolve the failure as called; nothing if that is settled."""
     call = state.supervision.calls.get(command.call)
-    if call is None or (
-        call.subject.action_id not in state.request and call.subject.action_id not in state.execution.actions
-    ):
+    if call is None or _is_settled(state, call):
         return ()
     return _responded(state, call, True, first_in_order(state.request, state.task, call), name_requester)
 
@@ -101,9 +99,16 @@ def respond_to_call(
             command, command.action_id, f"{found}, expected one to {command.supervisor}", command.supervisor
         )
     refused = _unfit(call, command)
+    if _is_settled(state, call):
+        refused = "what the call was about has ended, expected an action or a request under way"
     if refused is not None:
         return rejected(command, command.action_id, refused, command.supervisor)
     return _responded(state, call, command.approves, command.preferred, name_requester)
+
+
+def _is_settled(state: State, call: SupervisorCalled) -> bool:
+    """Tell whether the request and the action that the call was about are over."""
+    return call.subject.action_id not in state.request and call.subject.action_id not in state.execution.actions
 
 
 def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
