@@ -5,10 +5,12 @@ function for a single value (`fields.field_text`, `printable`). So the text of a
 values.
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import reduce
+from typing import Any, TypeAlias
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -20,45 +22,45 @@ from .fields import encodable, field_text
 _SEEN = bytes(range(0x20, 0x7F))
 _JSON_PLAIN = bytes(set(_SEEN) - set(b'"\\'))
 _CSV_PLAIN = bytes(set(_SEEN) - set(b"\\"))
-_CSV_BARE = bytes(set(range(256)) - set(b',"\r\n'))
-_FORMULA = r"^'*[ ]*[=+\-@]"
-"""What may be a formula in text of visible ASCII."""
-_QUOTED = '[,"\r\n]'
+_FORMULA, _BEGINS_FORMULA = r"^'*[ ]*[=+\-@]", b"' =+-@"
+"""What may be a formula in text of visible ASCII, and the characters that it begins with."""
+_NOT_CSV_PLAIN = r"[^ -\[\]-~]"
+_QUOTED = (",", '"', "\r", "\n")
 _SIMPLE = (pa.types.is_string, pa.types.is_integer, pa.types.is_boolean, pa.types.is_floating)
 _LEAST, _MOST = 1e-4, 1e16
 """From the one and below the other, numbers have no exponent in CSV, nor in JSON."""
 
 Encode = Callable[[Any], str]
+Texts: TypeAlias = "pa.Array | str"
+"""The text of each row, or the one that all rows have."""
 
 
 def csv_lines(batch: pa.RecordBatch, *, raw: bool = False) -> str:
     """Return the rows as lines of comma-separated values, as `fields.csv_text` makes them. Raises: as `json_lines`."""
     if not batch.num_columns:
         return "\n" * int(batch.num_rows)
-    columns = [csv_texts(column, raw=raw) for column in batch.columns]
-    lines = pc.binary_join_element_wise(*map(_quoted_if_needed, columns), ",")
+    lines = _side_by_side([_csv_field(column, raw=raw) for column in batch.columns], ",", len(batch))
     if batch.num_columns == 1:
         lines = pc.if_else(pc.equal(lines, ""), '""', lines)
-    if raw or not all(map(_is_bare, columns)):
+    if raw and pc.any(broken := pc.match_substring(lines, "\r")).as_py():
         # A bare CR ends a row for some readers.
-        broken = pc.match_substring(lines, "\r")
-        if pc.any(broken).as_py():
-            lines = pc.if_else(broken, pc.binary_join_element_wise(*map(_quoted, columns), ","), lines)
+        quoted = [_quoted(csv_texts(column, raw=raw)) for column in batch.columns]
+        lines = pc.if_else(broken, _side_by_side(quoted, ",", len(batch)), lines)
     return _joined(pc.binary_join_element_wise(lines, "", "\n"))
 
 
-def json_lines(batch: pa.RecordBatch) -> str:
-    """Return a JSON object for each row, one a line, in ASCII.
+def json_lines(batch: pa.RecordBatch, before: str = "", after: str = "\n") -> str:
+    """Return a JSON object for each row, in ASCII; each has no line feed in it, and lies between `before` and `after`.
 
     Raises:
         QueryFailed: Python cannot hold a date or time.
     """
-    return _joined(_objects(batch, '{"', '":', ',"', "}\n"))
-
-
-def json_items(batch: pa.RecordBatch) -> str:
-    """Return the rows as items of an indented list, a comma and a line feed after each. Raises: as `json_lines`."""
-    return _joined(_objects(batch, '    {\n      "', '": ', ',\n      "', "\n    },\n", indent=6))
+    parts: list[Texts] = []
+    for name, column in zip(batch.schema.names, batch.columns, strict=True):
+        quoted = printable.ascii_json(msgspec.json.encode(name).decode())
+        parts += [f"{',' if parts else before + '{'}{quoted}:", _json_value(column)]
+    parts += ["}" + after] if parts else [before + "{}" + after]
+    return _joined(_side_by_side(parts, "", len(batch)))
 
 
 def csv_texts(column: pa.Array, *, raw: bool = False) -> pa.Array:
@@ -68,54 +70,72 @@ def csv_texts(column: pa.Array, *, raw: bool = False) -> pa.Array:
         return (column if raw else harmless(column)).fill_null("")
     if pa.types.is_floating(kind):
         return _float_fields(column)
-    if pa.types.is_list(kind) and _is_simple(kind.value_type):
-        texts = _list_texts(column, "", in_ascii=not raw)
-        return pc.if_else(column.is_valid(), texts, "")
+    if _is_simple_list(kind):
+        return pc.if_else(column.is_valid(), json_texts(column, in_ascii=not raw), "")
     return _texts(column, lambda value: field_text(value, raw=raw), "")
 
 
 def harmless(column: pa.Array) -> pa.Array:
     """Return each text as `printable.field` makes it."""
-    other = pc.match_substring_regex(column, _FORMULA)
-    if not _holds_only(column, _CSV_PLAIN):
-        other = pc.or_kleene(other, pc.match_substring_regex(column, r"[^ -\[\]-~]"))
-    return _replaced(column, other, column, printable.field)
+    is_plain = _holds_only(column, _CSV_PLAIN)
+    found = [] if is_plain else [_NOT_CSV_PLAIN]
+    if set(_beginnings(column)) & set(_BEGINS_FORMULA):
+        found.append(_FORMULA)
+    if not found:
+        return column
+    return _replaced(column, pc.match_substring_regex(column, "|".join(found)), column, printable.field)
 
 
-def json_texts(column: pa.Array, indent: int | None = None, *, in_ascii: bool = True) -> pa.Array:
-    """Return each value as JSON; NULL is `null`. With `indent`, lists that lie so deep take a line for each item."""
+def json_texts(column: pa.Array, *, in_ascii: bool = True, quote: str = '"') -> pa.Array:
+    """Return each value as JSON; NULL is `null`. With another `quote`, each quotation mark of the JSON is that."""
 
     def encode(value: object) -> str:
-        data = msgspec.json.encode(encodable(msgspec.to_builtins(value)))
-        if indent is not None:
-            data = msgspec.json.format(data, indent=2).replace(b"\n", b"\n" + b" " * indent)
-        return printable.ascii_json(data.decode()) if in_ascii else data.decode()
+        text = msgspec.json.encode(encodable(msgspec.to_builtins(value))).decode()
+        return (printable.ascii_json(text) if in_ascii else text).replace('"', quote)
 
     kind = column.type
     if pa.types.is_string(kind):
-        plain = pc.binary_join_element_wise('"', column, '"', "")
-        if _holds_only(column, _JSON_PLAIN):
-            return plain.fill_null("null")
-        found = pc.match_substring_regex(column, r"[^ !#-\[\]-~]")
-        return _replaced(plain, found, column, encode).fill_null("null")
+        plain = pc.binary_join_element_wise(quote, column, quote, "")
+        if not _holds_only(column, _JSON_PLAIN):
+            plain = _replaced(plain, pc.match_substring_regex(column, r"[^ !#-\[\]-~]"), column, encode)
+        return plain.fill_null("null")
     if pa.types.is_floating(kind):
         return _float_texts(column)
-    if pa.types.is_list(kind) and _is_simple(kind.value_type):
-        between = "" if indent is None else "\n" + " " * (indent + 2)
-        texts = _list_texts(column, between, between[:-2], in_ascii=in_ascii)
-        return pc.if_else(column.is_valid(), texts, "null")
+    if _is_simple_list(kind):
+        texts = pc.binary_join_element_wise("[", _items(column, in_ascii=in_ascii, quote=quote), "]", "")
+        return pc.if_else(column.is_valid(), texts, "null") if column.null_count else texts
     return _texts(column, encode, "null")
 
 
-def _objects(
-    batch: pa.RecordBatch, before: str, colon: str, comma: str, after: str, indent: int | None = None
-) -> pa.Array:
-    """Return each row as the text of an object; each name lies between `before` or `comma`, and `colon`."""
-    parts: list[pa.Array | str] = []
-    for at, (name, column) in enumerate(zip(batch.schema.names, batch.columns, strict=True)):
-        quoted = printable.ascii_json(msgspec.json.encode(name).decode())
-        parts += [f"{comma if at else before}{quoted[1:-1]}{colon}", json_texts(column, indent)]
-    return pc.binary_join_element_wise(*parts, after, "")
+def _json_value(column: pa.Array) -> Texts:
+    return "null" if column.null_count == len(column) else json_texts(column)
+
+
+def _csv_field(column: pa.Array, *, raw: bool) -> Texts:
+    """Return each value as a field, quoted where that is needed."""
+    if column.null_count == len(column):
+        return ""
+    if not _is_simple_list(column.type):
+        return _quoted_if_needed(csv_texts(column, raw=raw))
+    items = _items(column, in_ascii=not raw, quote='""')
+    needed = _is_any_in(items, (",", '"'))
+    texts = pc.binary_join_element_wise('"[', items, ']"', "")
+    if not pc.all(needed).as_py():
+        texts = pc.if_else(needed, texts, pc.binary_join_element_wise("[", items, "]", ""))
+    return pc.if_else(column.is_valid(), texts, "") if column.null_count else texts
+
+
+def _side_by_side(parts: Sequence[Texts], between: str, count: int) -> pa.Array:
+    """Return for each of so many rows its parts, one after the other; what all rows have in common is joined once."""
+    joined: list[Texts] = []
+    for part in parts:
+        if joined and isinstance(part, str) and isinstance(joined[-1], str):
+            joined[-1] += between + part
+        else:
+            joined.append(part)
+    if len(joined) == 1 and isinstance(joined[0], str):
+        return pa.repeat(joined[0], count)
+    return pc.binary_join_element_wise(*joined, between)
 
 
 def _texts(column: pa.Array, encode: Encode, null: str) -> pa.Array:
@@ -157,23 +177,17 @@ def _float_fields(column: pa.Array) -> pa.Array:
     return pc.if_else(column.is_valid(), texts, "")
 
 
-def _list_texts(column: pa.Array, before: str, after: str = "", *, in_ascii: bool) -> pa.Array:
-    """Return lists as JSON, with `before` each item and `after` the last."""
-    offsets = pa.array(column.offsets.to_numpy() - (column.offsets[0].as_py() if len(column) else 0), pa.int32())
-    items = json_texts(column.flatten() if not column.null_count else _items(column), in_ascii=in_ascii)
-    inner = pc.binary_join(pa.ListArray.from_arrays(offsets, items), f",{before}")
-    full = pc.binary_join_element_wise(f"[{before}", inner, f"{after}]", "")
-    return pc.if_else(pc.equal(pc.list_value_length(pa.ListArray.from_arrays(offsets, items)), 0), "[]", full)
+def _items(column: pa.Array, *, in_ascii: bool, quote: str) -> pa.Array:
+    """Return the items of each list as JSON, with commas between them."""
+    first, last = (column.offsets[at].as_py() for at in (0, -1)) if len(column) else (0, 0)
+    # `flatten` would leave out those that a NULL spans.
+    texts = json_texts(column.values.slice(first, last - first), in_ascii=in_ascii, quote=quote)
+    offsets = pa.array(column.offsets.to_numpy() - first, pa.int32())
+    return pc.binary_join(pa.ListArray.from_arrays(offsets, texts), ",")
 
 
-def _items(column: pa.Array) -> pa.Array:
-    """Return all items that the offsets span, those of NULL too, which `flatten` leaves out."""
-    first, last = column.offsets[0].as_py(), column.offsets[-1].as_py()
-    return column.values.slice(first, last - first)
-
-
-def _is_simple(kind: pa.DataType) -> bool:
-    return any(is_kind(kind) for is_kind in _SIMPLE)
+def _is_simple_list(kind: pa.DataType) -> bool:
+    return pa.types.is_list(kind) and any(is_kind(kind.value_type) for is_kind in _SIMPLE)
 
 
 def _replaced(texts: pa.Array, where: pa.Array, column: pa.Array, encode: Encode) -> pa.Array:
@@ -186,17 +200,28 @@ def _replaced(texts: pa.Array, where: pa.Array, column: pa.Array, encode: Encode
 
 
 def _quoted_if_needed(texts: pa.Array) -> pa.Array:
-    if _is_bare(texts):
-        return texts
-    return pc.if_else(pc.match_substring_regex(texts, _QUOTED), _quoted(texts), texts)
+    needed = _is_any_in(texts, _QUOTED)
+    return pc.if_else(needed, _quoted(texts), texts) if pc.any(needed).as_py() else texts
 
 
 def _quoted(texts: pa.Array) -> pa.Array:
     return pc.binary_join_element_wise('"', pc.replace_substring(texts, '"', '""'), '"', "")
 
 
-def _is_bare(texts: pa.Array) -> bool:
-    return _holds_only(texts, _CSV_BARE)
+def _is_any_in(texts: pa.Array, characters: Sequence[str]) -> pa.Array:
+    """Tell of each text whether it holds any of these."""
+    content = bytes(_content(texts))
+    found = [pc.match_substring(texts, one) for one in characters if one.encode() in content]
+    return reduce(pc.or_, found, pa.repeat(False, len(texts)))
+
+
+def _beginnings(texts: pa.Array) -> bytes:
+    """Return the first byte of each text; of an empty one any."""
+    content = np.frombuffer(_content(texts), np.uint8)
+    if not len(content):
+        return b""
+    starts = np.frombuffer(texts.buffers()[1], np.int32)[texts.offset : texts.offset + len(texts)]
+    return bytes(np.take(content, starts - starts[0], mode="clip"))
 
 
 def _holds_only(texts: pa.Array, characters: bytes) -> bool:

@@ -65,12 +65,13 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _json(empty: str, batches: "Iterable[pa.RecordBatch]") -> Iterator[Shown]:
-    from fsar_ledger.api.texts import json_items
+    from fsar_ledger.api.texts import json_lines
 
     before, after = empty.rsplit("[]", 1)
     is_first = True
     for batch in filter(len, batches):
-        yield Shown((before + "[\n" if is_first else ",\n") + json_items(batch).removesuffix(",\n"))
+        lines = json_lines(batch, "    ", ",\n")
+        yield Shown((before + "[\n" if is_first else ",\n") + lines.removesuffix(",\n"))
         is_first = False
     yield Shown(f"{before}[]{after}" if is_first else f"\n  ]{after}")
 
