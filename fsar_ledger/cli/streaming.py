@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -112,12 +112,10 @@ class Kept:
 
     def __init__(self, pieces: Iterable[Shown]):
         """Make all pieces now. Raises: Whatever that raises."""
-        self._file: TextIO = tempfile.SpooledTemporaryFile(  # type: ignore[assignment]  # noqa: SIM115
-            KEPT_BYTES, "w+", encoding="utf-8", errors="surrogatepass", newline=""
-        )
+        self._file = tempfile.SpooledTemporaryFile(KEPT_BYTES)  # noqa: SIM115
         try:
             for piece in pieces:
-                self._file.write(piece)
+                self._file.write(piece.encode("utf-8", "surrogatepass"))
         except BaseException:
             self._file.close()
             raise
@@ -126,4 +124,5 @@ class Kept:
         """Yield the text, a few whole lines at a time; once."""
         with self._file as file:
             file.seek(0)
-            yield from (Shown("".join(lines)) for lines in iter(lambda: file.readlines(PIECE), []))
+            while data := file.read(PIECE):
+                yield Shown((data + file.readline()).decode("utf-8", "surrogatepass"))

@@ -161,7 +161,7 @@ def _select(question: Question) -> list[pa.RecordBatch]:
                     f"SQL: found an answer of more than {limits.answer_bytes:,} bytes, the limit; ask for fewer "
                     "columns or rows"
                 )
-            for part in slices(batch):
+            for part in slices(batch, ROW_BYTES):
                 if (weighs := weight(part)) > ROW_BYTES:
                     raise QueryFailed(
                         f"SQL: found a row that takes {weighs:,} bytes, expected at most {ROW_BYTES:,}; ask for fewer "
