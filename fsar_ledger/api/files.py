@@ -29,6 +29,8 @@ from .texts import harmless, json_lines, json_texts
 
 LINES = (".ndjson", ".jsonl")
 SUFFIXES = (".csv", ".parquet", *LINES)
+GROUP_ROWS, GROUP_BYTES = 122_880, 64 << 20
+"""Rows of a row group of Parquet, as many as DuckDB takes; bytes in memory after which none waits for more."""
 
 
 class Written(msgspec.Struct, frozen=True):
@@ -90,7 +92,7 @@ def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, r
     """Write the tables one after the other; memory holds one of them at a time."""
     rows = 0
     with whole_file(out) as temporary, _writer(out, temporary, schema, raw=raw) as write:
-        for table in tables:
+        for table in _in_groups(tables, schema) if out.suffix == ".parquet" else tables:
             write(table)
             rows += table.num_rows
     return rows
@@ -99,7 +101,10 @@ def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, r
 @contextmanager
 def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iterator[Callable[[pa.Table], None]]:
     if _format_of(out) == ".parquet":
-        with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
+        dictionary, encoding = _parquet_columns(schema)
+        with pq.ParquetWriter(
+            temporary, schema, compression="zstd", use_dictionary=dictionary, column_encoding=encoding
+        ) as writer:
             yield lambda table: writer.write_table(table)
     elif out.suffix in LINES:
         with temporary.open("w", encoding="utf-8", newline="\n") as file:
@@ -110,6 +115,31 @@ def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iter
         empty = _fields(schema.empty_table(), raw=raw).schema
         with pa_csv.CSVWriter(temporary, empty, write_options=options) as writer:
             yield lambda table: writer.write_table(_fields(table, raw=raw))
+
+
+def _in_groups(tables: Iterable[pa.Table], schema: pa.Schema) -> Iterator[pa.Table]:
+    """Yield the rows in tables for row groups of Parquet: small ones together, since a group costs some kilobytes."""
+    waiting = schema.empty_table()
+    for table in tables:
+        waiting = pa.concat_tables([waiting, table])
+        while len(waiting) >= GROUP_ROWS:
+            yield waiting.slice(0, GROUP_ROWS)
+            waiting = waiting.slice(GROUP_ROWS)
+        if waiting.nbytes >= GROUP_BYTES:
+            yield waiting
+            waiting = schema.empty_table()
+    if len(waiting):
+        yield waiting
+
+
+def _parquet_columns(schema: pa.Schema) -> tuple[list[str], dict[str, str]]:
+    """Return the columns that repeat their values, which are texts, and the encoding of integers, which often grow."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(schema.empty_table(), sink)
+    stored = pq.ParquetFile(sink.getvalue()).schema
+    columns = [stored.column(at) for at in range(len(stored))]
+    encoding = {one.path: "DELTA_BINARY_PACKED" for one in columns if one.physical_type in ("INT32", "INT64")}
+    return [one.path for one in columns if one.physical_type == "BYTE_ARRAY"], encoding
 
 
 def _write_lines(file: TextIO, table: pa.Table) -> None:

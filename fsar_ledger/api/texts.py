@@ -58,7 +58,7 @@ def json_lines(batch: pa.RecordBatch, before: str = "", after: str = "\n") -> st
     parts: list[Texts] = []
     for name, column in zip(batch.schema.names, batch.columns, strict=True):
         quoted = printable.ascii_json(msgspec.json.encode(name).decode())
-        parts += [f"{',' if parts else before + '{'}{quoted}:", _json_value(column)]
+        parts += [f"{',' if parts else before + '{'}{quoted}:", *_json_parts(column)]
     parts += ["}" + after] if parts else [before + "{}" + after]
     return _joined(_side_by_side(parts, "", len(batch)))
 
@@ -107,8 +107,15 @@ def json_texts(column: pa.Array, *, in_ascii: bool = True, quote: str = '"') -> 
     return _texts(column, encode, "null")
 
 
-def _json_value(column: pa.Array) -> Texts:
-    return "null" if column.null_count == len(column) else json_texts(column)
+def _json_parts(column: pa.Array) -> tuple[Texts, ...]:
+    """Return the parts that together are each value as JSON."""
+    if column.null_count == len(column):
+        return ("null",)
+    if not column.null_count and pa.types.is_string(column.type) and _holds_only(column, _JSON_PLAIN):
+        return '"', column, '"'
+    if not column.null_count and _is_simple_list(column.type):
+        return "[", _items(column), "]"
+    return (json_texts(column),)
 
 
 def _csv_field(column: pa.Array, *, raw: bool) -> Texts:
@@ -177,7 +184,7 @@ def _float_fields(column: pa.Array) -> pa.Array:
     return pc.if_else(column.is_valid(), texts, "")
 
 
-def _items(column: pa.Array, *, in_ascii: bool, quote: str) -> pa.Array:
+def _items(column: pa.Array, *, in_ascii: bool = True, quote: str = '"') -> pa.Array:
     """Return the items of each list as JSON, with commas between them."""
     first, last = (column.offsets[at].as_py() for at in (0, -1)) if len(column) else (0, 0)
     # `flatten` would leave out those that a NULL spans.

@@ -258,7 +258,7 @@ def test_metrics_by_something_else_are_refused(call: Call, ledger: Path) -> None
 
 @pytest.mark.parametrize("name", ["events.txt", "events"])
 def test_an_export_to_an_unknown_format_is_refused(call: Call, ledger: Path, tmp_path: Path, name: str) -> None:
-    one_message(call("export", ledger, "--out", tmp_path / name), 2, ".csv or .parquet")
+    one_message(call("export", ledger, "--out", tmp_path / name), 2, "expected .csv, .parquet, .ndjson or .jsonl")
     assert list(tmp_path.iterdir()) == []
 
 

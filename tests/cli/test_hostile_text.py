@@ -71,6 +71,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     yield "sql", ledger, "SELECT CAST(run_id AS INTEGER) FROM events"
     yield from (
         ("export", ledger, "--out", out / "events.csv"),
+        ("open", ledger, "--out", out / "events.duckdb"),
         ("prove", ledger, f"{run}:1", "--out", proof),
         ("verify-proof", proof),
         ("prove", ledger, EVIL),
@@ -165,6 +166,7 @@ def more_calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, 
     yield from (
         ("sql", ledger, f"SELECT {EVIL}"),
         ("export", ledger, "--out", out / EVIL[:40].replace("/", "")),
+        ("open", ledger, "--out", out / EVIL[:40].replace("/", "")),
         ("verify-proof", out / "none"),
     )
     yield from (
