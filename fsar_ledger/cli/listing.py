@@ -9,7 +9,7 @@ from fsar_ledger.metrics.groups import GROUPS, group_of, is_event_view, listed
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.printable import Shown
 
-from .output import json_text
+from .output import json_rows, json_text
 from .streaming import Form
 from .tables import table
 
@@ -22,6 +22,8 @@ def queries_text(form: Form, *, events: bool) -> Shown:
     rows = [_row(query) for query in found]
     if form.as_json:
         return json_text(None, {"queries": rows})
+    if form.as_ndjson:
+        return json_rows(rows)
     if form.as_csv:
         return csv_text(rows, COLUMNS, raw=form.raw)
     return printable.joined(*_by_group(found, wide=form.wide), _end(events=events))

@@ -71,6 +71,7 @@ def log(
     """
     from fsar_ledger.api.log import ALL
     from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.output import json_rows
 
     if follow and run not in (None, ALL):
         raise UsageError(
@@ -91,18 +92,9 @@ def log(
         if number == 0:
             warn(ledger, table.provenance)
         for rows in table.parts():
-            show(_json(rows) if as_json else lines.text(rows))
+            show(json_rows(rows) if as_json else lines.text(rows))
     if not (as_json or follow or lines.run):
         show(printable.line("no such events"))
-
-
-def _json(rows: Sequence[dict[str, Any]]) -> Shown:
-    """Return a JSON object for each row, one a line."""
-    import msgspec
-
-    from fsar_ledger.api.fields import encodable
-
-    return printable.ascii_json("".join(f"{msgspec.json.encode(encodable(row)).decode()}\n" for row in rows))
 
 
 class Lines:

@@ -109,8 +109,8 @@ def _show_sql(name: str | None, form: "Form") -> None:
 
     if name is None:
         raise UsageError("query --show: expected NAME, as in `fsar-ledger query failures --show`")
-    if form.as_json or form.as_csv:
-        raise UsageError(f"query {name} --show: found --json or --csv, expected neither; SQL is text")
+    if form.as_json or form.as_csv or form.as_ndjson:
+        raise UsageError(f"query {name} --show: found --json, --csv or --ndjson, expected none of them; SQL is text")
     show(Shown(text_of(name)))
 
 
