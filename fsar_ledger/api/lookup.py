@@ -15,6 +15,12 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.query_parameters import Parameter
 
 _RUNS = "SELECT run_id FROM run_numbers ORDER BY number"
+_NUMBERS = """
+    SELECT run_id, number FROM run_numbers
+    WHERE number::VARCHAR NOT IN (
+        SELECT run_id FROM run_numbers UNION ALL SELECT run_id FROM experiment_planned
+    )
+"""
 _PLANS = "SELECT run_id FROM experiment_planned ORDER BY run_id"
 _EXTENT = "SELECT max(time_us) AS time_us, max(seq) AS seq FROM events WHERE $run IS NULL OR run_id = $run"
 _ON_RECORD = {
@@ -56,6 +62,11 @@ def run_of(database: "Database", asked: str) -> str:
     """
     runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (_RUNS, _PLANS))
     return run_named(asked, runs, plans)
+
+
+def numbers_of(database: "Database") -> dict[str, int]:
+    """Return the number that names each run, as `run_of` takes it; none that is itself the name of a run or a plan."""
+    return {row["run_id"]: row["number"] for row in database.rows(_NUMBERS)}
 
 
 def robot_of(database: "Database", asked: str, run: str | None) -> str:

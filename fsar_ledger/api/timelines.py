@@ -19,6 +19,15 @@ class Timelines:
     path: Path
     _demanded: str | None
 
+    def numbers(self) -> dict[str, int]:
+        """Return the number of each run, by its name: the short name that every question takes for it."""
+        from fsar_ledger.metrics.database import connect
+
+        from .lookup import numbers_of
+
+        with connect(self.path, demanded=self._demanded) as database:
+            return numbers_of(database)
+
     def log(
         self,
         run: str | None = None,

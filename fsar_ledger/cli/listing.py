@@ -11,7 +11,7 @@ from fsar_ledger.printable import Shown
 
 from .output import json_rows, json_text
 from .streaming import Form
-from .tables import table
+from .tables import is_fitted, table
 
 COLUMNS = ("group", "name", "title", "parameters")
 
@@ -35,14 +35,28 @@ def _row(query: Query) -> Row:
 
 
 def _by_group(found: list[Query], *, wide: bool) -> Iterator[Shown]:
+    row_of = _on_a_terminal if is_fitted(wide=wide) else _plain
     for group, queries in groupby(found, key=group_of):
-        rows = [_row(query) for query in queries]
-        short = [{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows]
-        has_parameters = any(row["parameters"] for row in rows)
+        rows = [row_of(query) for query in queries]
+        columns = [name for name in COLUMNS[1:] if name != "parameters" or any(row.get(name) for row in rows)]
         yield printable.line(f"{group}: {GROUPS[group]}" if group in GROUPS else group)
         yield printable.line("")
-        yield table(short, COLUMNS[1:] if has_parameters else COLUMNS[1:-1], wide=wide)
+        yield table(rows, columns, wide=wide)
         yield printable.line("")
+
+
+def _plain(query: Query) -> Row:
+    return {**_row(query), "title": _title(query)}
+
+
+def _on_a_terminal(query: Query) -> Row:
+    """Return the last part of the name, which is enough, and the title with the names of the parameters."""
+    parameters = f" ({', '.join(query.parameters)})" if query.parameters else ""
+    return {"name": query.name.rpartition("/")[2], "title": f"{_title(query)}{parameters}"}
+
+
+def _title(query: Query) -> str:
+    return query.header["Title"].partition(". ")[0]
 
 
 def _end(*, events: bool) -> Shown:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
     from fsar_ledger.api.provenance import Provenance
 
+    from .tables import Numbers
+
 KEPT_BYTES = 16 << 20
 """Longer text waits in an unnamed file, not in memory, until it is complete."""
 PIECE = 1 << 20
@@ -43,9 +45,15 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
         check_form(as_json=self.as_json, as_csv=self.as_csv, as_ndjson=self.as_ndjson, raw=self.raw)
 
     def pieces(
-        self, provenance: "Provenance", columns: Sequence[str], batches: "Iterable[pa.RecordBatch]"
+        self,
+        provenance: "Provenance",
+        columns: Sequence[str],
+        batches: "Iterable[pa.RecordBatch]",
+        numbers: "Numbers | None" = None,
     ) -> Iterator[Shown]:
         """Yield the rows in this form, as text: in JSON with all their columns, else with these.
+
+        A table on a terminal names runs by their numbers.
 
         Raises:
             QueryFailed: Python cannot hold a date or time.
@@ -56,7 +64,7 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
             return _ndjson(batches)
         if self.as_csv:
             return _csv(columns, batches, raw=self.raw)
-        return _table(columns, _rows(batches), self.limit, wide=self.wide)
+        return _table(columns, _rows(batches), self.limit, wide=self.wide, numbers=numbers)
 
     def show(self, pieces: Iterable[Shown]) -> None:
         """Show the answer."""
@@ -96,13 +104,15 @@ def _rows(batches: "Iterable[pa.RecordBatch]") -> Iterator[list[dict[str, Any]]]
     return (rows for batch in batches for rows in rows_of(batch))
 
 
-def _table(columns: Sequence[str], parts: Iterable[Sequence[Row]], limit: int, *, wide: bool) -> Iterator[Shown]:
+def _table(
+    columns: Sequence[str], parts: Iterable[Sequence[Row]], limit: int, *, wide: bool, numbers: "Numbers | None"
+) -> Iterator[Shown]:
     shown: list[Row] = []
     count = 0
     for rows in parts:
         shown += rows[: limit - len(shown)] if limit else rows
         count += len(rows)
-    yield table(shown, columns, wide=wide) or Shown("(no rows)\n")
+    yield table(shown, columns, wide=wide, numbers=numbers) or Shown("(no rows)\n")
     if count > len(shown):
         yield more_text(count - len(shown))
 

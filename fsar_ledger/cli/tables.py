@@ -1,15 +1,16 @@
 """Tables for people: fitted to a terminal, plain everywhere else. Nothing here prints.
 
-On a terminal a column that is the same in every row is said once above, run ids lose the parts that they share, long
-cells continue on further lines behind a mark, and columns for which there is no room are named below. A single row that
-does not fit is shown as a list. With `--wide`, or where the output is no terminal, a table is `output.table_text`.
+On a terminal a column that is the same in every row is said once above, runs are shown by their numbers, or their ids
+lose the parts that they share, long cells continue on further lines behind a mark, and columns for which there is no
+room are named below. A single row that does not fit is shown as a list. With `--wide`, or where the output is no
+terminal, a table is `output.table_text`.
 
 Cells are escaped (`printable`) before they are measured, and rich never reads them as markup.
 """
 
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from fsar_ledger import printable
@@ -27,11 +28,16 @@ NAMED_ITEMS, LONGEST_LIST = 3, 48
 """The items of a list that a cell names if all of them take more characters than this."""
 LEAST, LONGEST_WORD = 12, 20
 """Characters below which a column of text is not narrowed, or the longest word in it up to the second."""
+SHORT = 9
+"""Characters up to which the name of a column stays on one line."""
 NAMED_EMPTY = 12
 """How many columns without a value are named."""
 _BREAKS = re.compile(r"[^ /._,:;=-]*(?: +|[/._,:;=-]+|$)")
 _PARTED = re.compile(r"[\s,;:'\"]|^$")
 _RUNS = ("run_id", "first_run")
+
+Numbers = Callable[[], Mapping[str, int]]
+"""Gives the number of each run that has one, by its name."""
 
 
 class Column(NamedTuple):
@@ -52,30 +58,76 @@ class Column(NamedTuple):
         cells = max(map(_width, self.cells))
         word = max(_width(piece) for cell in self.cells for piece in _BREAKS.findall(cell))
         text = min(cells, max(LEAST, min(word, LONGEST_WORD)))
-        return max(cells if self.is_number else text, *map(_width, _BREAKS.findall(self.name)))
+        name = max(
+            _width(piece) for piece in ([self.name] if _width(self.name) <= SHORT else _BREAKS.findall(self.name))
+        )
+        return max(cells if self.is_number else text, name)
 
 
-def table(rows: Sequence[Row], columns: Sequence[str], limit: int = 0, *, wide: bool = False) -> Shown:
-    """Return the rows as a table for where the output goes; count the rows beyond `limit` (0: show all)."""
+def is_fitted(*, wide: bool) -> bool:
+    """Return whether a table is to fit a terminal."""
+    return not wide and width_of_output() is not None
+
+
+def table(
+    rows: Sequence[Row],
+    columns: Sequence[str],
+    limit: int = 0,
+    *,
+    wide: bool = False,
+    numbers: Numbers | None = None,
+) -> Shown:
+    """Return the rows as a table for where the output goes; count the rows beyond `limit` (0: show all).
+
+    A table that fits a terminal names runs by their `numbers`, unless it has a column of these itself.
+    """
     width = None if wide else width_of_output()
-    return table_text(rows, columns, limit) if width is None else fitted(rows, columns, width, limit)
+    if width is None:
+        return table_text(rows, columns, limit)
+    names_runs = any(name in columns for name in _RUNS)
+    return fitted(rows, columns, width, limit, numbers() if numbers is not None and names_runs else {})
 
 
-def fitted(rows: Sequence[Row], columns: Sequence[str], width: int, limit: int = 0) -> Shown:
+def fitted(
+    rows: Sequence[Row], columns: Sequence[str], width: int, limit: int = 0, numbers: Mapping[str, int] = {}
+) -> Shown:
     """Return the rows as a table that is no wider than a terminal of this width."""
     shown = rows[:limit] if limit else rows
     if not shown or not columns:
         return table_text(rows, columns, limit)
-    found = [_column(name, [row[name] for row in shown]) for name in columns]
+    values = [[row[name] for row in shown] for name in columns]
+    stands_for = _numbered(columns, values, numbers)
+    found = [_column(name, cells) for name, cells in zip(columns, values, strict=True)]
     rest = [more_text(len(rows) - len(shown))] if len(shown) < len(rows) else []
     if len(shown) == 1 and _total([column.natural for column in found]) > width:
-        return printable.joined(_listed(found), *rest)
+        return printable.joined(_listed(found), *map(printable.line, stands_for), *rest)
     above, telling = _said_once(found, "every row shown" if rest else "every row") if len(shown) > 1 else ([], found)
+    above += stands_for
     widths = _widths(telling, width)
     left_out = [_quoted(column.name) for column in telling[len(widths) :]]
     below = [f"not shown: {_some(left_out)}; --wide shows all"] if left_out else []
     lines = printable.lines(*above, *([""] if above else []))
     return printable.joined(lines, _laid_out(telling, widths), *map(printable.line, below), *rest)
+
+
+def _numbered(columns: Sequence[str], values: list[list[object]], numbers: Mapping[str, int]) -> list[str]:
+    """Put numbers in place of the names of runs, and return lines that say what one stands for.
+
+    A column stays as it is where another text in it could be taken for a number, or another column has the numbers.
+    """
+    lines = []
+    for place, name in enumerate(columns):
+        if name not in _RUNS:
+            continue
+        known = [numbers.get(value) if isinstance(value, str) else None for value in values[place]]
+        mixed = [value if number is None else number for value, number in zip(values[place], known, strict=True)]
+        is_doubtful = any(number is None and str(one).isdecimal() for one, number in zip(mixed, known, strict=True))
+        if not any(known) or is_doubtful or any(known == cells for cells in values):
+            continue
+        number, run = next((number, value) for number, value in zip(known, values[place], strict=True) if number)
+        lines.append(f"{name} {number} is {_quoted(printable.cell(str(run)))}; --wide shows the names")
+        values[place] = mixed
+    return lines
 
 
 def _column(name: str, values: Sequence[object]) -> Column:
@@ -109,7 +161,8 @@ def _said_once(columns: Sequence[Column], where: str) -> tuple[list[str], list[C
     lines = [f"in {where}: {', '.join(valued)}"] if valued else []
     lines += [f"NULL in {where}: {_some(empty)}"] if empty else []
     for place, column in enumerate(differing):
-        if column.name in _RUNS and (short := _shortened(column.cells)) is not None:
+        others = [one for one in columns if one.name != column.name]
+        if column.name in _RUNS and (short := _shortened(column.cells, others)) is not None:
             pattern, cells = short
             differing[place] = column._replace(cells=cells)
             lines.append(f"{column.name} {_quoted(pattern)}: rows show what stands for each *")
@@ -121,20 +174,27 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:NAMED_EMPTY]) + (f" and {printable.counted(more, 'other column')}" if more > 0 else "")
 
 
-def _shortened(runs: Sequence[str]) -> tuple[str, list[str]] | None:
-    """Return the parts that the names of these runs share, with * for the others, and of each name only the others.
+def _shortened(runs: Sequence[str], columns: Sequence[Column]) -> tuple[str, list[str]] | None:
+    """Return a pattern for the names of these runs, and of each name what stands for the * in it.
 
-    None if the names do not have equally many parts, or share none.
+    The pattern has the parts that all names share, and for one that another column gives, the name of that column.
+    None if the names do not have equally many parts, or all parts are such that only a * could stand for them.
     """
     split = [run.split(".") for run in runs]
     if len({len(parts) for parts in split}) > 1:
         return None
-    shared = [len(set(parts)) == 1 for parts in zip(*split, strict=True)]
-    if not any(shared):
-        return None
-    pattern = ".".join(part if same else "*" for part, same in zip(split[0], shared, strict=True))
-    cells = [" ".join(part for part, same in zip(parts, shared, strict=True) if not same) for parts in split]
-    return (pattern, cells) if len(set(cells)) == len(set(runs)) else None
+    pattern = [_part(texts, columns) for texts in zip(*split, strict=True)]
+    cells = [" ".join(part for part, known in zip(parts, pattern, strict=True) if known == "*") for parts in split]
+    given = [[part for part, known in zip(parts, pattern, strict=True) if known != "*"] for parts in split]
+    told = {(cell, *parts) for cell, parts in zip(cells, given, strict=True)}
+    return (".".join(pattern), cells) if any(given) and len(told) == len(set(runs)) else None
+
+
+def _part(texts: Sequence[str], columns: Sequence[Column]) -> str:
+    """Return what all these texts are, else the column that gives them, else *."""
+    if len(set(texts)) == 1:
+        return texts[0]
+    return next((f"<{column.name}>" for column in columns if column.cells == [*texts]), "*")
 
 
 def _widths(columns: Sequence[Column], width: int) -> list[int]:

@@ -3,6 +3,7 @@
 import fcntl
 import os
 import pty
+import re
 import struct
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger import Ledger
 from fsar_ledger.cli.output import table_text
 from fsar_ledger.cli.tables import fitted
 from fsar_ledger.cli.terminal import columns_of
@@ -88,7 +90,7 @@ def test_a_table_fits_the_terminal_and_is_whole_with_wide(ledger: Path, call: Ca
     fitting, _ = on_a_terminal(80, "-m", "fsar_ledger", *arguments)
     whole, _ = on_a_terminal(500, "-m", "fsar_ledger", *arguments, "--wide")
     assert max(map(wide, fitting.split("\n"))) <= 80
-    assert fitting.startswith("run_id *.")
+    assert fitting.startswith("run_id ")
     assert "\nnot shown: " in fitting
     assert whole == call(*arguments).out == call(*arguments, "--wide").out
 
@@ -115,6 +117,56 @@ def test_runs_lose_the_parts_that_they_share() -> None:
     above, _, _, _, first, *_, last = fitted(rows, ["run_id", "seq"], 80).splitlines()
     assert above == "run_id fsar.full.*.n4.s42.*: rows show what stands for each *"
     assert (first.split(), last.split()) == (["door", "r0001-abc", "0"], ["relay", "r0002-abc", "3"])
+
+
+def test_a_part_of_a_run_that_another_column_gives_is_not_repeated() -> None:
+    rows = [{"run_id": run, "scenario": run.split(".")[2]} for run in RUNS]
+    above, _, _, _, first, *_ = fitted(rows, ["run_id", "scenario"], 80).splitlines()
+    assert above == "run_id fsar.full.<scenario>.n4.s42.*: rows show what stands for each *"
+    assert first.split() == ["r0001-abc", "door"]
+
+
+NUMBERS = {run: number for number, run in enumerate(RUNS, 5)}
+
+
+def test_on_a_terminal_a_run_is_its_number_and_one_is_said_in_full() -> None:
+    rows = [{"run_id": run, "seq": seq} for seq, run in enumerate(RUNS)]
+    above, _, _, _, first, *_, last = fitted(rows, ["run_id", "seq"], 80, numbers=NUMBERS).splitlines()
+    assert above == f"run_id 5 is {RUNS[0]}; --wide shows the names"
+    assert (first.split(), last.split()) == (["5", "0"], ["8", "3"])
+
+
+def test_a_plan_among_runs_keeps_its_name() -> None:
+    rows = [{"run_id": run} for run in ("plan.n4.s42.x2-abc", *RUNS)]
+    assert fitted(rows, ["run_id"], 80, numbers=NUMBERS).splitlines()[4:6] == ["plan.n4.s42.x2-abc", "5"]
+
+
+def test_a_text_that_looks_like_the_number_of_a_run_keeps_all_names() -> None:
+    rows = [{"run_id": run} for run in ("6", RUNS[0])]
+    assert RUNS[0] in fitted(rows, ["run_id"], 80, numbers=NUMBERS).splitlines()
+
+
+def test_a_table_of_the_numbers_keeps_the_names() -> None:
+    rows = [{"number": number, "run_id": run} for run, number in NUMBERS.items()]
+    assert fitted(rows, ["number", "run_id"], 80, numbers=NUMBERS) == fitted(rows, ["number", "run_id"], 80)
+
+
+@pytest.mark.parametrize("arguments", [("query", "failures"), ("sql", "SELECT run_id, seq FROM failures ORDER BY ALL")])
+def test_the_numbers_that_a_terminal_shows_are_those_that_questions_take(
+    call: Call, ledger: Path, arguments: tuple[str, str]
+) -> None:
+    verb, question = arguments
+    shown, _ = on_a_terminal(
+        80, "-m", "fsar_ledger", verb, *((question, ledger) if verb == "query" else (ledger, question))
+    )
+    numbers = Ledger(ledger).numbers()
+    rows = Ledger(ledger).query("failures").rows()
+    listed = shown.split("---\n", 1)[1].splitlines()[: len(rows)]
+    assert [line.lstrip("| ").split()[0] for line in listed] == [str(numbers[row["run_id"]]) for row in rows]
+    assert (
+        Ledger(ledger).requests(str(numbers[rows[0]["run_id"]])).rows()
+        == Ledger(ledger).requests(rows[0]["run_id"]).rows()
+    )
 
 
 def test_runs_that_could_not_be_told_apart_stay_whole() -> None:
@@ -186,6 +238,13 @@ def test_queries_are_listed_by_group_and_event_views_only_with_all(call: Call) -
     assert "staging/request_issued" in everything
     assert "are not listed" not in everything
     one_message(call("query", "--all"), 2, "--all without --list")
+
+
+def test_on_a_terminal_queries_are_listed_by_their_last_parts_with_the_names_of_parameters() -> None:
+    shown, _ = on_a_terminal(80, "-m", "fsar_ledger", "query", "--list")
+    assert re.search(r"^  robot_activity +What a robot was doing at a time \(run, robot, at\)$", shown, re.MULTILINE)
+    assert "audit/" not in shown
+    assert "run=all" not in shown
 
 
 def test_every_group_of_queries_has_words() -> None:

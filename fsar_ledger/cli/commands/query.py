@@ -126,9 +126,10 @@ def _of_name(
             "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query "
             "--list` shows the names"
         )
-    found = opened(ledger, verified=verified).query(name, **parameters)
+    asked = opened(ledger, verified=verified)
+    found = asked.query(name, **parameters)
     warn(ledger, found.provenance)
-    return form.pieces(found.provenance, found.columns, found.batches())
+    return form.pieces(found.provenance, found.columns, found.batches(), asked.numbers)
 
 
 def _of_file(

@@ -65,7 +65,8 @@ def answer_select(ledger: Path, select: str, limits: "Limits", form: "Form", *, 
     from fsar_ledger.cli.answering import opened, warn
     from fsar_ledger.cli.streaming import Kept
 
-    with opened(ledger, verified=verified).stream(select, limits) as (provenance, columns, batches):
-        text = Kept(form.pieces(provenance, columns, batches))
+    asked = opened(ledger, verified=verified)
+    with asked.stream(select, limits) as (provenance, columns, batches):
+        text = Kept(form.pieces(provenance, columns, batches, asked.numbers))
     warn(ledger, provenance)
     return text
