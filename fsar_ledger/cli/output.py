@@ -60,6 +60,16 @@ def more_text(count: int) -> Shown:
     return printable.line(f"... {count:,} more rows; --limit 0 shows all, --csv and --json always do")
 
 
+def run_text(run: str, number: int | None) -> str:
+    """Return the words that name a run: `run 12, NAME`; `run NAME` where it has no number."""
+    return f"run {printable.value(run)}" if number is None else f"run {number}, {printable.value(run)}"
+
+
+def run_word(run: str, number: int | None) -> str:
+    """Return what names the run in a command that people may copy: its number, where it has one."""
+    return printable.word(run if number is None else number)
+
+
 def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified: bool | None = None) -> Shown:
     """Return one JSON object: the head (size, root) that the answer holds for, or null, then the answer.
 

@@ -22,6 +22,8 @@ ON = "  | "
 
 NARROWEST, USUAL = 20, 80
 """Columns: the fewest for which lines are folded, and those of a terminal that does not report them."""
+ROOM = 40
+"""Columns that lines of words keep for the words, whatever names stand before them."""
 MAX_LINES = 20
 """Lines of one message; DuckDB's have up to six."""
 
@@ -88,6 +90,15 @@ def _write(stream: TextIO | None, text: str) -> None:
 def width_of_output() -> int | None:
     """Return the columns of the terminal that stdout is; None if it is none, or too narrow to lay out anything."""
     return None if sys.stdout is None else _width_of(sys.stdout)
+
+
+def width_of_names(longest: int, beside: int) -> int:
+    """Return the width of the column of names before words, in a line with so many columns beside both.
+
+    It is that of the longest name, but on a terminal no more than leaves room for the words; longer names shift theirs.
+    """
+    width = width_of_output()
+    return longest if width is None else max(0, min(longest, width - beside - ROOM))
 
 
 def _width_of(stream: TextIO) -> int | None:

@@ -131,12 +131,12 @@ def test_the_supervisor_of_a_denial_is_the_actions_with_the_seq_of_its_records()
 
 
 def test_the_call_that_a_story_suggests_proves_its_decisive_event(call: Call, ledger: Path) -> None:
-    listed = json.loads(call("explain", ledger, "--json").out)
+    listed, opened = json.loads(call("explain", ledger, "--json").out), open_ledger(ledger)
     one = listed["requests"][0]
     said = call("explain", ledger, "--run", listed["run"], "--request", one["action_id"]).out
     hint = said.splitlines()[-1].partition("`")[2].partition("`")[0]
-    assert hint.endswith(f"{listed['run']}:{one['seq']}")
-    assert call(*hint.split()[1:]).code == 0
+    assert hint.endswith(f" {opened.numbers()[listed['run']]}:{one['seq']}")
+    assert call(*hint.split()[1:]).out == str(opened.prove(f"{listed['run']}:{one['seq']}"))
 
 
 @pytest.mark.slow

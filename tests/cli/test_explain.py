@@ -28,8 +28,8 @@ def test_without_a_request_the_requests_of_the_first_run_are_listed(call: Call, 
     listed = json.loads(call("explain", ledger, "--json").out)
     first = json.loads(call("query", "runs", ledger, "--json").out)["rows"]
     assert (said.code, said.err) == (0, "")
-    assert said.out.startswith(f"run {listed['run']}\n")
-    assert listed["run"] in {row["run_id"] for row in first}
+    assert listed["run"] == next(row["run_id"] for row in first if row["number"] == 1)
+    assert said.out.startswith(f"run 1, {listed['run']}\n")
     assert listed["requests"]
     for row in listed["requests"]:
         assert f"{row['action_id']} " in said.out

@@ -52,7 +52,7 @@ def test_a_run_is_told_a_line_an_event_under_its_name(call: Call, ledger: Path) 
     called = call("log", ledger, "--run", RUN)
     assert called.code == 0, called.err
     name, empty, *lines = called.out.splitlines()
-    assert (name.startswith(f"run {RUN}"), empty) == (True, "")
+    assert (name.startswith(f"run 1, {RUN}"), empty) == (True, "")
     told = Ledger(ledger).log(RUN).rows()
     for line, row in zip(lines, told, strict=True):
         found = LINE.fullmatch(line)
@@ -81,7 +81,10 @@ def test_json_is_an_object_a_line_for_every_event_of_every_run(call: Call, ledge
 
 def test_each_run_has_its_name_above_its_lines(call: Call, ledger: Path) -> None:
     names = [line for line in call("log", ledger, "--run", "all").out.splitlines() if line.startswith("run ")]
-    assert names == [f"run {row['run_id']}" for row in Ledger(ledger).log("all") if row["seq"] == 0]
+    numbers = Ledger(ledger).numbers()
+    told = [row["run_id"] for row in Ledger(ledger).log("all") if row["seq"] == 0]
+    assert names == [f"run {numbers[run]}, {run}" if run in numbers else f"run {run}" for run in told]
+    assert len(numbers) == len(told) - 1  # a plan has none
 
 
 def test_it_says_that_nothing_happened(call: Call, ledger: Path) -> None:
@@ -162,7 +165,7 @@ def test_a_terminal_sees_the_same_lines_and_follow_waits_there(ledger: Path) -> 
     process = subprocess.Popen([*COMMAND, "log", str(ledger), "--follow"], stdout=child, stderr=subprocess.DEVNULL)
     os.close(child)
     seen = b""
-    while b"run fsar" not in seen:
+    while b"run 1, fsar" not in seen:
         seen += os.read(terminal, 4096)
     assert process.poll() is None
     process.send_signal(signal.SIGINT)

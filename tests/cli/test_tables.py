@@ -240,6 +240,15 @@ def test_queries_are_listed_by_group_and_event_views_only_with_all(call: Call) -
     one_message(call("query", "--all"), 2, "--all without --list")
 
 
+def test_on_a_terminal_names_leave_room_for_the_words_of_a_story(call: Call, ledger: Path) -> None:
+    run = next(run for run in Ledger(ledger).numbers() if run.startswith("dhma"))
+    for verb in (("log", ledger, "--run", run), ("explain", ledger, "--run", run, "--request", "A1-1/2.1")):
+        narrow, broad = (on_a_terminal(width, "-m", "fsar_ledger", *verb)[0] for width in (80, 200))
+        folded = sum(line.startswith("  | ") for line in narrow.splitlines())
+        assert folded < len(broad.splitlines()) / 2, verb  # were the words of all aligned, nearly each would be
+        assert broad == call(*verb).out, verb
+
+
 def test_on_a_terminal_queries_are_listed_by_their_last_parts_with_the_names_of_parameters() -> None:
     shown, _ = on_a_terminal(80, "-m", "fsar_ledger", "query", "--list")
     assert re.search(r"^  robot_activity +What a robot was doing at a time \(run, robot, at\)$", shown, re.MULTILINE)

@@ -18,7 +18,7 @@ from fsar_ledger.cli.options import (
     WideOption,
     examples,
 )
-from fsar_ledger.cli.terminal import show
+from fsar_ledger.cli.terminal import show, width_of_names
 from fsar_ledger.errors import UsageError
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ EXAMPLES = examples(
 
 Kind = Literal["svg", "pdf"]
 Timeline = list[dict[str, Any]]
+Run = tuple[str, int | None]
+"""The name of a run, and the number that names it, where it has one."""
 
 COLUMNS = (
     "began_s",
@@ -48,9 +50,13 @@ COLUMNS = (
     "result",
     "seq",
 )
+LATER = ("denied_under", "executed_by", "supervised_by", "failures")
+"""Columns that a terminal shows if there is room beside the others."""
 PARTIES = ("asked_by", "allowed_by", "denied_by", "denied_under", "executed_by", "supervised_by")
 DENIED = ("denied_by", "denied_under")
 UNKNOWN = "not on record"
+BESIDE = 24
+"""Characters of a step beside its names and words: time, seq and gaps."""
 WORDS, MAX_WORDS = ("message", "note"), 1_000
 
 
@@ -72,8 +78,9 @@ def explain(
     of the run.
     """
     from fsar_ledger.api.explain import account, chosen_run, requests
+    from fsar_ledger.api.lookup import numbers_of
     from fsar_ledger.cli.answering import opened, warn
-    from fsar_ledger.cli.output import json_text
+    from fsar_ledger.cli.output import json_text, run_text
     from fsar_ledger.ledger.store.paths import require_outside
 
     kinds: tuple[tuple[Kind, Path | None], ...] = (("svg", svg), ("pdf", pdf))
@@ -89,13 +96,14 @@ def explain(
     asked = opened(ledger, verified=verified)
     with asked.database() as database:
         name = chosen_run(database, ledger, run)
+        number = numbers_of(database).get(name)
         if request is None and failure is None:
             listed = requests(database, name)
         else:
             told = account(database, ledger, name, request, failure)
     if request is None and failure is None:
         warn(ledger, listed.provenance)
-        _list(ledger, name, listed, as_json=as_json, wide=wide)
+        _list(ledger, (name, number), listed, as_json=as_json, wide=wide)
         return
     for kind, path in files.items():
         told.draw(path, kind=kind)
@@ -111,8 +119,9 @@ def explain(
             )
         )
         return
-    lines = _told(name, told.action, shown(told.timeline if failure is None else []), shown([told.parties])[0])
-    hint = _proof(ledger, name, told.decisive_seq)
+    steps, parties = shown(told.timeline if failure is None else []), shown([told.parties])[0]
+    lines = _told(run_text(name, number), told.action, steps, parties)
+    hint = _proof(ledger, (name, number), told.decisive_seq)
     show(printable.lines(*lines, *_recovered(shown(told.recovery)), "", hint, *map(str, files.values())))
 
 
@@ -129,39 +138,38 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Timeline:
     ]
 
 
-def _list(ledger: Path, run: str, found: "Table", *, as_json: bool, wide: bool) -> None:
+def _list(ledger: Path, run: Run, found: "Table", *, as_json: bool, wide: bool) -> None:
     """Show the requests of a run."""
-    from fsar_ledger.cli.output import json_text
-    from fsar_ledger.cli.tables import table
+    from fsar_ledger.cli.output import json_text, run_text, run_word
+    from fsar_ledger.cli.tables import is_fitted, table
 
     provenance, rows = found.provenance, found.rows()
     if as_json:
-        show(
-            json_text(provenance.head, {**provenance.answer(), "run": run, "requests": rows}, provenance.rows_verified)
-        )
+        answer = {**provenance.answer(), "run": run[0], "requests": rows}
+        show(json_text(provenance.head, answer, provenance.rows_verified))
     elif not rows:
         nothing = (
             "no requests on record; not all that a request leaves was observed"
             if provenance.not_observed
             else "no requests"
         )
-        show(printable.lines(f"run {printable.value(run)}", nothing))
+        show(printable.lines(run_text(*run), nothing))
     else:
         began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
         hint = (
-            f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request "
+            f"`fsar-ledger explain {printable.word(ledger)} --run {run_word(*run)} --request "
             f"{printable.word(rows[0]['action_id'])}` tells one of them"
         )
-        shown = table(began, COLUMNS, wide=wide)
-        show(printable.joined(printable.lines(f"run {printable.value(run)}", ""), shown, printable.lines("", hint)))
+        shown = table(began, sorted(COLUMNS, key=LATER.__contains__) if is_fitted(wide=wide) else COLUMNS, wide=wide)
+        show(printable.joined(printable.lines(run_text(*run), ""), shown, printable.lines("", hint)))
 
 
 def _told(run: str, action: str, timeline: Timeline, parties: Mapping[str, Any]) -> Iterator[str]:
-    """Yield run and action, a line for each step, and the parties."""
-    yield f"run {printable.value(run)}"
+    """Yield the words for the run, the action, a line for each step, and the parties."""
+    yield run
     yield f"action {printable.value(action)}" + (f", {parties['capability']}" if parties["capability"] else "")
     between = [_between(row) for row in timeline]
-    width = max(map(len, between), default=0)
+    width = width_of_names(max(map(len, between), default=0), BESIDE)
     for row, names in zip(timeline, between, strict=True):
         note = f"  ({row['note']})" if row["note"] else ""
         if row["step"] <= 1:
@@ -188,9 +196,11 @@ def _parties(parties: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield name, f"{parties[name] or UNKNOWN}{when}"
 
 
-def _proof(ledger: Path, run: str, seq: int) -> str:
+def _proof(ledger: Path, run: Run, seq: int) -> str:
     """Return the call that proves the event that decided the result."""
-    return f"`fsar-ledger prove {printable.word(ledger)} {printable.word(f'{run}:{seq}')}` proves event {seq} to others"
+    name, number = run
+    event = printable.word(f"{name if number is None else number}:{seq}")
+    return f"`fsar-ledger prove {printable.word(ledger)} {event}` proves event {seq} to others"
 
 
 def _between(row: Mapping[str, Any]) -> str:

@@ -1,13 +1,13 @@
 """The command `log`: the timeline of a run, a line for each event."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fsar_ledger import printable
 from fsar_ledger.cli.options import LedgerArgument, VerifiedOption, examples
-from fsar_ledger.cli.terminal import pause, show
+from fsar_ledger.cli.terminal import pause, show, width_of_names
 from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import Shown
 
@@ -23,6 +23,8 @@ AFTER_INTERRUPTION = "what is shown stays committed, and nothing was changed"
 
 UNKNOWN = "?"
 MAX_WORDS = 1_000
+BESIDE = 25
+"""Characters of a line beside its action, names and words: seq, time and gaps."""
 LOOK_EVERY_S = 0.5
 """Seconds between two looks for more commits."""
 
@@ -87,7 +89,7 @@ def log(
         if follow or run == ALL
         else [asked.log(run, since, until, robot, about)]
     )
-    lines = Lines()
+    lines = Lines(asked.numbers)
     for number, table in enumerate(tables):
         if number == 0:
             warn(ledger, table.provenance)
@@ -98,14 +100,18 @@ def log(
 
 
 class Lines:
-    """The lines of one run after another, aligned with those before."""
+    """The lines of one run after another, aligned with those before, each run under its number and name."""
 
-    def __init__(self) -> None:
+    def __init__(self, numbers: Callable[[], Mapping[str, int]]) -> None:
         self.run: str | None = None
+        self._read = numbers
+        self._numbers: dict[str, int | None] = {}
         self._widths = (0, 0)
 
     def text(self, rows: Sequence[dict[str, Any]]) -> Shown:
         """Return the rows as lines, under the name of their run."""
+        if not {row["run_id"] for row in rows} <= self._numbers.keys():  # plans have none
+            self._numbers |= {**dict.fromkeys(row["run_id"] for row in rows), **self._read()}
         shown = [_shown(row) for row in rows]
         before = self._widths
         self._widths = (
@@ -115,12 +121,15 @@ class Lines:
         return printable.lines(*self._lines(rows, shown))
 
     def _lines(self, rows: Sequence[dict[str, Any]], shown: Sequence[tuple[str, str, str]]) -> Iterator[str]:
-        of_action, of_names = self._widths
+        from fsar_ledger.cli.output import run_text
+
+        of_action, longest = self._widths
+        of_names = width_of_names(longest, BESIDE + of_action)
         for row, (action, names, words) in zip(rows, shown, strict=True):
             if row["run_id"] != self.run:
                 yield from ([] if self.run is None else [""])
                 self.run = row["run_id"]
-                yield f"run {printable.value(row['run_id'])}"
+                yield run_text(self.run, self._numbers[self.run])
                 yield ""
             yield f"{row['seq']:>6} {row['time_s']:>10.3f} s  {action:<{of_action}}  {names:<{of_names}}  {words}"
 
