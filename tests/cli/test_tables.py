@@ -249,6 +249,24 @@ def test_on_a_terminal_names_leave_room_for_the_words_of_a_story(call: Call, led
         assert broad == call(*verb).out, verb
 
 
+def test_on_a_terminal_an_audit_is_a_line_a_verdict_and_names_the_first_events_as_prove_takes_them(
+    ledger: Path,
+) -> None:
+    shown, _ = on_a_terminal(80, "-m", "fsar_ledger", "audit", ledger)
+    verdicts, _, first = shown.partition("the first offending events, as `fsar-ledger prove LEDGER RUN:SEQ` takes them")
+    rows, numbers = Ledger(ledger).audit().rows, Ledger(ledger).numbers()
+    lines = [line.split() for line in verdicts.split("---\n")[1].splitlines() if line]
+    assert [(name, word, int(cases)) for name, _, word, cases, _ in lines] == [
+        (row.invariant, "holds" if row.holds else "broken", row.cases) for row in rows
+    ]
+    named = re.findall(r"^  ([IA][1-5]) +(\w+) +(\d+:\d+) ", first, re.MULTILINE)
+    assert named == [
+        (row.invariant[:2].upper(), row.architecture, f"{numbers[row.first_run]}:{row.first_seq}")
+        for row in rows
+        if row.first_run is not None
+    ]
+
+
 def test_on_a_terminal_queries_are_listed_by_their_last_parts_with_the_names_of_parameters() -> None:
     shown, _ = on_a_terminal(80, "-m", "fsar_ledger", "query", "--list")
     assert re.search(r"^  robot_activity +What a robot was doing at a time \(run, robot, at\)$", shown, re.MULTILINE)

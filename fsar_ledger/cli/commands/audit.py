@@ -1,6 +1,6 @@
 """The command `audit`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import typer
@@ -16,6 +16,7 @@ from fsar_ledger.cli.options import (
     examples,
 )
 from fsar_ledger.cli.terminal import show
+from fsar_ledger.printable import Shown
 
 if TYPE_CHECKING:
     from fsar_ledger.api.fields import Row
@@ -43,9 +44,10 @@ def audit(
     from fsar_ledger.api.plans import runs
     from fsar_ledger.cli.answering import opened, warn
     from fsar_ledger.cli.output import answer_json
-    from fsar_ledger.cli.tables import table
+    from fsar_ledger.cli.tables import is_fitted, table
 
-    found = opened(ledger, verified=verified).audit(invariant, architecture)
+    asked = opened(ledger, verified=verified)
+    found = asked.audit(invariant, architecture)
     provenance, rows = found.provenance, found.rows
     if as_json:
         answer = {
@@ -65,7 +67,11 @@ def audit(
             else []
         )
         said = printable.lines("", *_verdict(rows), *of_budgets)
-        show(printable.joined(table([_shown(row) for row in rows], list(_shown(rows[0])), wide=wide), said))
+        if is_fitted(wide=wide):
+            findings = _on_a_terminal(rows, asked.numbers())
+        else:
+            findings = table([_shown(row) for row in rows], list(_shown(rows[0])), wide=wide)
+        show(printable.joined(findings, said))
     warn(ledger, provenance)
     if not found.holds:
         raise typer.Exit(1)
@@ -78,15 +84,33 @@ def _shown(row: "AuditRow") -> "Row":
         "architecture": row.architecture,
         "configuration": row.configuration,
         "runs": row.runs,
-        "verdict": _word(row),
+        "verdict": _word(row) if row.holds is None or row.cases is None else f"{_word(row)} ({_cases(row.cases)})",
         "offending events": row.events,
         "first offending event": first,
     }
 
 
+def _on_a_terminal(rows: "Sequence[AuditRow]", numbers: Mapping[str, int]) -> Shown:
+    """Return the verdicts as a table, and under it what the first offending events are, as `prove` names them."""
+    from fsar_ledger.cli.tables import table
+
+    verdicts, first = [], []
+    for row in rows:
+        verdict = {"architecture": row.architecture, "configuration": row.configuration}
+        counts = {"cases": row.cases, "offending events": row.events}
+        verdicts.append({"invariant": row.invariant, **verdict, "runs": row.runs, "verdict": _word(row), **counts})
+        if row.first_run is not None:
+            event = f"{numbers.get(row.first_run, row.first_run)}:{row.first_seq}"
+            first.append({"invariant": _short([row.invariant]), **verdict, "event": event, "found": row.first_found})
+    judged = table(verdicts, list(verdicts[0]))
+    if not first:
+        return judged
+    above = printable.lines("", "the first offending events, as `fsar-ledger prove LEDGER RUN:SEQ` takes them", "")
+    return printable.joined(judged, above, table(first, list(first[0])))
+
+
 def _word(row: "AuditRow") -> str:
-    """Return the verdict on one invariant, with the number of cases that it rests on."""
-    cases = "1 case" if row.cases == 1 else f"{row.cases or 0:,} cases"
+    """Return the verdict on one invariant."""
     from fsar_ledger.api.audit import is_empty
 
     if is_empty(row):
@@ -95,7 +119,11 @@ def _word(row: "AuditRow") -> str:
         return f"not observable: {row.not_observed}" + (
             f" ({row.runs_not_observed} of {row.runs} runs)" if row.runs_not_observed < row.runs else ""
         )
-    return f"{'holds' if row.holds else 'broken'} ({cases})" if row.cases is not None else "broken"
+    return "holds" if row.holds else "broken"
+
+
+def _cases(count: int) -> str:
+    return "1 case" if count == 1 else f"{count:,} cases"
 
 
 def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
