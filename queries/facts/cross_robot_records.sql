@@ -4,8 +4,8 @@
 --   another one than ends it
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; next_seq position of the next step or end of its task
--- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq of a
---   start, and where nothing follows
+-- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq and
+--   is_given_up of a start, and where nothing follows
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER
 WITH finished AS (
     SELECT
@@ -19,7 +19,7 @@ WITH finished AS (
 ),
 
 progress AS (
-    SELECT run_id, seq, task_id
+    SELECT run_id, seq, task_id, type = 'TaskAbandoned.v1' AS is_given_up
     FROM task_events
     WHERE type IN ('StepBegan.v1', 'StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1')
 ),
@@ -29,7 +29,8 @@ ends AS (
     SELECT
         finished.run_id, finished.seq, finished.time_us, finished.action_id, finished.requested_by,
         finished.executed_by, finished.supervised_by, finished.robot, finished.began_by, finished.on_behalf_of,
-        CASE WHEN steps.run_id IS NOT NULL THEN later.seq END AS next_seq
+        CASE WHEN steps.run_id IS NOT NULL THEN later.seq END AS next_seq,
+        CASE WHEN steps.run_id IS NOT NULL THEN later.is_given_up END AS is_given_up
     FROM finished
     LEFT JOIN step_began AS steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id
     ASOF LEFT JOIN progress AS later
@@ -40,7 +41,7 @@ ends AS (
 SELECT
     run_id, seq, time_us,
     'ExecutionFinished.v1' AS type,
-    action_id, requested_by, executed_by, supervised_by, robot, began_by, on_behalf_of, next_seq
+    action_id, requested_by, executed_by, supervised_by, robot, began_by, on_behalf_of, next_seq, is_given_up
 FROM ends
 UNION ALL
 SELECT
@@ -49,6 +50,7 @@ SELECT
     action_id, requested_by, executed_by, supervised_by, robot,
     robot AS began_by,
     on_behalf_of,
-    NULL AS next_seq
+    NULL AS next_seq,
+    NULL AS is_given_up
 FROM execution_started
 WHERE robot <> on_behalf_of

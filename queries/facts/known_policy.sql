@@ -72,9 +72,9 @@ SELECT
     END AS outcome,
     if(starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq), starts.denied_seq, NULL) AS denied_seq
 FROM starts
--- A supervisor approves the reviews that were known by then; a denial stands whatever was approved.
+-- A supervisor approves the reviews known by then, or by the admission that follows; a denial stands all the same.
 LEFT JOIN outcomes
     ON
         starts.run_id = outcomes.run_id AND starts.seq = outcomes.seq
-        AND (outcomes.outcome = 'deny' OR starts.approved_seq < outcomes.known_seq)
+        AND (outcomes.outcome = 'deny' OR if(approved_seq < 0, -1, greatest(approved_seq, admitted_seq)) < known_seq)
 GROUP BY ALL

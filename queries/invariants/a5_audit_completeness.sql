@@ -2,7 +2,7 @@
 -- Paper: sec:architecture:invariants (A5), eq:request
 -- Grain: one row per start or end of an execution for another robot whose own record lacks or misstates a principal,
 --   without an earlier request, admission (or reassignment) and acceptance of its action in this order, that another
---   than its beginner ended, or not closed before its task goes on; and per help admitted without a principal
+--   than its beginner ended, or not closed before its task goes on, or ever; and per help admitted without a principal
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id where the record names none
@@ -30,8 +30,7 @@ WITH phases AS (
 
 judged AS (
     SELECT
-        records.run_id, records.seq, records.time_us, records.type, records.action_id, records.robot,
-        records.on_behalf_of,
+        records.run_id, records.seq, records.time_us, records.type, records.action_id, records.robot, on_behalf_of,
         concat_ws(
             ', ',
             CASE
@@ -48,7 +47,8 @@ judged AS (
             END,
             CASE WHEN coalesce(records.robot <> began_by, TRUE) THEN 'begun by ' || coalesce(began_by, 'nobody') END,
             CASE
-                WHEN next_seq < coalesce(closed_seq, next_seq + 1) THEN 'the task goes on before the request is closed'
+                WHEN next_seq < coalesce(closed_seq, next_seq + 1) AND (closed_seq IS NULL OR NOT is_given_up)
+                    THEN 'the task goes on before the request is closed'
             END
         ) AS lacks
     FROM cross_robot_records AS records

@@ -20,9 +20,11 @@ from tests.queries.defects import (
     before_start,
     beyond,
     carried,
+    delegated_end,
     finished_by_another,
     forged,
     in_place_before,
+    is_free,
     joined_again,
     lost,
     never_closed,
@@ -196,3 +198,49 @@ def test_i5_holds_where_the_registry_refuses_an_outsider_and_finds_when_it_does_
     for at in refused:
         rows[at] = {**rows[at], "executed_by": None}
     assert offending("i5", rows) == {(rows[at]["run_id"], rows[at]["seq"]) for at in refused}
+
+
+def test_a5_holds_when_a_task_is_given_up_while_its_request_is_being_closed() -> None:
+    rows = [dict(row) for row in history()]
+    end = delegated_end(rows)
+    (closed,) = where(rows, "RequestClosed", run_id=rows[end]["run_id"], action_id=rows[end]["action_id"])
+    given_up = {"type": "TaskAbandoned.v1", "task_id": rows[end]["task_id"]}
+    rows[end + 1] = in_place(rows[end + 1], given_up)
+    assert end + 1 < closed
+    assert offending("a5", rows) == set()
+    rows[closed]["action_id"] = None
+    assert offending("a5", rows) == {(rows[end]["run_id"], rows[end]["seq"])}
+
+
+@pytest.mark.parametrize("is_broken", [False, True])
+def test_a3_takes_an_approval_for_the_reviews_known_by_the_admission(is_broken: bool) -> None:
+    rows = [dict(row) for row in history()]
+    approved, admitted, start = reviewed_start(rows)
+    window = {"type": "PolicyWindowOpened.v1", "scope": "local", "window": "seeded", "outcome": "review"}
+    window["robot"] = rows[start]["robot"]
+    if is_broken:  # it opens after the admission
+        rows[admitted + 1] = in_place(rows[admitted + 1], window)
+    else:  # it opens between the approval and the admission
+        free = next(at for at in range(approved, 0, -1) if is_free(rows[at]))
+        rows[free] = in_place(rows[free], {**rows[approved], **place_of(rows[free])})
+        rows[approved] = in_place(rows[approved], window)
+    assert offending("a3", rows) == ({(rows[start]["run_id"], rows[start]["seq"])} if is_broken else set())
+
+
+def in_place(row: Row, change: Row) -> Row:
+    """Return another event where this one was."""
+    return {**dict.fromkeys(row), **place_of(row), **change}
+
+
+def place_of(row: Row) -> Row:
+    return {name: row[name] for name in ("run_id", "seq", "time_us", "caused_by")}
+
+
+def reviewed_start(rows: list[Row]) -> tuple[int, int, int]:
+    """Return where a review is approved, where its request is admitted, and where its execution starts."""
+    for approved in where(rows, "SupervisorResponded", purpose="review", approves=True):
+        about = {name: rows[approved][name] for name in ("run_id", "action_id")}
+        starts, admitted = where(rows, "ExecutionStarted", **about), where(rows, "RequestAdmitted", **about)
+        if starts and admitted and admitted[0] > approved and starts[0] > admitted[0] + 1:
+            return approved, admitted[0], starts[0]
+    raise AssertionError("no start after a review")
