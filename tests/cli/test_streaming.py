@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.rows import COPY, ROWS, duckdb_copy, ours
 from fsar_ledger.api import files
-from fsar_ledger.printable import sanitized
+from fsar_ledger.printable import field
 from tests.cli.conftest import Call, one_message
 from tests.ledger.bomb_trial import cost_of
 
@@ -151,12 +151,11 @@ def test_wide_tables_do_not_wait_for_a_whole_row_group(tmp_path: Path, monkeypat
     assert pq.read_metadata(out).num_row_groups == 3
 
 
-@pytest.mark.parametrize("text", ["=1+1", "  +1", "'@x", "''=x", "-", "a\x1b[2J", "é\u202e", "\x85=1", "\t=1"])
+@pytest.mark.parametrize("text", ["=1+1", "@x", "  +1", "'@x", "''=x", "-", "a\x1b[2J", "é\u202e", "\x85=1", "\t=1"])
 def test_a_dangerous_text_among_many_harmless_ones_is_found(tmp_path: Path, text: str) -> None:
-    rows = pa.table({"robot": [*["robot/B1"] * 5_000, text, None, ""]})
+    rows = pa.table({"robot": [*["robot/B1"] * 5_000, text, ""]})
     files.write_table(tmp_path / "rows.csv", rows)
     with (tmp_path / "rows.csv").open(newline="") as file:
         found = [row["robot"] for row in csv.DictReader(file)]
-    assert found[:5_000] == ["robot/B1"] * 5_000
-    assert found[5_000] == sanitized(found[5_000])
-    assert not found[5_000].lstrip().startswith(("=", "+", "-", "@"))
+    assert found == [*["robot/B1"] * 5_000, field(text), ""]
+    assert field(text) != text
