@@ -1,13 +1,16 @@
 """Write a file of DuckDB through which other programs read a ledger: every relation by its name, at one head."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import duckdb
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import UsageError, WriteFailed, option
+from fsar_ledger.errors import QueryFailed, UsageError, WriteFailed, option
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.memory import unfinished
 from fsar_ledger.metrics.database import Database, connect
 
 from .files import whole_file
@@ -39,12 +42,30 @@ def write_database(ledger: Path, out: Path | None = None, demanded: str | None =
     place = ledger.resolve()
     file = Path(f"{place.name}{SUFFIX}") if out is None else out
     _require_ours(file)
-    with whole_file(file) as temporary:
+    with whole_file(file) as temporary, _no_log_of(temporary):
+        temporary.touch()
+        temporary.unlink()  # the system says better than DuckDB why there is no place for it
         try:
             with connect(place, 1, demanded, temporary) as database:
                 return _fill(database, place, file)
-        except duckdb.IOException as problem:
-            raise WriteFailed(f"{file}: cannot be written ({problem}); make room or choose another place") from problem
+        except (duckdb.Error, QueryFailed) as problem:  # our own queries have no mistakes
+            said = str(problem).removeprefix("SQL: ").partition("\n")[0]
+            raise WriteFailed(
+                f"{file}: cannot be written ({said}); the file is as it was before: make room or choose another place"
+            ) from problem
+
+
+@contextmanager
+def _no_log_of(file: Path) -> Iterator[None]:
+    """Leave no log of DuckDB's beside the file, not even when it cannot be written."""
+    log = file.with_name(f"{file.name}.wal")
+    unfinished.add(log)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            log.unlink(missing_ok=True)
+        unfinished.discard(log)
 
 
 def _fill(database: Database, ledger: Path, file: Path) -> Opened:
@@ -71,6 +92,7 @@ def _fill(database: Database, ledger: Path, file: Path) -> Opened:
     names = pa.array([query.relation for query in left_out], pa.string())
     reasons = pa.array(["needs functions that only fsar-ledger has"] * len(left_out), pa.string())
     database.hold("not_included", pa.table({"name": names, "reason": reasons}))
+    database.write_out()
     provenance = Provenance(head, database.rows_verified)
     return Opened(file, len(plain), len(asked) - len(left_out), tuple(names.to_pylist()), provenance)
 
@@ -82,6 +104,8 @@ def _require_ours(file: Path) -> None:
             "name"
         )
     require_outside(file, option("out", file))
+    if file.is_dir():
+        raise UsageError(f"{file}: found a folder, expected the name of a file; choose another name")
     if not file.exists():
         return
     try:

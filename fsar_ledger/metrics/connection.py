@@ -6,6 +6,7 @@ tables, so that the metrics are computed once per connection.
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -166,10 +167,8 @@ class Database:
 
         It may not name packaged queries. Raises: as `table`.
         """
-        try:
+        with self._asking(UnicodeDecodeError):  # what a damaged file holds as text may be none
             return self._connection.execute(sql).fetchall()  # a relation would plan it twice
-        except (duckdb.Error, UnicodeDecodeError) as error:  # what a damaged file holds as text may be none
-            raise self._failure(error) from error
 
     def define(self, name: str, sql: str, *, is_stored: bool = False) -> None:
         """Make the SELECT, or with `is_stored` its present rows, the relation of this name.
@@ -208,6 +207,10 @@ class Database:
             self._change(statement)
         return True
 
+    def write_out(self) -> None:
+        """Write all that the file lacks; closing does it, too, but keeps silent if it fails. Raises: as `table`."""
+        self._change("CHECKPOINT")
+
     def _body(self, query: Query) -> str:
         """Return the SELECT of a packaged query, in the form that reads least here."""
         if query.tags and query.tags <= self.absent:
@@ -230,15 +233,13 @@ class Database:
     def rows(self, sql: str, params: Mapping[str, Value] | None = None) -> list[dict[str, Any]]:
         """Return the answer to one SELECT as dictionaries. Raises: as `table`."""
         self.prepare(sql)
-        try:
+        rows: list[dict[str, Any]] = []
+        with self._asking(UnicodeDecodeError):  # what a damaged file holds as text may be none
             found = self._connection.execute(sql, dict(params) if params else None)  # a relation would plan it twice
             names = [column[0] for column in found.description or ()]
-            rows: list[dict[str, Any]] = []
             while part := found.fetchmany(BATCH_ROWS):
                 rows += [dict(zip(names, row, strict=True)) for row in part]
-            return rows
-        except (duckdb.Error, UnicodeDecodeError) as error:  # what a damaged file holds as text may be none
-            raise self._failure(error) from error
+        return rows
 
     def query(self, name: str, given: Mapping[str, str] | None = None) -> pa.Table:
         """Return the rows of a packaged query, sorted by all their columns from the left.
@@ -303,30 +304,36 @@ class Database:
             QueryFailed, LedgerCorrupted: As `table`; QueryFailed also for two columns of one name, or a type whose
                 values cannot be handed on unchanged.
         """
-        try:
+        with self._asking(pa.ArrowException, OSError):
             relation = self._connection.sql(sql)
-            _check_columns(relation.columns, [str(kind) for kind in relation.types])
+            _check_columns(relation.columns, list(map(str, relation.types)))
             reader = relation.to_arrow_reader(BATCH_ROWS)
             yield pa.RecordBatch.from_pylist([], schema=reader.schema)
             yield from reader
-        except (duckdb.Error, pa.ArrowException, OSError) as error:
-            raise self._failure(error) from error
 
     def _change(self, sql: str) -> None:
         """Run a statement that makes or drops relations and has no answer."""
-        try:
-            self._connection.execute(
-                sql
-            )  # a relation would be made of the answer that there is none, which takes as long as a small view
-        except duckdb.Error as error:
-            raise self._failure(error) from error
+        with self._asking():
+            # A relation would be made of the answer that there is none, which takes as long as a small view.
+            self._connection.execute(sql)
 
     def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table:
         """Return DuckDB's answer, with its errors turned into ours."""
-        try:
+        with self._asking():
             return self._connection.sql(sql, params=dict(params) if params else None).to_arrow_table()
-        except duckdb.Error as error:
+
+    @contextmanager
+    def _asking(self, *others: type[Exception]) -> Iterator[None]:
+        """Turn DuckDB's errors and these others into ours, and its word for Ctrl-C into Python's."""
+        known: tuple[type[Exception], ...] = (duckdb.Error, *others)
+        try:
+            yield
+        except known as error:
             raise self._failure(error) from error
+        except RuntimeError as error:
+            if str(error) != "Query interrupted":
+                raise
+            raise KeyboardInterrupt from error
 
     def _failure(self, error: Exception) -> FsarLedgerError:
         """Return the error to show a user.

@@ -11,9 +11,11 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from threading import Timer
 
 import pytest
 
+import fsar_ledger
 from tests.cli.conftest import SMALL, Call, in_a_process
 
 COMMAND = [sys.executable, "-m", "fsar_ledger"]
@@ -81,6 +83,15 @@ def test_a_closed_pipe_is_no_error(ledger: Path) -> None:
     assert process.stderr.read() == b""
     process.stderr.close()
     assert process.wait() == 0
+
+
+def test_ctrl_c_in_the_midst_of_a_query_is_ctrl_c(ledger: Path) -> None:
+    long = "SELECT sum(range % 7) AS rest FROM range(2000000000)"
+    with fsar_ledger.open_ledger(ledger).database() as database:
+        Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt):
+            database.rows(long)
+        assert database.rows("SELECT 1 AS one") == [{"one": 1}]
 
 
 def limited_disk(*arguments: object, file_bytes_max: int) -> subprocess.CompletedProcess[str]:

@@ -1,8 +1,10 @@
 """`open`: a DuckDB file that other programs read, with every relation as the Python door answers it."""
 
 import json
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +12,10 @@ import pyarrow as pa
 import pytest
 
 import fsar_ledger
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.metrics.library import library
-from tests.cli.conftest import Call, one_message
+from tests.cli.conftest import Call, Called, one_message
+from tests.cli.test_interruption import limited_disk
 
 READER = """
 import sys
@@ -100,3 +104,74 @@ def test_another_suffix_is_refused(call: Call, ledger: Path, tmp_path: Path) -> 
 def test_a_place_inside_a_ledger_is_refused(call: Call, ledger: Path) -> None:
     one_message(call("open", ledger, "--out", ledger / "l.duckdb"), 2, str(ledger))
     assert not (ledger / "l.duckdb").exists()
+
+
+def test_an_empty_ledger_has_every_relation_without_rows(call: Call, tmp_path: Path) -> None:
+    with Writer(tmp_path / "empty", origin="fsar-ledger/empty"):
+        pass
+    called = call("open", tmp_path / "empty", "--out", tmp_path / "l.duckdb")
+    assert called.code == 0, called.err
+    head, runs, requests = read_elsewhere(
+        tmp_path / "l.duckdb", tmp_path / "read", "ledger_head", "runs", "requests(run := 'x')"
+    )
+    assert ([row["events"] for row in head], runs, requests) == ([0], [], [])
+
+
+@pytest.mark.parametrize("bytes_max", [4_096, 1 << 18, 3 << 20, 5 << 20])
+def test_a_full_disk_leaves_the_old_file_and_no_part_of_a_new_one(ledger: Path, tmp_path: Path, bytes_max: int) -> None:
+    file = fsar_ledger.open_ledger(OLD).open(tmp_path / "l.duckdb").file
+    before = file.read_bytes()
+    called = limited_disk("open", ledger, "--out", file, "--verified", file_bytes_max=bytes_max)
+    one_message(Called(called.returncode, called.stdout, called.stderr), 1, f"{file}: cannot be written", "too large")
+    assert list(tmp_path.iterdir()) == [file]
+    assert file.read_bytes() == before
+
+
+def test_a_place_where_nothing_can_be_written_is_named(call: Call, ledger: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder.duckdb").mkdir()
+    for out in (tmp_path / "file" / "l.duckdb", Path("/proc/l.duckdb")):
+        called = call("open", ledger, "--out", out)
+        one_message(called, 1, f"{out}: cannot be written", "choose another place")
+        assert ".part" not in called.err
+    one_message(call("open", ledger, "--out", tmp_path / "folder.duckdb"), 2, "found a folder", "choose another name")
+
+
+def test_the_ledger_itself_is_no_place(call: Call, ledger: Path) -> None:
+    one_message(call("open", ledger, "--out", ledger), 2, f"{ledger}: found", "expected .duckdb")
+
+
+def test_a_file_that_another_program_writes_stays(call: Call, ledger: Path, tmp_path: Path) -> None:
+    file = fsar_ledger.open_ledger(OLD).open(tmp_path / "l.duckdb").file
+    before = file.read_bytes()
+    held = (
+        f"import duckdb, sys\nwith duckdb.connect({str(file)!r}):\n    print('held', flush=True)\n    sys.stdin.read()"
+    )
+    with subprocess.Popen([sys.executable, "-c", held], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline()
+        one_message(call("open", ledger, "--out", file), 2, "another program has open", "close it there")
+        other.communicate()
+    assert file.read_bytes() == before
+
+
+def test_two_at_once_leave_one_whole_file(ledger: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "fsar_ledger", "open", str(ledger), "--out", str(tmp_path / "l.duckdb")]
+    both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]
+    ended = [(*process.communicate(timeout=120), process.returncode) for process in both]
+    assert [(error, code) for _, error, code in ended] == [("", 0), ("", 0)]
+    assert list(tmp_path.iterdir()) == [tmp_path / "l.duckdb"]
+    ((row,),) = read_elsewhere(tmp_path / "l.duckdb", tmp_path / "read", "ledger_head")
+    assert row["path"] == str(ledger.resolve())
+
+
+def test_ctrl_c_leaves_nothing_half_written(ledger: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "fsar_ledger", "open", str(ledger), "--out", str(tmp_path / "l.duckdb")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        deadline = time.monotonic() + 60
+        while not list(tmp_path.iterdir()) and process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.005)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=60)
+    assert (process.returncode, error) == (130, "fsar-ledger: interrupted; nothing was changed\n")
+    assert list(tmp_path.iterdir()) == []
