@@ -2,11 +2,13 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import msgspec
 
 from fsar_ledger import printable
+from fsar_ledger.errors import QueryFailed
 from fsar_ledger.printable import Shown
 
 Row = Mapping[str, object]
@@ -25,6 +27,18 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) 
         # A bare CR ends a row for some readers.
         (quoting if any("\r" in field for field in fields) else writer).writerow(fields)
     return Shown(text.getvalue())
+
+
+@contextmanager
+def as_python() -> Iterator[None]:
+    """Say what to do about a value of Arrow that Python cannot hold. Raises: QueryFailed for a date or time."""
+    try:
+        yield
+    except (OverflowError, ValueError) as error:
+        raise QueryFailed(
+            "the answer: found a date or time that Python cannot hold, expected years 1 to 9999 and whole "
+            "microseconds; make it text, as in CAST(... AS VARCHAR), or take it in Python with arrow()"
+        ) from error
 
 
 def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:

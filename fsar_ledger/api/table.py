@@ -8,10 +8,10 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger import printable
-from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 
+from .fields import as_python
 from .provenance import Provenance
 
 if TYPE_CHECKING:
@@ -101,13 +101,9 @@ def rows_of(batch: pa.RecordBatch) -> Iterator[list[Row]]:
         QueryFailed: Python cannot hold a date or time.
     """
     for part in slices(batch):
-        try:
-            yield plain_rows(pa.Table.from_batches([part]))
-        except (OverflowError, ValueError) as error:
-            raise QueryFailed(
-                "the answer: found a date or time that Python cannot hold, expected years 1 to 9999 and whole "
-                "microseconds; use arrow(), or make it text, as in CAST(... AS VARCHAR)"
-            ) from error
+        with as_python():
+            rows = plain_rows(pa.Table.from_batches([part]))
+        yield rows
 
 
 def of_structs(rows: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> pa.Table:

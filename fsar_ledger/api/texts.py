@@ -15,9 +15,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger import printable
-from fsar_ledger.errors import QueryFailed
 
-from .fields import encodable, field_text
+from .fields import as_python, encodable, field_text
 
 _SEEN = bytes(range(0x20, 0x7F))
 _JSON_PLAIN = bytes(set(_SEEN) - set(b'"\\'))
@@ -160,13 +159,8 @@ def _texts(column: pa.Array, encode: Encode, null: str) -> pa.Array:
 
 
 def _values(column: pa.Array) -> list[Any]:
-    try:
+    with as_python():
         return list(column.to_pylist())
-    except (OverflowError, ValueError) as error:
-        raise QueryFailed(
-            "the answer: found a date or time that it cannot show, expected years 1 to 9999 and whole microseconds; "
-            "make it text, as in CAST(... AS VARCHAR)"
-        ) from error
 
 
 def _float_texts(column: pa.Array) -> pa.Array:

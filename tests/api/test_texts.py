@@ -2,16 +2,20 @@
 
 import datetime as dt
 from decimal import Decimal
+from functools import partial
 from typing import Any
 
 import msgspec
 import pyarrow as pa
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.api.fields import csv_text, json_bytes
+from fsar_ledger.api.table import Table
 from fsar_ledger.api.texts import csv_lines, json_lines
 from fsar_ledger.cli.output import json_text
+from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.connection import plain_rows
 from fsar_ledger.printable import ascii_json
 
@@ -76,3 +80,14 @@ def test_each_line_of_ndjson_is_a_row(batch: pa.RecordBatch) -> None:
     assert end == ""
     assert [msgspec.json.decode(line) for line in lines] == rows
     assert all(line.isascii() and line.isprintable() for line in lines)
+
+
+def test_a_time_that_python_cannot_hold_is_told_alike_by_rows_and_by_texts() -> None:
+    batch = pa.record_batch([pa.array([2**62], pa.timestamp("us"))], names=["at"])
+    said = set()
+    table = Table(pa.Table.from_batches([batch]))
+    for make in (table.rows, partial(json_lines, batch), partial(csv_lines, batch)):
+        with pytest.raises(QueryFailed, match="that Python cannot hold, expected years 1 to 9999") as found:
+            make()
+        said.add(str(found.value))
+    assert len(said) == 1
