@@ -14,6 +14,7 @@ from .table import Table, of_structs
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.progress import Progress
 
 
 class Audit(msgspec.Struct, frozen=True):
@@ -34,7 +35,9 @@ class Audit(msgspec.Struct, frozen=True):
         return Table(of_structs(self.rows, AuditRow), self.provenance)
 
 
-def audit_runs(database: "Database", invariants: Sequence[str], architectures: Sequence[str]) -> Audit:
+def audit_runs(
+    database: "Database", invariants: Sequence[str], architectures: Sequence[str], progress: "Progress | None" = None
+) -> Audit:
     """Check these invariants (none named: all) on the runs of these architectures (none named: all).
 
     Raises:
@@ -51,7 +54,7 @@ def audit_runs(database: "Database", invariants: Sequence[str], architectures: S
     ]
     wanted = known("architecture", architectures, tuple(dict.fromkeys([*REGISTERED, *there])))
     unreadable = sum(one.runs for one in models(database) if one.parameters is None)
-    rows = audit_rows(database, queries, wanted)
+    rows = audit_rows(database, queries, wanted, progress)
     holds = False if any(row.holds is False for row in rows) else all_shown(rows) or None
     return Audit(rows, holds, unreadable, of_judgement(database))
 

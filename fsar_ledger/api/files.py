@@ -21,6 +21,7 @@ from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.memory import unfinished
+from fsar_ledger.metrics.progress import Progress, each
 from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 
@@ -40,10 +41,13 @@ class Written(msgspec.Struct, frozen=True):
     provenance: Provenance
 
 
-def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | None = None) -> Written:
+def write_events(
+    ledger: Path, out: Path, *, raw: bool = False, demanded: str | None = None, progress: Progress | None = None
+) -> Written:
     """Write every event as it is stored, retired types too, in commit order; return their number.
 
-    Text in CSV is as `printable.field` makes it, unless `raw`.
+    Text in CSV is as `printable.field` makes it, unless `raw`. `progress` is called with the commits that were written
+    and their number.
 
     Raises:
         UsageError: The name of the file ends in none of `SUFFIXES`, or it lies inside a ledger.
@@ -52,7 +56,8 @@ def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | 
     require_place(out)
     view = open_for_answers(ledger)
     rows_verified = is_verified(view, demanded)
-    return Written(_write_tables(out, SCHEMA, view.tables(), raw=raw), Provenance(view.head, rows_verified))
+    tables = (table for table, _ in zip(view.tables(), each(view.records, progress), strict=True))
+    return Written(_write_tables(out, SCHEMA, tables, raw=raw), Provenance(view.head, rows_verified))
 
 
 def write_table(out: Path, table: pa.Table, *, raw: bool = False) -> int:

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from fsar_ledger.ledger.store.read import Head
     from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.progress import Showing
     from fsar_ledger.metrics.sandbox import Limits
     from fsar_ledger.projections.fold import State
 
@@ -260,27 +261,45 @@ class Ledger(Timelines, Integrity):
         ledgers = [self] if other is None else [self, other if isinstance(other, Ledger) else Ledger(other)]
         return compare_sides(ledgers, (first, second), by_scenario=by_scenario(by), pooled=pools_seeds(pool))
 
-    def multiverse(self, metric: str | Sequence[str] | None = None, pool: Pool = None) -> "MultiverseResult":
-        """Compute the results table under every reading that the paper's text allows."""
+    def multiverse(
+        self, metric: str | Sequence[str] | None = None, pool: Pool = None, *, progress: Progress | None = None
+    ) -> "MultiverseResult":
+        """Compute the results table under every reading that the paper's text allows.
+
+        `progress` is called with the combinations of readings that were read, and their number.
+        """
         from .multiverse import read_multiverse
 
         pooled = pools_seeds(pool)
         with self.database() as database:
-            return read_multiverse(database, names_of(metric), pools_seeds=pooled)
+            return read_multiverse(database, names_of(metric), pools_seeds=pooled, progress=progress)
 
     def audit(
-        self, invariant: str | Sequence[str] | None = None, architecture: str | Sequence[str] | None = None
+        self,
+        invariant: str | Sequence[str] | None = None,
+        architecture: str | Sequence[str] | None = None,
+        *,
+        progress: Progress | None = None,
     ) -> "Audit":
-        """Check the invariants I1 to I5 and A1 to A5, or those named, on the runs of all or these architectures."""
+        """Check the invariants I1 to I5 and A1 to A5, or those named, on the runs of all or these architectures.
+
+        `progress` is called with the invariants that were judged, and their number.
+        """
         from .audit import audit_runs
 
         with self.database() as database:
-            return audit_runs(database, names_of(invariant) or (), names_of(architecture) or ())
+            return audit_runs(database, names_of(invariant) or (), names_of(architecture) or (), progress)
 
     # --- files ---
 
     def export(
-        self, out: Place, query: str | None = None, parameters: Mapping[str, object] | None = None, *, raw: bool = False
+        self,
+        out: Place,
+        query: str | None = None,
+        parameters: Mapping[str, object] | None = None,
+        *,
+        raw: bool = False,
+        progress: Progress | None = None,
     ) -> "Written":
         """Write every event, or the answer of a query, to a .csv, .parquet, .ndjson or .jsonl file.
 
@@ -289,6 +308,7 @@ class Ledger(Timelines, Integrity):
             query: The name of a query; None: every event as it is stored.
             parameters: The parameters of the query.
             raw: Do not escape text in CSV that a terminal or a spreadsheet would act on.
+            progress: Called with the commits whose events were written, and their number.
 
         Raises:
             UsageError: The file has another suffix, or lies inside a ledger.
@@ -303,13 +323,14 @@ class Ledger(Timelines, Integrity):
             return Written(write_table(file, found.stored, raw=raw), found.provenance)
         if parameters:
             raise UsageError(f"export: found parameter {next(iter(parameters))} and no query, expected both or neither")
-        return write_events(self.path, file, raw=raw, demanded=self._demanded)
+        return write_events(self.path, file, raw=raw, demanded=self._demanded, progress=progress)
 
-    def open(self, out: Place | None = None) -> "Opened":
+    def open(self, out: Place | None = None, *, progress: Progress | None = None) -> "Opened":
         """Write a DuckDB file with every view and packaged query of the present head, for other programs.
 
         Args:
             out: A .duckdb file, replaced if `open` wrote it; None: named as the ledger, in the working folder.
+            progress: Called with the views and queries that were written, and their number.
 
         Raises:
             UsageError: The file has another suffix, lies inside a ledger, or is not one of `open`.
@@ -317,7 +338,7 @@ class Ledger(Timelines, Integrity):
         """
         from .open import write_database
 
-        return write_database(self.path, None if out is None else Path(out), self._demanded)
+        return write_database(self.path, None if out is None else Path(out), self._demanded, progress)
 
     def report(
         self,
@@ -329,7 +350,7 @@ class Ledger(Timelines, Integrity):
         numbers: Place | None = None,
         pool: Pool = None,
         workers: int | None = None,
-        progress: Progress | None = None,
+        showing: "Showing | None" = None,
     ) -> None:
         """Typeset the evaluation as a PDF, after comparing all rows with their root.
 
@@ -341,8 +362,9 @@ class Ledger(Timelines, Integrity):
             numbers: A file for all its numbers, as JSON.
             pool: As in `metrics`.
             workers: As in `verify`.
-            progress: As in `verify`.
+            showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
         """
+        from fsar_ledger.metrics.progress import unseen
         from fsar_ledger.report import write_report
 
         def path(place: Place | None) -> Path | None:
@@ -353,7 +375,7 @@ class Ledger(Timelines, Integrity):
             Path(out),
             path(workflows),
             readers_of(workers, self.path),
-            progress,
+            showing or unseen,
             beside=list(map(Path, beside)),
             pools_seeds=pools_seeds(pool),
             sensitivity=path(sensitivity),

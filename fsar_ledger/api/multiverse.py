@@ -15,6 +15,7 @@ from .table import Table, of_structs
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.progress import Progress
 
 
 class MultiverseResult(Multiverse, frozen=True, kw_only=True):
@@ -36,8 +37,10 @@ class MultiverseResult(Multiverse, frozen=True, kw_only=True):
         typeset.publish(Path(file), specification_curves.curves(self))
 
 
-def read_multiverse(database: "Database", metrics: Sequence[str] | None, *, pools_seeds: bool) -> MultiverseResult:
+def read_multiverse(
+    database: "Database", metrics: Sequence[str] | None, *, pools_seeds: bool, progress: "Progress | None" = None
+) -> MultiverseResult:
     """Compute the table for all metrics or those named. Raises: InvalidExperiment if one is unknown."""
     every = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
-    found = multiverse(database, known("metric", metrics, every), pools_seeds=pools_seeds)
+    found = multiverse(database, known("metric", metrics, every), pools_seeds=pools_seeds, progress=progress)
     return MultiverseResult(**structs.asdict(found), provenance=of_judgement(database))

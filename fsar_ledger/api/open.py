@@ -12,6 +12,7 @@ from fsar_ledger.errors import QueryFailed, UsageError, WriteFailed, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.memory import unfinished
 from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.progress import Progress, each
 
 from .files import whole_file
 from .provenance import Provenance
@@ -31,8 +32,12 @@ class Opened(msgspec.Struct, frozen=True):
     provenance: Provenance
 
 
-def write_database(ledger: Path, out: Path | None = None, demanded: str | None = None) -> Opened:
+def write_database(
+    ledger: Path, out: Path | None = None, demanded: str | None = None, progress: Progress | None = None
+) -> Opened:
     """Write the file: views of the committed segments by their absolute paths, tables where views would be slow.
+
+    `progress` is called with the queries that were written and their number.
 
     Raises:
         UsageError: The name does not end in .duckdb, lies inside a ledger, or is of a file that is not ours.
@@ -47,7 +52,7 @@ def write_database(ledger: Path, out: Path | None = None, demanded: str | None =
         temporary.unlink()  # the system says better than DuckDB why there is no place for it
         try:
             with connect(place, 1, demanded, temporary) as database:
-                return _fill(database, place, file)
+                return _fill(database, place, file, progress)
         except (duckdb.Error, QueryFailed) as problem:  # our own queries have no mistakes
             said = str(problem).removeprefix("SQL: ").partition("\n")[0]
             raise WriteFailed(
@@ -68,13 +73,16 @@ def _no_log_of(file: Path) -> Iterator[None]:
         unfinished.discard(log)
 
 
-def _fill(database: Database, ledger: Path, file: Path) -> Opened:
+def _fill(database: Database, ledger: Path, file: Path, progress: Progress | None) -> Opened:
     """Make every relation and macro, and the tables that say what the file is."""
-    found = list(database.library.queries.values())
-    plain = [query.relation for query in found if not query.parameters]
-    database.prepare(" ".join(plain))
-    asked = [query for query in found if query.parameters]
-    left_out = [query for query in asked if not database.macro(query)]
+    found = sorted(database.library.queries.values(), key=lambda query: bool(query.parameters))
+    left_out = []
+    for query in each(found, progress):
+        if not query.parameters:
+            database.prepare(query.relation)
+        elif not database.macro(query):
+            left_out.append(query)
+    asked = sum(bool(query.parameters) for query in found)
     head = database.head
     assert head is not None
     database.hold(
@@ -94,7 +102,7 @@ def _fill(database: Database, ledger: Path, file: Path) -> Opened:
     database.hold("not_included", pa.table({"name": names, "reason": reasons}))
     database.write_out()
     provenance = Provenance(head, database.rows_verified)
-    return Opened(file, len(plain), len(asked) - len(left_out), tuple(names.to_pylist()), provenance)
+    return Opened(file, len(found) - asked, asked - len(left_out), tuple(names.to_pylist()), provenance)
 
 
 def _require_ours(file: Path) -> None:

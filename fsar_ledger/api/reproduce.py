@@ -1,7 +1,6 @@
 """Simulate all the paper's experiments, judge them and typeset the report, in one folder."""
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
@@ -10,6 +9,7 @@ from fsar_ledger.errors import option
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.progress import Showing
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.metrics.verified import required_look
 from fsar_ledger.report import write_report
@@ -22,9 +22,6 @@ from .ledger import Ledger
 from .names import known
 from .provenance import of_judgement
 from .table import Table, of_structs
-from .workload import Progress
-
-Showing = Callable[[str, str], AbstractContextManager[Progress | None]]
 
 
 class Reproduced(msgspec.Struct, frozen=True):
@@ -88,6 +85,7 @@ def reproduce_experiments(
         demanded=demanded,
         beside=beside,
         numbers_out=out / "reproduction.json",
+        showing=showing,
     )
     return Reproduced(out, made, table)
 

@@ -9,6 +9,7 @@ from fsar_ledger.errors import UnknownQuery, UsageError
 
 from .database import Database
 from .library import Query, library
+from .progress import Progress, each
 from .results import typed
 
 
@@ -66,14 +67,19 @@ def chosen(names: Sequence[str]) -> list[Query]:
     return [query for query in every if not asked or query.relation in asked]
 
 
-def audit_rows(database: Database, queries: Sequence[Query], architectures: Sequence[str] = ()) -> list[AuditRow]:
+def audit_rows(
+    database: Database, queries: Sequence[Query], architectures: Sequence[str] = (), progress: Progress | None = None
+) -> list[AuditRow]:
     """Return what these invariants find: a row for each, per architecture (default: all) and configuration with runs.
+
+    `progress` is called with the invariants that were judged and their number.
 
     Raises:
         UsageError: There is no run to check, so nothing could be said to hold.
         QueryFailed, LedgerCorrupted: As `Database.table`.
     """
-    rows = [row for query in queries for row in database.rows(_counts(query), {"architectures": list(architectures)})]
+    wanted = {"architectures": list(architectures)}
+    rows = [row for query in each(queries, progress) for row in database.rows(_counts(query), wanted)]
     if not rows:
         raise UsageError(
             f"audit: found no runs of {' or '.join(architectures) or 'any architecture'}; `fsar-ledger info` shows "

@@ -14,6 +14,7 @@ import msgspec
 
 from .database import Database
 from .library import READINGS, Query, library
+from .progress import Progress
 from .results import SETTINGS, typed
 from .verdicts import published
 
@@ -279,7 +280,9 @@ class Relations:
         self._made.clear()
 
 
-def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: bool = False) -> Multiverse:
+def multiverse(
+    database: Database, metrics: Sequence[str] = (), *, pools_seeds: bool = False, progress: Progress | None = None
+) -> Multiverse:
     """Return the multiverse of these metrics (default: all), over the runs of each seed, or of all seeds.
 
     Raises: as `Database.rows`.
@@ -290,21 +293,30 @@ def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: 
         for row in definitions
         if row["metric"] in (metrics or [one["metric"] for one in definitions])
     }
-    found = [one for metric in better for one in universes(database, metric, pools_seeds=pools_seeds)]
+    found = universes(database, list(better), pools_seeds=pools_seeds, progress=progress)
     used = tuple(one for one in readings() if set(one.moves) & better.keys())
     return Multiverse(used, tuple(cells(found)), tuple(rankings(found, better)), tuple(found))
 
 
-def universes(database: Database, metric: str, *, pools_seeds: bool = False) -> list[Universe]:
-    """Return the mean of this metric for each architecture and setting under every combination of its readings.
+def universes(
+    database: Database, metrics: Sequence[str], *, pools_seeds: bool = False, progress: Progress | None = None
+) -> list[Universe]:
+    """Return the mean of these metrics for each architecture and setting under every combination of their readings.
 
-    Raises: as `Database.rows`.
+    `progress` is called with the combinations that were read, of all metrics. Raises: as `Database.rows`.
     """
-    relations = Relations(database, [one for one in readings() if metric in one.moves])
-    all_of_them = combinations(metric)
-    parts = [all_of_them[at : at + AT_ONCE] for at in range(0, len(all_of_them), AT_ONCE)]
-    found = [one for part in parts for one in relations.means(metric, part, pools_seeds=pools_seeds)]
-    relations.forget()
+    total, done = sum(len(combinations(metric)) for metric in metrics), 0
+    found: list[Universe] = []
+    for metric in metrics:
+        relations = Relations(database, [one for one in readings() if metric in one.moves])
+        all_of_them = combinations(metric)
+        for at in range(0, len(all_of_them), AT_ONCE):
+            part = all_of_them[at : at + AT_ONCE]
+            found += relations.means(metric, part, pools_seeds=pools_seeds)
+            done += len(part)
+            if progress is not None:
+                progress(done, total)
+        relations.forget()
     return found
 
 

@@ -11,7 +11,8 @@ from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.library import READINGS, library
-from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, rankings, readings, universes
+from fsar_ledger.metrics.multiverse import Chosen, Multiverse, cells, rankings, readings, universes
+from fsar_ledger.metrics.progress import Progress
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, Row
 from fsar_ledger.report.printing import Table
@@ -20,20 +21,19 @@ MAX_SETS = 2
 """How many combinations of readings a cell of a table names; the others are counted."""
 
 
-def multiverse_of(database: Database, setting: Row, *, pools_seeds: bool = False) -> Multiverse | None:
+def multiverse_of(
+    database: Database, setting: Row, *, pools_seeds: bool = False, progress: Progress | None = None
+) -> Multiverse | None:
     """Return the multiverse of all metrics for the three architectures, over the runs of this setting.
 
     None if there are none. Raises: as `Database.rows`.
     """
-    found: list[Universe] = []
-    for spec in published_metrics():
-        every = universes(database, spec.name, pools_seeds=pools_seeds)
-        found += [
-            one
-            for one in every
-            if one.architecture in ARCHITECTURES and all(getattr(one, name) == value for name, value in setting.items())
-        ]
     better = {spec.name: spec.better for spec in published_metrics()}
+    found = [
+        one
+        for one in universes(database, list(better), pools_seeds=pools_seeds, progress=progress)
+        if one.architecture in ARCHITECTURES and all(getattr(one, name) == value for name, value in setting.items())
+    ]
     return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None
 
 

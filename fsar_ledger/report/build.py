@@ -1,9 +1,10 @@
 """Make the report of a ledger: gather, lay out, typeset, publish."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.progress import Showing, unseen
 from fsar_ledger.metrics.verified import required_look
 from fsar_ledger.recording import require_another
 from fsar_ledger.report import document, figures, typeset
@@ -18,7 +19,7 @@ def write_report(
     out: Path,
     workflows: Path | None = None,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    showing: Showing = unseen,
     demanded: str | None = None,
     *,
     beside: Sequence[Path] = (),
@@ -39,7 +40,7 @@ def write_report(
         beside: The folders of other ledgers: of ablations, of larger fleets, of workflows. Each fills the sections that
             it has runs for.
         workers: Processes that compare rows.
-        progress: Called with the number of segments compared and the number in all.
+        showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
         pools_seeds: Whether the tables take the runs of all seeds together.
         sensitivity: The file of `fsar-ledger sensitivity`. If it is of other runs, or None, the report says how to make
             it.
@@ -62,11 +63,11 @@ def write_report(
     for place in filter(None, (out, numbers_out)):
         typeset.require_place(place)
     given = None if sensitivity is None else open_effects(sensitivity)
-    demanded = demanded or required_look(ledger, workers, progress)
-    theirs = {
-        one: required_look(one, workers, progress) for one in (*([] if workflows is None else [workflows]), *beside)
-    }
-    findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way)
+    demanded = demanded or _compared(ledger, workers, showing)
+    theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
+    findings = gather(
+        ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way, showing=showing
+    )
     effects = section(given, findings.model_version, findings.parameters)
     record = recorded()
     laid_out = document.encoded(document.data(findings, record, effects))
@@ -75,6 +76,12 @@ def write_report(
         made[numbers_out] = reproduction(findings, document.counted(findings, record))
     for place, content in made.items():  # replace nothing before everything is made
         typeset.publish(place, content)
+
+
+def _compared(ledger: Path, workers: int, showing: Showing) -> str:
+    """Compare all rows with their root; return the newest record. Raises: As `required_look`."""
+    with showing("verified", "segments") as progress:
+        return required_look(ledger, workers, progress)
 
 
 def result_figure_svg(ledger: Path, out: Path) -> None:

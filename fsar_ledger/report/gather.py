@@ -17,6 +17,7 @@ from fsar_ledger.metrics.models import models
 from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
+from fsar_ledger.metrics.progress import Showing, unseen
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.report import all_readings, cases, grades, printing, run_shape
 from fsar_ledger.report.findings import (
@@ -265,6 +266,7 @@ def gather(
     *,
     pools_seeds: bool = False,
     reads_every_way: bool = False,
+    showing: Showing = unseen,
 ) -> Findings:
     """Return the findings of the ledger's present head and of the ledgers beside it.
 
@@ -316,7 +318,9 @@ def gather(
             workflows=told.workflows,
             ablation=told.ablation,
             scaling=told.scaling,
-            multiverse=_read(database, main, pools_seeds=pools_seeds) if reads_every_way and not unjudged else None,
+            multiverse=_read(database, main, showing, pools_seeds=pools_seeds)
+            if reads_every_way and not unjudged
+            else None,
             mechanisms=told.mechanisms,
             model_version=main[5] if main else None,
             shown=_shown(main, otherwise),
@@ -325,13 +329,13 @@ def gather(
         )
 
 
-def _read(database: Database, main: Setting | None, *, pools_seeds: bool) -> Multiverse | None:
+def _read(database: Database, main: Setting | None, showing: Showing, *, pools_seeds: bool) -> Multiverse | None:
     """Return the multiverse of the runs that the tables are of."""
-    return (
-        None
-        if main is None
-        else all_readings.multiverse_of(database, dict(zip(SETTING, main, strict=True)), pools_seeds=pools_seeds)
-    )
+    if main is None:
+        return None
+    setting = dict(zip(SETTING, main, strict=True))
+    with showing("read", "combinations of readings") as progress:
+        return all_readings.multiverse_of(database, setting, pools_seeds=pools_seeds, progress=progress)
 
 
 def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:

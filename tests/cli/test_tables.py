@@ -312,6 +312,37 @@ def test_long_work_says_what_is_done_of_what_how_fast_and_how_long_the_rest_take
     assert " left" in stream
 
 
+@pytest.mark.parametrize(
+    ("verb", "told"),
+    [
+        ("audit LEDGER", "judged 10 of 10 invariants"),
+        ("multiverse LEDGER --metric human_intervention", "read 4 of 4 combinations of readings"),
+        ("export LEDGER --out OUT.csv", "exported 2 of 2 commits"),
+        ("open LEDGER --out OUT.duckdb", " views and queries"),
+    ],
+)
+def test_verbs_that_take_long_tell_how_far_they_are_and_erase_it(
+    ledger: Path, tmp_path: Path, verb: str, told: str
+) -> None:
+    arguments = verb.replace("LEDGER", str(ledger)).replace("OUT", str(tmp_path / "out")).split()
+    after, stream = on_a_terminal(120, "-m", "fsar_ledger", *arguments, surroundings={"NO_COLOR": "1", "TERM": "xterm"})
+    assert told in stream
+    assert told not in after
+    assert after.strip()
+    assert "\x1b" not in after
+    assert in_a_process(*arguments).err == ""
+
+
+@pytest.mark.slow
+def test_a_report_tells_each_step_of_its_work(call: Call, tmp_path: Path) -> None:
+    assert call("simulate", tmp_path / "ledger", "--runs", "1").code == 0
+    arguments = ("-m", "fsar_ledger", "report", tmp_path / "ledger", "--out", tmp_path / "report.pdf")
+    after, stream = on_a_terminal(120, *arguments, surroundings={"NO_COLOR": "1", "TERM": "xterm"})
+    assert re.search(r"verified (\d+) of \1 segments", stream)
+    assert re.search(r"read (\d+) of \1 combinations of readings", stream)
+    assert after == f"{tmp_path / 'report.pdf'}\n"
+
+
 def test_progress_is_for_terminals_that_can_erase_it() -> None:
     assert on_a_terminal(100, "-c", WORK, surroundings={"TERM": "dumb"}) == ("False\n", "False\n")
     piped = subprocess.run([sys.executable, "-c", WORK], capture_output=True, text=True, check=True)

@@ -15,6 +15,7 @@ from fsar_ledger.cli.options import (
     WideOption,
     examples,
 )
+from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 from fsar_ledger.printable import Shown
 
@@ -47,7 +48,8 @@ def audit(
     from fsar_ledger.cli.tables import is_fitted, table
 
     asked = opened(ledger, verified=verified)
-    found = asked.audit(invariant, architecture)
+    with Progress("judged", "invariants") as progress:
+        found = asked.audit(invariant, architecture, progress=progress)
     provenance, rows = found.provenance, found.rows
     if as_json:
         answer = {

@@ -8,6 +8,7 @@ import typer
 from fsar_ledger import printable
 from fsar_ledger.cli import completing
 from fsar_ledger.cli.options import LedgerArgument, ParameterOption, RawOption, VerifiedOption, examples, parameters_of
+from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples(
@@ -50,6 +51,8 @@ def export(
     from fsar_ledger.cli.answering import opened, warn
 
     require_place(out)
-    written = opened(ledger, verified=verified).export(out, name, parameters_of(param), raw=raw)
+    asked = opened(ledger, verified=verified)
+    with Progress("exported", "commits") as progress:
+        written = asked.export(out, name, parameters_of(param), raw=raw, progress=progress)
     warn(ledger, written.provenance)
     show(printable.line(f"{out}: {written.row_count:,} rows"))

@@ -17,6 +17,7 @@ from fsar_ledger.cli.options import (
     WideOption,
     examples,
 )
+from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 
 if TYPE_CHECKING:
@@ -78,7 +79,9 @@ def multiverse(
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     if svg is not None:
         require_outside(svg, f"--svg {svg}")
-    found = opened(ledger, verified=verified).multiverse(metric, pool)  # type: ignore[arg-type]
+    asked = opened(ledger, verified=verified)
+    with Progress("read", "combinations of readings") as progress:
+        found = asked.multiverse(metric, pool, progress=progress)  # type: ignore[arg-type]
     provenance = found.provenance
     if as_json:
         answer = {name: getattr(found, name) for name in Multiverse.__struct_fields__}

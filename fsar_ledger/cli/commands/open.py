@@ -7,6 +7,7 @@ import typer
 
 from fsar_ledger import printable
 from fsar_ledger.cli.options import LedgerArgument, VerifiedOption, examples
+from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples("fsar-ledger open out/ledger --out out/ledger.duckdb")
@@ -32,7 +33,9 @@ def open(  # named as the command is
     """
     from fsar_ledger.cli.answering import opened, warn
 
-    written = opened(ledger, verified=verified).open(out)
+    asked = opened(ledger, verified=verified)
+    with Progress("written", "views and queries") as progress:
+        written = asked.open(out, progress=progress)
     warn(ledger, written.provenance)
     show(
         printable.line(

@@ -46,15 +46,14 @@ def report(
     """
     from fsar_ledger.api.ledger import Ledger
 
-    with Progress("verified", "segments") as progress:
-        Ledger(ledger).report(
-            out,
-            beside=beside or (),
-            workflows=workflows,
-            sensitivity=sensitivity,
-            numbers=numbers,
-            pool=pool,  # type: ignore[arg-type]  # it refuses any other text
-            workers=workers,
-            progress=progress,
-        )
+    Ledger(ledger).report(
+        out,
+        beside=beside or (),
+        workflows=workflows,
+        sensitivity=sensitivity,
+        numbers=numbers,
+        pool=pool,  # type: ignore[arg-type]  # it refuses any other text
+        workers=workers,
+        showing=Progress,
+    )
     show(printable.lines(*(f"{one}" for one in (out, numbers) if one is not None)))

@@ -1,0 +1,26 @@
+"""How far long work is, told to whoever waits for it."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TypeVar
+
+_One = TypeVar("_One")
+
+Progress = Callable[[int, int], None]
+"""Called with the amount done and the total."""
+
+Showing = Callable[[str, str], AbstractContextManager[Progress | None]]
+"""Called with a verb in the past tense and a unit for each step; returns a context that yields its progress."""
+
+
+def each(items: Sequence[_One], progress: Progress | None) -> Iterator[_One]:
+    """Yield each item; when the work on one is done, tell how many of them are."""
+    for done, item in enumerate(items, start=1):
+        yield item
+        if progress is not None:
+            progress(done, len(items))
+
+
+def unseen(_verb: str, _unit: str) -> AbstractContextManager[None]:
+    """Show no progress."""
+    return nullcontext()
