@@ -28,8 +28,10 @@ NAMED_ITEMS, LONGEST_LIST = 3, 48
 """The items of a list that a cell names if all of them take more characters than this."""
 LEAST, LONGEST_WORD = 12, 20
 """Characters below which a column of text is not narrowed, or the longest word in it up to the second."""
-SHORT = 9
-"""Characters up to which the name of a column stays on one line."""
+SHORT, LONGEST_NAME = 9, 16
+"""Characters up to which the name of a column, and a name in a cell, stays on one line."""
+TALLEST = 8
+"""Lines of a cell; of a longer one the beginning is shown."""
 NAMED_EMPTY = 12
 """How many columns without a value are named."""
 _BREAKS = re.compile(r"[^ /._,:;=-]*(?: +|[/._,:;=-]+|$)")
@@ -56,7 +58,7 @@ class Column(NamedTuple):
     def least(self) -> int:
         """Return the least width to read it at: a number stays whole, text has some room."""
         cells = max(map(_width, self.cells))
-        word = max(_width(piece) for cell in self.cells for piece in _BREAKS.findall(cell))
+        word = max(_width(piece) for cell in self.cells for piece in _pieces(cell, LONGEST_NAME))
         text = min(cells, max(LEAST, min(word, LONGEST_WORD)))
         name = max(
             _width(piece) for piece in ([self.name] if _width(self.name) <= SHORT else _BREAKS.findall(self.name))
@@ -232,7 +234,7 @@ def _laid_out(columns: Sequence[Column], widths: Sequence[int]) -> Shown:
     chosen = list(zip(columns, widths, strict=False))
     head = [_broken(column.name, wide) for column, wide in chosen]
     rule = [["-" * wide] for _, wide in chosen]
-    body = [[_broken(column.cells[row], wide) for column, wide in chosen] for row in range(len(columns[0].cells))]
+    body = [[_cut(_broken(column.cells[row], wide)) for column, wide in chosen] for row in range(len(columns[0].cells))]
     lines = aligned([head, rule, *body], widths, [column.is_number for column, _ in chosen], GAP)
     heights = [max(map(len, row)) for row in (head, rule, *body)]
     if max(heights) == 1:
@@ -247,6 +249,15 @@ def _listed(columns: Sequence[Column]) -> Shown:
     return printable.lines(
         *(f"{column.name}{' ' * (widest - _width(column.name))}  {column.cells[0]}" for column in columns)
     )
+
+
+def _pieces(text: str, most: int) -> list[str]:
+    """Return the pieces between which the text may be broken: one, if it is a name of at most so many characters."""
+    return [text] if len(text) <= most and " " not in text else _BREAKS.findall(text)
+
+
+def _cut(lines: list[str]) -> list[str]:
+    return lines if len(lines) <= TALLEST else [*lines[: TALLEST - 1], "..."]
 
 
 def _broken(text: str, width: int) -> list[str]:

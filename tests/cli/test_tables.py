@@ -192,6 +192,21 @@ def test_a_long_cell_goes_on_behind_a_mark_and_between_words() -> None:
     assert [word for line in lines[2:4] for word in line[2:].split()] == ["1", *said.split(), "1"]
 
 
+def test_a_cell_that_would_be_tall_is_cut_and_the_cut_is_marked() -> None:
+    rows = [{f"column_{place}": "0123456789 " * 12 + str(n) for place in range(5)} for n in (1, 2)]
+    table = fitted(rows, list(rows[0]), 80).split("---\n")[1]
+    assert [len(row.split("\n| ")) for row in table.split("\n  ")] == [8, 8]
+    assert table.count("\n| ...  ") == 2
+
+
+def test_a_short_name_stays_on_one_line_although_a_column_goes() -> None:
+    said = "a sentence that goes on for some length"
+    rows = [{"n": n, "capability": f"door.open.secur{n}", "said": said * n, "more": said * (3 - n)} for n in (1, 2)]
+    text = fitted(rows, list(rows[0]), 46)
+    assert "\n  1  door.open.secur1  a sentence" in text
+    assert "\nnot shown: more" in text
+
+
 def test_columns_without_room_are_named() -> None:
     rows = [{f"column_{place}": 10**11 + place + n for place in range(9)} for n in (1, 2)]
     text = fitted(rows, list(rows[0]), 80)

@@ -50,7 +50,7 @@ COLUMNS = (
     "result",
     "seq",
 )
-LATER = ("denied_under", "executed_by", "supervised_by", "failures")
+LATER = ("capability", "denied_under", "executed_by", "supervised_by", "failures")
 """Columns that a terminal shows if there is room beside the others."""
 PARTIES = ("asked_by", "allowed_by", "denied_by", "denied_under", "executed_by", "supervised_by")
 DENIED = ("denied_by", "denied_under")
