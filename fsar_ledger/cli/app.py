@@ -39,10 +39,9 @@ app = typer.Typer(
         "Simulate robot fleets under three governance architectures, keep every event in an append-only ledger, and "
         "judge it by SQL."
     ),
-    epilog="\b\nStart here:\n  fsar-ledger reproduce              simulate, measure and typeset the paper's "
-    "experiment\n"
-    "  fsar-ledger simulate out/ledger    only simulate\n  fsar-ledger query --list           every question that has "
-    "a name",
+    epilog="\b\nStart here:\n  fsar-ledger reproduce              run the paper's experiments and report\n"
+    "  fsar-ledger simulate out/ledger    only simulate\n"
+    "  fsar-ledger query --list           every question that has a name",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},

@@ -34,7 +34,16 @@ VERBS = {
     "sql": ("SELECT * FROM events LIMIT 9",),
 }
 """Every verb that shows a table of a ledger, but for `query`, which names one first."""
-QUERIES = ("runs", "failures", "requests", "policy_windows", "metric_summary", "event_principals")
+QUERIES = (
+    "runs",
+    "failures",
+    "requests",
+    "denials",
+    "supervisor_of",
+    "policy_windows",
+    "metric_summary",
+    "event_principals",
+)
 RUNS = [f"fsar.full.{scenario}.n4.s42.r{number:04}-abc" for scenario in ("door", "relay") for number in (1, 2)]
 
 
@@ -55,11 +64,20 @@ def on_a_terminal(width: int, *arguments: object, surroundings: Mapping[str, str
     return text.rpartition("\r\x1b[K")[2], text
 
 
+STORIES = (
+    ("explain", "--run", "3", "--request", "A1-1/2.1"),
+    ("log", "--run", "3"),
+    ("verify",),
+)
+"""Verbs that tell a story, or say a sentence."""
+
+
 def calls(ledger: Path) -> list[tuple[object, ...]]:
-    listing: list[tuple[object, ...]] = [("query", "--list")]
+    listing: list[tuple[object, ...]] = [("query", "--list"), ("query", "--list", "--all")]
     return (
         listing
         + [(verb, ledger, *more) for verb, more in VERBS.items()]
+        + [(verb, ledger, *more) for verb, *more in STORIES]
         + [("query", name, ledger) for name in QUERIES]
     )
 
@@ -71,7 +89,7 @@ def wide(line: str) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize("width", WIDTHS)
 def test_no_line_of_any_verb_is_wider_than_the_terminal(ledger: Path, width: int) -> None:
-    for arguments in calls(ledger):
+    for arguments in [("--help",), *calls(ledger)]:
         text, _ = on_a_terminal(width, "-m", "fsar_ledger", *arguments)
         assert text.strip(), arguments
         assert [line for line in text.split("\n") if wide(line) > width] == [], arguments

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 EXAMPLES = examples(
     "fsar-ledger explain out/ledger",
     "fsar-ledger explain out/ledger --request A1-1/2.1",
-    "fsar-ledger explain out/ledger --run cfc.full.door-relay.n4.s42.r0000 --request A1-1/2.1 --svg out/request.svg",
+    "fsar-ledger explain out/ledger --run 2 --request A1-1/2.1 --svg out/request.svg",
     "fsar-ledger explain out/ledger --run 1 --json",
 )
 
