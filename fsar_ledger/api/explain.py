@@ -13,7 +13,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
-from .lookup import run_of
+from .lookup import numbers_of, run_of
 from .provenance import Provenance, of_rows
 from .table import Table
 
@@ -111,6 +111,7 @@ def _asked(database: Database, query: str, run: str, action: str) -> Rows:
 def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
     sql = "SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL"
     known = [row["action_id"] for row in database.rows(sql, {"run": run})]
-    way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)}` lists them"
+    number = numbers_of(database).get(run, run)
+    way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(number)}` lists them"
     hint = printable.did_you_mean(asked, known) or ";"
     return f"{asked}: there is no such request in run {printable.value(run)}{hint} {way}"

@@ -124,7 +124,7 @@ def test_a_request_is_drawn_beside_the_text(call: Call, workflows: Path, tmp_pat
         (("--run", "fsra"), ("no such run", "did you mean fsar.full.")),
         (("--run", ""), ("no such run",)),
         (("--request", "A1-1/2"), ("no such request", "did you mean A1-1/2.1?")),
-        (("--request", "zzz"), ("no such request", "lists them")),
+        (("--request", "zzz"), ("no such request", "--run 1` lists them")),
         (("--failure", "A1-1/1.1"), ("no failure", "--request A1-1/1.1")),
         (("--request", "A1-1/2.1", "--failure", "A1-1/2.1"), ("expected one of them",)),
         (("--svg", "x.svg"), ("found no request to draw", "--request")),
