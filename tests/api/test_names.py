@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import fsar_ledger
 from fsar_ledger.api.info import ranges
-from fsar_ledger.api.lookup import action_of
+from fsar_ledger.api.lookup import action_of, numbers_of, run_of
 from fsar_ledger.api.names import MAX_SECONDS, microseconds, run_named
 from fsar_ledger.errors import InvalidQuery, UnknownQuery, UsageError
 from fsar_ledger.ledger.store.opening import open_for_answers
@@ -16,7 +16,9 @@ from fsar_ledger.ledger.store.proof import blocks
 from fsar_ledger.metrics.library import library, parse
 from fsar_ledger.metrics.query_parameters import KINDS, Parameter
 from tests.api.conftest import RUN
+from tests.queries.histories import run
 from tests.queries.test_every_query import HEADER
+from tests.recycled import from_rows
 
 NAMES = ("fsar.door.r0000-12ab", "cfc.door.r0000-34cd", "fsar.door.r0001-7", "7")
 TYPING_ERRORS = {
@@ -73,6 +75,19 @@ def test_numbers_of_runs_are_their_places_in_the_ledger(ledger: fsar_ledger.Ledg
     assert [row["number"] for row in numbered] == list(range(1, len(placed) + 1))
     asked = ledger.sql("SELECT number, run_id FROM runs ORDER BY number").rows()
     assert asked == [{"number": row["number"], "run_id": row["run_id"]} for row in numbered]
+
+
+def test_each_number_that_is_told_names_its_run(ledger: fsar_ledger.Ledger) -> None:
+    numbers = ledger.numbers()
+    assert set(numbers) == {row["run_id"] for row in ledger.runs()}
+    with ledger.database() as database:
+        assert all(run_of(database, str(number)) == name for name, number in numbers.items())
+
+
+def test_a_number_that_is_itself_the_name_of_another_run_is_not_told() -> None:
+    with from_rows([*run(run_id="2"), *run(run_id="x")]) as database:
+        assert numbers_of(database) == {"2": 1}
+        assert run_of(database, "2") == "2"
 
 
 def test_every_method_takes_the_number_of_a_run(ledger: fsar_ledger.Ledger) -> None:
