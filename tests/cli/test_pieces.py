@@ -4,6 +4,7 @@ at all."""
 from collections.abc import Iterator
 from itertools import pairwise
 
+import msgspec
 import pyarrow as pa
 import pytest
 
@@ -13,7 +14,7 @@ from fsar_ledger.cli.output import json_text, table_text
 from fsar_ledger.cli.streaming import KEPT_BYTES, Form, Kept
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.read import Head
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import Shown, ascii_json
 
 ABOUT = Provenance(Head(3, 1000, "ab" * 32), rows_verified=False)
 COLUMNS = ["seq", 'a "name"\nof two lines', "path"]
@@ -26,7 +27,9 @@ ROWS: list[Row] = [
 def at_once(form: Form, rows: list[Row], columns: list[str]) -> str:
     """The answer made of all rows."""
     if form.as_json:
-        return json_text(ABOUT.head, {"rows": rows}, rows_verified=False)
+        nothing = json_text(ABOUT.head, {"rows": []}, rows_verified=False)
+        lines = ",\n".join(f"    {ascii_json(msgspec.json.encode(row).decode())}" for row in rows)
+        return nothing.replace("[]", f"[\n{lines}\n  ]") if rows else nothing
     return csv_text(rows, columns, raw=form.raw) if form.as_csv else table_text(rows, columns, form.limit)
 
 
