@@ -137,15 +137,33 @@ def reproduce(
     )
 
 
-def verify_proof(file: Place, trusted_key: str | None = None) -> "Proven":
+def verify_proof(
+    file: Place, trusted_key: str | None = None, *, anchor: Place | None = None, root: str | None = None
+) -> "Proven":
     """Check a proof of `Ledger.prove`, kept in a file, without the ledger; return what it shows.
 
-    Raises:
-        LedgerCorrupted: It proves nothing, or the trusted key did not sign it.
-    """
-    from fsar_ledger.ledger.store.proof import check_proof, read_proof
+    Args:
+        file: A file, or a pipe.
+        trusted_key: A public key, from a .pub file or text, that must have signed it.
+        anchor: A copy of `checkpoint` of the same size, kept elsewhere, that must have the proof's root.
+        root: The root in hex that it must have.
 
-    return check_proof(str(file), read_proof(Path(file)), trusted_of(trusted_key))
+    Raises:
+        LedgerCorrupted: It proves nothing, the trusted key did not sign it, or it leads to another root.
+        UsageError: There is no such file, the anchor is none or is of another size, or the root is no hash.
+    """
+    from fsar_ledger.errors import option
+    from fsar_ledger.ledger.store.proof import check_proof, read_proof, require_root, require_tree
+
+    from .keys import checkpoint_of, root_of
+
+    kept, expected = checkpoint_of(anchor), root_of(root)
+    proven = check_proof(str(file), read_proof(Path(file)), trusted_of(trusted_key))
+    if kept is not None:
+        require_tree(str(file), proven, kept, str(anchor))
+    if expected is not None:
+        require_root(str(file), proven, expected, option("root"))
+    return proven
 
 
 def calibrate(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:

@@ -1,5 +1,6 @@
 """Keys that sign ledgers, and the names under which they sign."""
 
+import re
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,7 +9,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.log.note import Signer, VerifierKey
+    from fsar_ledger.ledger.log.note import Checkpoint, Signer, VerifierKey
     from fsar_ledger.ledger.verify.notes import Anchor
 
 
@@ -90,3 +91,22 @@ def anchor_of(file: str | PathLike[str] | None) -> "Anchor | None":
     from fsar_ledger.ledger.verify.notes import read_anchor
 
     return None if file is None else read_anchor(Path(file))
+
+
+def checkpoint_of(file: str | PathLike[str] | None) -> "Checkpoint | None":
+    """Read the kept checkpoint in this file, if one was given. Raises: UsageError if it holds none."""
+    if (anchor := anchor_of(file)) is None:
+        return None
+    if anchor.note is None:
+        raise UsageError(
+            f"{option('anchor', anchor.file)}: found no checkpoint ({anchor.reason}), expected one that was kept "
+            "elsewhere"
+        )
+    return anchor.note.checkpoint
+
+
+def root_of(text: str | None) -> str | None:
+    """Return the root in hex, if one was given. Raises: UsageError if it is no hash."""
+    if text is not None and not re.fullmatch("[0-9a-fA-F]{64}", text):
+        raise UsageError(f"{option('root', f'{text:.80}')}: found no hash, expected 64 hexadecimal digits")
+    return None if text is None else text.lower()

@@ -42,11 +42,32 @@ def read_document(path: Path | str) -> bytes:
     try:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise OSError(0, "it is not a regular file")
-        data = b""
-        while part := os.read(handle, MAX_DOCUMENT_BYTES + 1 - len(data)):
-            data += part
+        return _whole(handle)
     finally:
         close(handle)
+
+
+def read_given(path: Path | str) -> bytes:
+    """Read a small file that a user names: a regular one, a link to one, or a pipe.
+
+    Raises: OSError if it is missing, anything else, too large or unreadable.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        mode = os.fstat(handle).st_mode
+        if not stat.S_ISREG(mode) and not stat.S_ISFIFO(mode):
+            raise OSError(0, "it is neither a regular file nor a pipe")
+        os.set_blocking(handle, True)  # wait for who writes to the pipe
+        return _whole(handle)
+    finally:
+        close(handle)
+
+
+def _whole(handle: int) -> bytes:
+    """Read what is left. Raises: OSError if it is too large or unreadable."""
+    data = b""
+    while part := os.read(handle, MAX_DOCUMENT_BYTES + 1 - len(data)):
+        data += part
     if len(data) > MAX_DOCUMENT_BYTES:
         raise OSError(0, f"it is larger than {MAX_DOCUMENT_BYTES} bytes")
     return data

@@ -13,7 +13,6 @@ fsar-ledger/simulated                        the checkpoint, signed or not
 """
 
 import base64
-import os
 from bisect import bisect_right
 from collections.abc import Iterator
 from pathlib import Path
@@ -142,9 +141,12 @@ def blocks(view: LedgerView) -> Iterator[Block]:
 
 
 def read_proof(path: Path) -> Proof:
-    """Read the proof in this file. Raises: UsageError if there is no such file, LedgerCorrupted if it is no proof."""
+    """Read the proof in this file or pipe; lines may end as on Windows.
+
+    Raises: UsageError if there is no such file, LedgerCorrupted if it is no proof.
+    """
     try:
-        return parse_proof(str(path), disk.read_document(Path(os.path.realpath(path))).decode())
+        return parse_proof(str(path), disk.read_given(path).decode().replace("\r\n", "\n"))
     except FileNotFoundError as error:
         raise UsageError(f"{path}: found no file, expected a proof that `fsar-ledger prove` wrote") from error
     except (OSError, UnicodeDecodeError) as error:
@@ -161,13 +163,18 @@ def parse_proof(where: str, text: str) -> Proof:
         LedgerCorrupted: It is not in the form of C2SP, or lacks the event.
     """
     head, _, note = text.partition("\n\n")
+    lines = head.split("\n")
+    if len(lines) < 3 or not note:
+        what = f"a file of another kind or a part of one ({head!r:.80})" if text else "an empty file"
+        raise LedgerCorrupted(f"{where}: found {what}, expected what `fsar-ledger prove` wrote; get it again")
+    _, extra, index, *hashes = lines
     try:
-        _, extra, index, *hashes = head.split("\n")
         event, *decoded = [base64.b64decode(line, validate=True) for line in (extra.removeprefix("extra "), *hashes)]
         proof = Proof(event, int(index.removeprefix("index ")), tuple(decoded), parse_note(where, note))
     except ValueError as error:
         raise LedgerCorrupted(
-            f"{where}: found no C2SP tlog-proof ({error!s:.80}), expected what `fsar-ledger prove` wrote; get it again"
+            f"{where}: found no C2SP tlog-proof (an event or a hash that is no base64, or an index that is no number), "
+            "expected what `fsar-ledger prove` wrote; get it again"
         ) from error
     if str(proof) != text or proof.index < 0 or any(len(one) != HASH_BYTES for one in proof.hashes):
         raise LedgerCorrupted(
@@ -206,6 +213,36 @@ def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) ->
     return Proven(
         event, proof.index, tree.size, tree.root.hex(), tree.origin, state, trusted.key if trusted else signers
     )
+
+
+def require_tree(where: str, proven: Proven, kept: Checkpoint, source: str) -> None:
+    """Check that the proof's root is that of a checkpoint that was kept elsewhere, in the file `source`.
+
+    Raises:
+        UsageError: The checkpoint is of another size, so that only the ledger can tell whether one grew from the other.
+        LedgerCorrupted: The checkpoint is of another ledger, or has another root.
+    """
+    if (kept.origin, kept.size) == (proven.origin, proven.size):
+        require_root(where, proven, kept.root.hex(), source)
+    elif kept.origin != proven.origin:
+        raise LedgerCorrupted(
+            f"{where}: found an event of {proven.origin}, expected one of {kept.origin}, as in {source}; do not rely "
+            "on it"
+        )
+    else:
+        raise UsageError(
+            f"{where}: found the root of {proven.size:,} events, expected one of {kept.size:,}, as in {source}; "
+            "compare checkpoints of one size, or run `fsar-ledger verify LEDGER --anchor` where the ledger is"
+        )
+
+
+def require_root(where: str, proven: Proven, root: str, source: str) -> None:
+    """Check that the proof leads to this root, in hex. Raises: LedgerCorrupted if it leads to another."""
+    if proven.root != root:
+        raise LedgerCorrupted(
+            f"{where}: found a proof that leads to root {proven.root}, expected {root}, as in {source}: the event is "
+            "not proven; do not rely on it"
+        )
 
 
 def _event(where: str, data: bytes) -> dict[str, Value]:
