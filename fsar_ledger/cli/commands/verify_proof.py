@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = examples(
     "fsar-ledger verify-proof out/event.tlog-proof",
-    "fsar-ledger verify-proof out/event.tlog-proof --anchor out/checkpoint",
+    "fsar-ledger verify-proof out/event.tlog-proof --anchor out/ledger/checkpoint",
     "fsar-ledger verify-proof out/event.tlog-proof --trusted-key out/fleet.key.pub --json",
 )
 PRINCIPALS = ("decided_by", "requested_by", "executed_by", "supervised_by")
