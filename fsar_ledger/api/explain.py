@@ -26,7 +26,8 @@ Rows = list[dict[str, Any]]
 class Account(msgspec.Struct, frozen=True):
     """The account of one request: who asked, who allowed or denied, who acted, who supervised.
 
-    `timeline` has a row for each step, `recovery` one for each attempt after a failure, level by level.
+    `timeline` has a row for each step, `recovery` one for each attempt after a failure, level by level. `grounds` are
+    the positions in the run of the windows and rules under which the decisive event denied the request.
     """
 
     run: str
@@ -34,6 +35,7 @@ class Account(msgspec.Struct, frozen=True):
     parties: dict[str, Any]
     timeline: Rows
     recovery: Rows
+    grounds: tuple[int, ...]
     is_failure: bool
     provenance: Provenance
 
@@ -84,7 +86,12 @@ def account(database: Database, ledger: Path, run: str, request: str | None, fai
             f"{option('failure', failure)}: found no failure of this action in run {run}; "
             f"{option('request', failure)} shows what happened"
         )
-    return Account(run, action, parties, timeline, recovery, failure is not None, _about(database, run))
+    grounds = database.rows(
+        "SELECT unnest(under_seqs) AS seq FROM denied_actions WHERE run_id = $run AND seq = $seq",
+        {"run": run, "seq": parties["seq"]},
+    )
+    found = tuple(row["seq"] for row in grounds)
+    return Account(run, action, parties, timeline, recovery, found, failure is not None, _about(database, run))
 
 
 def requests(database: Database, run: str) -> Table:

@@ -3,10 +3,13 @@
 -- Grain: one row per RequestDenied event and policy window or rule under which it fell; one for a denial that none
 --   explains
 -- Key: run_id, seq, under_seq?
--- Units: denied_s, opened_s, closed_s seconds of run time; opened_s to closed_s half-open; seq, under_seq positions in
---   the run, for `prove RUN:SEQ`
+-- Units: denied_s, opened_s, closed_s seconds of run time; opened_s to closed_s half-open; seen_s when whoever denied,
+--   or for what the request carried its sender, had last seen the policy; seq, under_seq positions in the run, for
+--   `prove RUN:SEQ`
 -- NULL: a principal that the record does not name; action_id when neither the record nor its cause names one; what is
 --   said about the window or rule when none on record explains the denial; closed_s when it was never closed
+-- A denial can rest on what was over by then (was_open FALSE): a planner and the coordinator decide by an old copy, and
+-- a request carries what its sender saw.
 -- Example: fsar-ledger query audit/denials LEDGER --param run=RUN
 --   answers A1-1/3.1 at 31.046 s: denied by robot/B1 for policy, under window local/B1/0, supervised by supervisor/B1
 -- Parameters: run: run = all, action: action = all
@@ -25,6 +28,8 @@ SELECT
     grounds.outcome,
     grounds.opened_us / 1000000 AS opened_s,
     grounds.closed_us / 1000000 AS closed_s,
+    grounds.seen_us / 1000000 AS seen_s,
+    CASE WHEN grounds.ground_seq IS NOT NULL THEN coalesce(grounds.closed_us > denials.time_us, TRUE) END AS was_open,
     denials.supervised_by
 FROM denied_actions AS denials
 LEFT JOIN denial_grounds AS grounds ON denials.run_id = grounds.run_id AND denials.seq = grounds.seq

@@ -3,7 +3,8 @@
 -- Grain: one row per RequestDenied event for policy, a bid, an own step or a review and policy window or rule that
 --   held for it: of the executor (its own, the fleet's for it), or of the requester or relay as the request carried it
 -- Key: run_id, seq, ground_seq
--- Units: opened_us, closed_us microseconds of run time, half-open; seq, ground_seq positions in the run
+-- Units: opened_us, closed_us microseconds of run time, half-open; seen_us when whoever decided, or for what the
+--   request carried its sender, had last seen it; seq, ground_seq positions in the run
 -- NULL: window for a rule, which has no name but its ground_seq; closed_us when it was never closed or replaced; no row
 --   for a denial that no window or rule on record explains
 -- Example: fsar-ledger query facts/denial_grounds LEDGER
@@ -39,11 +40,12 @@ WITH seen AS (
     WHERE requests.type IN ('RequestIssued.v1', 'RequestRelayed.v1')
 )
 
-SELECT DISTINCT
+SELECT
     seen.run_id, seen.seq,
     windows.seq AS ground_seq,
     windows."window",
-    windows.robot, windows.scope, windows.outcome, windows.opened_us, windows.closed_us
+    windows.robot, windows.scope, windows.outcome, windows.opened_us, windows.closed_us,
+    max(seen.seen_us) AS seen_us
 FROM seen
 INNER JOIN policy_windows AS windows
     ON
@@ -53,3 +55,4 @@ INNER JOIN policy_windows AS windows
         AND seen.seen_us < coalesce(windows.closed_us, seen.seen_us + 1)
         AND (windows.capability IS NULL OR seen.capability = windows.capability)
         AND (windows.context IS NULL OR seen.task_id = windows.context)
+GROUP BY ALL

@@ -4,8 +4,8 @@
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id when neither the record nor what caused it names one; a principal that the record does not name;
---   denied_under (names of windows and rules) when none on record explains the denial; note (of whom it was asked, the
---   windows and rules, through whom it was decided, who supervised) when the record names none of these
+--   denied_under, under_seqs (names and positions of windows and rules) when none on record explains the denial; note
+--   (of whom it was asked, the windows and rules, through whom, who supervised) when the record names none of these
 -- Example: fsar-ledger query facts/denied_actions LEDGER
 -- Stored: requests, messages and denials read it
 WITH RECURSIVE causes AS (
@@ -28,20 +28,28 @@ actions AS (
 
 grounds AS (
     SELECT
-        run_id, seq,
-        list(coalesce("window", 'rule ' || ground_seq) ORDER BY ground_seq, robot) AS denied_under,
+        under.run_id, under.seq,
+        list(coalesce(under."window", 'rule ' || under.ground_seq) ORDER BY under.ground_seq, under.robot)
+            AS denied_under,
+        list(DISTINCT under.ground_seq ORDER BY under.ground_seq) AS under_seqs,
         string_agg(
-            if("window" IS NULL, 'rule ' || ground_seq, 'window ' || "window") || ' of '
-            || if(scope = 'fleet', 'the fleet''s policy for ' || robot, robot || '''s local policy'),
-            ' and ' ORDER BY ground_seq, robot
+            if(under."window" IS NULL, 'rule ' || under.ground_seq, 'window ' || under."window") || ' of '
+            || if(under.scope = 'fleet', 'the fleet''s policy for ' || under.robot, under.robot || '''s local policy')
+            || if(
+                under.closed_us <= denied.time_us,
+                ', over since ' || under.closed_us / 1000000 || ' s, last seen at ' || under.seen_us / 1000000 || ' s',
+                ''
+            ),
+            ' and ' ORDER BY under.ground_seq, under.robot
         ) AS grounds
-    FROM denial_grounds
-    GROUP BY run_id, seq
+    FROM denial_grounds AS under
+    INNER JOIN request_denied AS denied ON under.run_id = denied.run_id AND under.seq = denied.seq
+    GROUP BY under.run_id, under.seq
 )
 
 SELECT
     denied.run_id, denied.seq, denied.time_us, actions.action_id, denied.requested_by, denied.executed_by,
-    denied.decided_by, denied.reason, grounds.denied_under, denied.supervised_by,
+    denied.decided_by, denied.reason, grounds.denied_under, grounds.under_seqs, denied.supervised_by,
     nullif(concat_ws(
         '; ',
         'asked of ' || if(denied.executed_by = denied.decided_by, NULL, denied.executed_by),

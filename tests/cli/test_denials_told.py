@@ -114,6 +114,43 @@ def test_each_of_two_windows_is_a_row_and_the_request_names_both() -> None:
     assert asked("requests", columns, *history) == [(B, 5.0, "first and second", 1, SUPERVISOR, "denied: policy")]
 
 
+def test_a_window_that_was_over_is_said_to_be_and_when_it_was_last_seen() -> None:
+    def learned(at_us: int, outcome: str) -> Row:
+        return event("FleetRuleLearned", at_us, robot=B, outcome=outcome, as_of_us=at_us)
+
+    over = event("PolicyWindowClosed", 3 * S, robot=B, scope="fleet", window="zone")
+    history = (window("zone", B, 1 * S, scope="fleet"), learned(2 * S, "deny"), over, request(), DENIED)
+    columns = "denied_under closed_s seen_s was_open"
+    assert asked("denials", columns, *history) == [("zone", 3.0, 2.0, False)]
+    said = "under window zone of the fleet's policy for robot/B1, over since 3.0 s, last seen at 2.0 s; "
+    with from_rows(run(*history)) as database:
+        (row,) = database.rows("SELECT note FROM denied_actions")
+    assert row["note"].startswith(said)
+    (still,) = asked("denials", columns, *(one for one in history if one is not over))
+    assert still == ("zone", None, 2.0, True)
+
+
+def test_each_denial_is_under_what_was_open_or_had_been_seen_while_it_was(ledger: Path) -> None:
+    rows = [row for row in open_ledger(ledger).query("denials").rows() if row["under_seq"] is not None]
+    assert {row["was_open"] for row in rows} == {True, False}
+    for row in rows:
+        closed_s = row["denied_s"] + 1 if row["closed_s"] is None else row["closed_s"]
+        assert row["opened_s"] <= row["seen_s"] < closed_s
+        assert row["was_open"] == (row["denied_s"] < closed_s)
+
+
+def test_the_story_of_a_denial_tells_how_to_prove_the_window_too(call: Call, ledger: Path) -> None:
+    opened = open_ledger(ledger)
+    (denial, *_) = [row for row in opened.query("requests").rows() if row["result"] == "denied: policy"]
+    said = call("explain", ledger, "--run", denial["run_id"], "--request", denial["action_id"]).out
+    account, number = opened.explain(denial["run_id"], denial["action_id"]), opened.numbers()[denial["run_id"]]
+    seq = account.grounds[-1]
+    assert opened.query("denials", run=number, action=account.action).rows()[-1]["under_seq"] == seq
+    assert said.splitlines()[-1] == (
+        f"`fsar-ledger prove {ledger} {number}:{seq}` proves event {seq} (the window or rule) to others"
+    )
+
+
 def test_a_rule_is_named_by_the_event_that_set_it() -> None:
     founded = event("RobotJoined", 0, robot=B, role="B", team=1)
     rule = event("PolicyRuleSet", 1 * S, scope="local", robot=B, capability="lift", outcome="deny")

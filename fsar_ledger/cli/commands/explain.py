@@ -121,8 +121,9 @@ def explain(
         return
     steps, parties = shown(told.timeline if failure is None else []), shown([told.parties])[0]
     lines = _told(run_text(name, number), told.action, steps, parties)
-    hint = _proof(ledger, (name, number), told.decisive_seq)
-    show(printable.lines(*lines, *_recovered(shown(told.recovery)), "", hint, *map(str, files.values())))
+    hints = [_proof(ledger, (name, number), told.decisive_seq)]
+    hints += [_proof(ledger, (name, number), seq, " (the window or rule)") for seq in told.grounds]
+    show(printable.lines(*lines, *_recovered(shown(told.recovery)), "", *hints, *map(str, files.values())))
 
 
 def shown(rows: Sequence[Mapping[str, Any]]) -> Timeline:
@@ -196,11 +197,11 @@ def _parties(parties: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield name, f"{parties[name] or UNKNOWN}{when}"
 
 
-def _proof(ledger: Path, run: Run, seq: int) -> str:
-    """Return the call that proves the event that decided the result."""
+def _proof(ledger: Path, run: Run, seq: int, what: str = "") -> str:
+    """Return the call that proves an event, and what it is."""
     name, number = run
     event = printable.word(f"{name if number is None else number}:{seq}")
-    return f"`fsar-ledger prove {printable.word(ledger)} {event}` proves event {seq} to others"
+    return f"`fsar-ledger prove {printable.word(ledger)} {event}` proves event {seq}{what} to others"
 
 
 def _between(row: Mapping[str, Any]) -> str:
