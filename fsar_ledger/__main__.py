@@ -14,6 +14,7 @@ from .errors import WriteFailed
 def main() -> None:
     """Run the command and exit with its code; answer `--version` before anything slow is imported."""
     sys.excepthook = _report_error
+    _hold_streams()
     if sys.argv[1:] == ["--version"]:
         try:
             show(printable.line(f"fsar-ledger {__version__}"))
@@ -36,6 +37,15 @@ def main() -> None:
     code = run(sys.argv[1:])
     atexit._run_exitfuncs()  # libraries clean up after themselves: matplotlib removes its folder
     os._exit(code)  # everything is written and closed; unloading libraries makes a short command a tenth slower
+
+
+def _hold_streams() -> None:
+    """Point standard streams that are closed at nothing, so that no file of ours takes their numbers."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest free number
 
 
 def _report_error(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -18,6 +18,9 @@ CHECK_S = 0.02
 NET_BYTES = 4 << 30
 """How far beyond the limit and what is reserved already the operating system lets a process reserve."""
 
+MOST_MIB = 1 << 24
+"""The largest limit that can be asked for, more than any machine has."""
+
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _PEAK_UNIT = 1024 if os.uname().sysname == "Linux" else 1  # of ru_maxrss
 

@@ -57,8 +57,8 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
         UsageError: The limit is less than a command needs to begin.
         LimitReached: The system, or a library with a limit of its own, refused more.
     """
-    if asked_mib is not None and asked_mib < LEAST_MIB:
-        raise UsageError(f"--memory {asked_mib}: expected at least {LEAST_MIB} (MiB)")
+    if asked_mib is not None and not LEAST_MIB <= asked_mib <= memory.MOST_MIB:
+        raise UsageError(f"--memory {asked_mib}: expected at least {LEAST_MIB} and at most {memory.MOST_MIB} (MiB)")
     most = default_bytes(*ledgers, workers=workers) if asked_mib is None else asked_mib << 20
 
     def end() -> None:

@@ -20,7 +20,7 @@ class Progress:
     def __init__(self, verb: str, unit: str) -> None:
         """Begin work, named by a verb in the past tense and a unit: `simulated`, `batches`."""
         self._verb, self._unit = verb, unit
-        self._is_shown = sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
+        self._is_shown = sys.stderr is not None and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
         self._bar: Bar | None = None
         self._last_s = time.monotonic()
 

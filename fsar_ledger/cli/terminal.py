@@ -37,7 +37,8 @@ def show(text: Shown, *, raw: bool = False) -> None:
 
     Raises: Enough if the reader has closed it; WriteFailed.
     """
-    _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.sanitized(text))
+    is_for_people = sys.stdout is not None and sys.stdout.isatty()
+    _write(sys.stdout, text if raw and not is_for_people else printable.sanitized(text))
 
 
 def pause(seconds: float) -> None:

@@ -44,15 +44,26 @@ def test_a_message_that_does_not_fit_changes_no_exit_code(ledger: Path) -> None:
     assert (done.returncode, done.stdout) == (2, b"")
 
 
-def test_an_answer_without_any_output_to_go_to_is_one_message(ledger: Path) -> None:
-    done = subprocess.run(
-        ["sh", "-c", f'{sys.executable} -m fsar_ledger info "{ledger}" >&-'],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+@pytest.mark.parametrize("call", ["info LEDGER", "prove LEDGER 5"])
+def test_an_answer_without_any_output_to_go_to_is_one_message(ledger: Path, call: str) -> None:
+    done = with_closed(ledger, call, 1)
     assert done.returncode == 1
     assert done.stderr == "fsar-ledger: the output has nowhere to go: it was closed; write it to a file or a pipe\n"
+
+
+@pytest.mark.parametrize("call", ["info LEDGER", "metrics LEDGER --csv", "verify LEDGER", "explain LEDGER"])
+def test_an_answer_is_the_same_where_messages_have_nowhere_to_go(ledger: Path, call: str) -> None:
+    usual, done = with_closed(ledger, call, 9), with_closed(ledger, call, 2)
+    assert (usual.returncode, done.returncode) == (0, 0)
+    assert done.stdout == usual.stdout != ""
+    assert with_closed(ledger / "nothing", call, 2).returncode == 2
+
+
+def with_closed(ledger: Path, call: str, stream: int) -> subprocess.CompletedProcess[str]:
+    """Run the command with this stream closed."""
+    words = call.replace("LEDGER", f'"{ledger}"')
+    command = f"{sys.executable} -m fsar_ledger {words} {stream}>&-"
+    return subprocess.run(["sh", "-c", command], capture_output=True, text=True, check=False)
 
 
 @pytest.mark.slow

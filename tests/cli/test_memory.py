@@ -55,6 +55,7 @@ def test_every_command_that_reads_states_its_memory(call: Call, ledger: Path, ve
 
 def test_a_query_with_a_name_states_it_too(call: Call, ledger: Path) -> None:
     one_message(call("query", "failures", ledger, "--memory", "100"), 2, "--memory 100", "at least 256")
+    one_message(call("metrics", ledger, "--memory", "9" * 20), 2, "--memory 99999", "at most 16777216")
     assert call("query", "failures", ledger, "--memory", "2000").code == 0
 
 

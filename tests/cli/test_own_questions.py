@@ -64,6 +64,8 @@ def test_limits_are_kept_and_belong_to_questions_of_ones_own(call: Call, ledger:
     one_message(call("sql", ledger, "SELECT len(range(1000000000))", "--memory", "1024"), 2, "the limit is 1,024 MiB")
     one_message(call("sql", ledger, "SELECT 1", "--seconds", "0"), 2, "at least 1")
     one_message(call("sql", ledger, "SELECT 1", "--memory", "1023"), 2, "at least 1024")
+    one_message(call("sql", ledger, "SELECT 1", "--memory", "9" * 20), 2, "at most 16777216")
+    one_message(call("sql", ledger, "SELECT 1", "--seconds", "9" * 20), 2, "at most 31536000")
     one_message(call("query", "failures", ledger, "--seconds", "9"), 2, "--seconds 9", "only with --file")
 
 
