@@ -32,6 +32,23 @@ def test_a_broken_invariant_is_exit_code_1_and_names_the_first_event(call: Call,
     assert (row["events"], (row["first_run"], row["first_seq"])) == (len(set(events)), events[0])
 
 
+def test_the_footer_counts_for_each_architecture_and_names_the_ledger(call: Call, ledger: Path) -> None:
+    rows = json.loads(call("audit", ledger, "--json").out)["rows"]
+    held = {
+        one: sum(row["holds"] is True for row in rows if row["architecture"] == one) for one in ("fsar", "cfc", "dhma")
+    }
+    footer = call("audit", ledger).out.partition("\n\n")[2].splitlines()
+    assert held["fsar"] == 10 > held["cfc"]
+    assert [line.partition(" of 10 ")[0] for line in footer if " of 10 " in line] == [
+        f"{one}: {count}" for one, count in held.items()
+    ]
+    first = next(row["invariant"] for row in rows if row["holds"] is False)
+    assert (
+        footer[-1]
+        == f"`fsar-ledger query {first} {ledger}` lists every offending event of the first that does not hold"
+    )
+
+
 def test_json_has_a_row_for_each_invariant_and_architecture(call: Call, ledger: Path) -> None:
     answer = json.loads(call("audit", ledger, "--json").out)
     assert [(row["invariant"][:2], row["architecture"]) for row in answer["rows"]] == [

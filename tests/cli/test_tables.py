@@ -286,7 +286,8 @@ def test_on_a_terminal_an_audit_is_a_line_a_verdict_and_names_the_first_events_a
     ledger: Path,
 ) -> None:
     shown, _ = on_a_terminal(80, "-m", "fsar_ledger", "audit", ledger)
-    verdicts, _, first = shown.partition("the first offending events, as `fsar-ledger prove LEDGER RUN:SEQ` takes them")
+    verdicts, _, first = shown.partition("the first offending events")
+    assert f"{ledger} RUN:SEQ` takes them" in first
     rows, numbers = Ledger(ledger).audit().rows, Ledger(ledger).numbers()
     lines = [line.split() for line in verdicts.split("---\n")[1].splitlines() if line]
     assert [(name, word, int(cases)) for name, _, word, cases, _ in lines] == [

@@ -1,6 +1,7 @@
 """The command `audit`."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -68,9 +69,9 @@ def audit(
             if found.runs_unreadable
             else []
         )
-        said = printable.lines("", *_verdict(rows), *of_budgets)
+        said = printable.lines("", *_footer(rows, ledger), *of_budgets)
         if is_fitted(wide=wide):
-            findings = _on_a_terminal(rows, asked.numbers())
+            findings = _on_a_terminal(rows, asked.numbers(), ledger)
         else:
             findings = table([_shown(row) for row in rows], list(_shown(rows[0])), wide=wide)
         show(printable.joined(findings, said))
@@ -92,7 +93,7 @@ def _shown(row: "AuditRow") -> "Row":
     }
 
 
-def _on_a_terminal(rows: "Sequence[AuditRow]", numbers: Mapping[str, int]) -> Shown:
+def _on_a_terminal(rows: "Sequence[AuditRow]", numbers: Mapping[str, int], ledger: Path) -> Shown:
     """Return the verdicts as a table, and under it what the first offending events are, as `prove` names them."""
     from fsar_ledger.cli.tables import table
 
@@ -107,7 +108,8 @@ def _on_a_terminal(rows: "Sequence[AuditRow]", numbers: Mapping[str, int]) -> Sh
     judged = table(verdicts, list(verdicts[0]))
     if not first:
         return judged
-    above = printable.lines("", "the first offending events, as `fsar-ledger prove LEDGER RUN:SEQ` takes them", "")
+    proven = f"`fsar-ledger prove {printable.word(ledger)} RUN:SEQ`"
+    above = printable.lines("", f"the first offending events, as {proven} takes them", "")
     return printable.joined(judged, above, table(first, list(first[0])))
 
 
@@ -128,30 +130,30 @@ def _cases(count: int) -> str:
     return "1 case" if count == 1 else f"{count:,} cases"
 
 
+def _footer(rows: "Sequence[AuditRow]", ledger: Path) -> Iterator[str]:
+    """Yield how many invariants hold, for each architecture (and configuration) if there are several, and what next."""
+    configurations = {row.configuration for row in rows}
+    judged: dict[str, list[AuditRow]] = {}
+    for row in rows:
+        name = [row.architecture, row.configuration] if len(configurations) > 1 else [row.architecture]
+        judged.setdefault(" ".join(filter(None, name)) or "runs of no architecture", []).append(row)
+    for named, of_it in judged.items():
+        yield from (f"{named}: {line}" if len(judged) > 1 else line for line in _verdict(of_it))
+    if broken := [row.invariant for row in rows if row.holds is False]:
+        yield (
+            f"`fsar-ledger query {broken[0]} {printable.word(ledger)}` lists every offending event of the first that "
+            "does not hold"
+        )
+
+
 def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
-    """Yield how many invariants hold, which ones had no case or are not observable, and how to see more."""
-    names = list(dict.fromkeys(row.invariant for row in rows))
-    broken = [name for name in names if any(row.holds is False for row in rows if row.invariant == name)]
-    unseen = [
-        name
-        for name in names
-        if name not in broken
-        and any(row.holds is None and row.runs_not_observed for row in rows if row.invariant == name)
-    ]
-    empty = [
-        name
-        for name in names
-        if name not in (*broken, *unseen) and not any(row.holds for row in rows if row.invariant == name)
-    ]
-    held = len(names) - len(broken) - len(unseen) - len(empty)
-    hint = (
-        f"; `fsar-ledger query {broken[0]} LEDGER` lists every offending event of the first that does not"
-        if broken
-        else ""
-    )
-    yield (
-        f"{held} of {len(names)} hold, {len(empty)} had no case" if empty else f"{held} of {len(names)} invariants hold"
-    ) + hint
+    """Yield how many invariants hold under one architecture, and which ones had no case or are not observable."""
+    from fsar_ledger.api.audit import is_empty
+
+    unseen = [row.invariant for row in rows if row.holds is None and not is_empty(row)]
+    empty = [row.invariant for row in rows if is_empty(row)]
+    held = sum(row.holds is True for row in rows)
+    yield f"{held} of {len(rows)} hold, {len(empty)} had no case" if empty else f"{held} of {len(rows)} invariants hold"
     if unseen:
         yield (
             f"{len(unseen)} cannot be told, because runs do not observe what they rest on: {_short(unseen)}; that "
