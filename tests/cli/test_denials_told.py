@@ -151,6 +151,38 @@ def test_the_story_of_a_denial_tells_how_to_prove_the_window_too(call: Call, led
     )
 
 
+def test_rows_with_ground_1_count_the_denials(ledger: Path) -> None:
+    opened = open_ledger(ledger)
+    rows, denials = opened.query("denials").rows(), opened.sql("SELECT run_id, seq FROM request_denied").rows()
+    first = sorted((row["run_id"], row["seq"]) for row in rows if row["ground"] == 1)
+    assert first == sorted((row["run_id"], row["seq"]) for row in denials)
+    assert {row["ground"] for row in rows} > {1}
+
+
+def test_denials_of_a_robot_are_those_that_it_asked_for_was_asked_for_or_decided() -> None:
+    history = (
+        event("RequestDenied", 5 * S, **about(B), reason="policy"),
+        event("RequestDenied", 6 * S, **about("agent/C1/execution", action_id="t1/2.1"), reason="bid"),
+    )
+    with from_rows(run(*history)) as database:
+        found = {
+            robot: [row["denied_s"] for row in plain_rows(database.query("audit/denials", {"robot": f"robot/{robot}"}))]
+            for robot in ("A1", "B1", "C1", "D1")
+        }
+    assert found == {"A1": [5.0, 6.0], "B1": [5.0, 6.0], "C1": [6.0], "D1": []}
+
+
+def test_denials_say_who_asked_as_the_story_of_the_action_does_where_the_denial_names_nobody(ledger: Path) -> None:
+    opened = open_ledger(ledger)
+    named = {(row["run_id"], row["action_id"]): row["asked_by"] for row in opened.query("audit/requests").rows()}
+    carried = {(row["run_id"], row["seq"]): row["requested_by"] for row in opened.sql("FROM request_denied").rows()}
+    rows = opened.query("denials").rows()
+    assert [row["asked_by"] for row in rows] == [
+        carried[row["run_id"], row["seq"]] or named[row["run_id"], row["action_id"]] for row in rows
+    ]
+    assert "coordinator" in {row["asked_by"] for row in rows}
+
+
 def test_a_rule_is_named_by_the_event_that_set_it() -> None:
     founded = event("RobotJoined", 0, robot=B, role="B", team=1)
     rule = event("PolicyRuleSet", 1 * S, scope="local", robot=B, capability="lift", outcome="deny")
