@@ -6,6 +6,7 @@ a cell, a field or a line (`printable`), so whatever these functions return is s
 """
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
@@ -96,6 +97,12 @@ def signature_text(state: str, signer: str | None) -> str:
 def answer_json(provenance: "Provenance", answer: Mapping[str, object]) -> Shown:
     """Return one JSON object: what the answer holds for, then the answer."""
     return json_text(provenance.head, {**provenance.answer(), **answer}, provenance.rows_verified)
+
+
+def unit_of_interventions(ledger: Path) -> Shown:
+    """Return the line below a table of metrics that keeps a share of runs from being read as a number of calls."""
+    calls = f"`fsar-ledger query interventions {printable.word(ledger)}` lists the calls"
+    return printable.lines("", f"human_intervention is the share of runs that called the fleet supervisor; {calls}")
 
 
 def telling(rows: Sequence[Row]) -> list[str]:

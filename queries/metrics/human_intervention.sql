@@ -7,7 +7,7 @@
 -- Example: fsar-ledger query metrics/human_intervention LEDGER
 WITH judged AS (
     SELECT run_id, 1 AS numerator
-    FROM interventions
+    FROM fleet_calls
     GROUP BY run_id
 )
 

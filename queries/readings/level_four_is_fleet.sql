@@ -2,17 +2,17 @@
 -- Paper: sec:model:recovery
 -- Reading: R9
 -- Question: whom the last level of recovery calls
--- Replaces: interventions
+-- Replaces: fleet_calls
 -- Moves: human_intervention
 -- Why: The last level is directed to local or fleet supervision depending on scope, and scope is not defined; it may be
 --   the fleet supervisor always.
 -- Grain: one row per call
 -- Key: run_id, seq
--- Units: as in interventions
--- NULL: as in interventions
+-- Units: as in fleet_calls
+-- NULL: as in fleet_calls
 -- Example: fsar-ledger query readings/level_four_is_fleet LEDGER
 SELECT *
-FROM interventions
+FROM fleet_calls
 UNION ALL BY NAME
 SELECT run_id, seq, time_us, action_id, supervisor, purpose
 FROM supervisor_called

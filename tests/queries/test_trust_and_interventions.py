@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from tests.queries.histories import Row, answer, event, run
+from tests.queries.histories import Row, S, answer, event, run
 from tests.queries.test_rules_and_trust import DOOR, H_B, admitted, asked, broken, reviewed, rule, started
 from tests.runtime.governed import H_F
 
@@ -109,6 +109,29 @@ def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
         (H_F, "first t1/2"),
     ]
     assert len(asked("supervisor_decisions", "seq", *interventions, supervisor=H_B)) == 4
+
+
+def test_each_call_of_the_fleet_supervisor_is_an_intervention_with_its_purpose_and_answer() -> None:
+    def called(at: int, action: str, purpose: str, supervisor: str = H_F) -> dict[str, Any]:
+        return event("SupervisorCalled", at, action_id=action, purpose=purpose, supervisor=supervisor)
+
+    def answered(at: int, action: str, purpose: str, **fields: Any) -> dict[str, Any]:
+        return event("SupervisorResponded", at, action_id=action, purpose=purpose, decided_by=H_F, **fields)
+
+    history = (
+        called(1 * S, "t1/1.1", "review"),
+        called(2 * S, "t2/1.1", "ordering"),
+        called(3 * S, "t3/1.1", "recovery"),
+        called(3 * S, "t4/1.1", "recovery", H_B),
+        answered(4 * S, "t1/1.1", "review", approves=False),
+        answered(5 * S, "t2/1.1", "ordering", preferred="t9/1.1", approves=True),
+    )
+    columns = "called_s called purpose action_id decided_by decision decided_s"
+    assert sorted(asked("interventions", columns, *history)) == [
+        (1.0, H_F, "review", "t1/1.1", H_F, "refused", 4.0),
+        (2.0, H_F, "ordering", "t2/1.1", H_F, "t9/1.1 first", 5.0),
+        (3.0, H_F, "recovery", "t3/1.1", None, None, None),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from fsar_ledger.cli.options import (
     WideOption,
     examples,
 )
+from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples(
     "fsar-ledger metrics out/ledger",
@@ -42,12 +43,15 @@ def metrics(
     is not defined, a table shows `-` and JSON null.
     """
     from fsar_ledger.cli.answering import opened, warn
-    from fsar_ledger.cli.output import telling
+    from fsar_ledger.cli.output import telling, unit_of_interventions
     from fsar_ledger.cli.streaming import Form
+    from fsar_ledger.cli.tables import is_fitted
 
     form = Form(as_json=as_json, as_csv=as_csv, raw=raw, wide=wide)
     found = opened(ledger, verified=verified).metrics(by, pool)  # type: ignore[arg-type]  # it refuses any other text
     rows = found.rows()
     columns = found.columns if rows and (as_json or as_csv) else telling(rows)
     form.show(form.pieces(found.provenance, columns, found.batches()))
+    if is_fitted(wide=wide) and not (as_json or as_csv):
+        show(unit_of_interventions(ledger))
     warn(ledger, found.provenance)

@@ -38,8 +38,8 @@ def statistics(
     """
     from fsar_ledger.api.fields import csv_text
     from fsar_ledger.cli.answering import opened, warn
-    from fsar_ledger.cli.output import answer_json, check_form, telling
-    from fsar_ledger.cli.tables import table
+    from fsar_ledger.cli.output import answer_json, check_form, telling, unit_of_interventions
+    from fsar_ledger.cli.tables import is_fitted, table
 
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     found = opened(ledger, verified=verified).statistics(pool)  # type: ignore[arg-type]  # it refuses any other text
@@ -59,6 +59,8 @@ def statistics(
         above = [*found.before, *([""] if found.before and found.rows else [])]
         below = ["", *found.after, *found.notes] if found.after or found.notes else []
         show(printable.joined(printable.lines(*above), shown, printable.lines(*below)))
+        if is_fitted(wide=wide):
+            show(unit_of_interventions(ledger))
     warn(ledger, found.provenance)
     if any(one.is_fault for one in found.differing):
         raise typer.Exit(1)
