@@ -14,6 +14,7 @@ from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
 from .lookup import numbers_of, run_of
+from .names import Run
 from .provenance import Provenance, of_rows
 from .table import Table
 
@@ -99,7 +100,7 @@ def requests(database: Database, run: str) -> Table:
     return Table(database.query("audit/requests", {"run": run, "action": "all"}), _about(database, run))
 
 
-def chosen_run(database: Database, ledger: Path, asked: str | None) -> str:
+def chosen_run(database: Database, ledger: Path, asked: Run | None) -> str:
     """Return the run that was asked for, or the first of the ledger. Raises: UsageError if there is none."""
     first = database.rows("SELECT run_id FROM run_numbers WHERE number = 1")
     if not first:

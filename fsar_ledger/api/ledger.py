@@ -10,7 +10,7 @@ from fsar_ledger.ledger.store.opening import open_for_answers
 
 from .integrity import Integrity
 from .lookup import parameters_of, robot_of, run_of, time_of
-from .names import By, Place, Pool, Time, by_scenario, names_of, pools_seeds
+from .names import By, Place, Pool, Run, Time, by_scenario, names_of, pools_seeds
 from .timelines import Timelines
 from .workload import Progress, readers_of
 
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 class Ledger(Timelines, Integrity):
     """A ledger to query. Each answer holds for the newest commit at that moment, and names its head.
 
-    A run is given by its name, its number (`runs()`), or a part of its name that no other run has; a robot as `B1` or
-    `robot/B1`; a time of the run in seconds, or as text: `46.6`, `46.6s` or `46600ms`.
+    A run is given by its name, its number (`numbers()`), or a part of its name that no other run has; a robot as `B1`
+    or `robot/B1`; a time of the run in seconds, or as text: `46.6`, `46.6s` or `46600ms`.
 
     Args:
         path: The folder of the ledger.
@@ -74,7 +74,7 @@ class Ledger(Timelines, Integrity):
 
     def events(
         self,
-        run: str | None = None,
+        run: Run | None = None,
         since: Time = None,
         until: Time = None,
         robot: str | None = None,
@@ -87,14 +87,15 @@ class Ledger(Timelines, Integrity):
         from .events import Events, Filter, span
 
         since_us, until_us = span(since, until)
+        name = None
         if run is not None or robot is not None or since is not None:
             with self.database() as database:
-                run = None if run is None else run_of(database, run)
-                robot = None if robot is None else robot_of(database, robot, run)
-                time_of(database, "since", since, run)
-        return Events(self.path, Filter(run, since_us, until_us, robot), self._demanded)
+                name = None if run is None else run_of(database, run)
+                robot = None if robot is None else robot_of(database, robot, name)
+                time_of(database, "since", since, name)
+        return Events(self.path, Filter(name, since_us, until_us, robot), self._demanded)
 
-    def state(self, run: str, at: Time = None) -> "State":
+    def state(self, run: Run, at: Time = None) -> "State":
         """Return the state of a run at a time, or at its end: tasks, queues, trust, policies.
 
         Raises:
@@ -103,9 +104,9 @@ class Ledger(Timelines, Integrity):
         from fsar_ledger.projections.fold import fold
 
         with self.database() as database:
-            run = run_of(database, run)
-            until_us = time_of(database, "at", at, run)
-        found = self.events(run)
+            name = run_of(database, run)
+            until_us = time_of(database, "at", at, name)
+        found = self.events(name)
         return fold(logged.event for logged in found if until_us is None or logged.time_us <= until_us)
 
     # --- questions ---
@@ -195,14 +196,14 @@ class Ledger(Timelines, Integrity):
         with stream_untrusted(self.path, select, limits, self._demanded) as found:
             yield Provenance(found.head, found.rows_verified), found.columns, found.batches
 
-    def requests(self, run: str | None = None) -> "Table":
+    def requests(self, run: Run | None = None) -> "Table":
         """Return the requests of a run, the first by default: who asked, allowed, executed, supervised; the result."""
         from .explain import chosen_run, requests
 
         with self.database() as database:
             return requests(database, chosen_run(database, self.path, run))
 
-    def explain(self, run: str | None = None, request: str | None = None, failure: str | None = None) -> "Account":
+    def explain(self, run: Run | None = None, request: str | None = None, failure: str | None = None) -> "Account":
         """Give an account of a request of a run (the first by default), or of a failure, level by level.
 
         Raises:

@@ -23,7 +23,7 @@ from fsar_ledger.metrics.verified import is_verified
 from .events import Filter, span
 from .explain import chosen_run
 from .lookup import robot_of, run_of
-from .names import Time, known, names_of
+from .names import Run, Time, known, names_of
 from .provenance import Provenance, of_rows
 from .table import Table
 
@@ -49,7 +49,7 @@ class Asked(NamedTuple):
 def asked_of(
     database: Database,
     ledger: Path,
-    run: str | None,
+    run: Run | None,
     since: Time,
     until: Time,
     robot: str | None,

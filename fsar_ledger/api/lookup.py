@@ -54,11 +54,11 @@ _PRINCIPALS = ("robot", "supervisor")
 _WORDS = {"record": "kind of record", "case": "case number"}
 
 
-def run_of(database: "Database", asked: str) -> str:
+def run_of(database: "Database", asked: object) -> str:
     """Return the full name of a run that is given by name, number or unique part.
 
     Raises:
-        UsageError: No run, or several, match.
+        UsageError: No run, or several, match, or it is neither text nor a whole number.
     """
     runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (_RUNS, _PLANS))
     return run_named(asked, runs, plans)
@@ -111,8 +111,10 @@ def parameters_of(database: "Database", query: "Query", given: Mapping[str, obje
         text = texts.get(one.name, one.default)
         if text is None or text == one.default:
             continue
-        found[one.sql_name] = run_of(database, text) if one.kind == "run" else _value(database, one, text, run)
-        run = found[one.sql_name] if one.kind == "run" else run
+        if one.kind == "run":
+            found[one.sql_name] = run = run_of(database, given[one.name])
+        else:
+            found[one.sql_name] = _value(database, one, text, run)
     return found
 
 

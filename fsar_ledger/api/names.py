@@ -15,6 +15,8 @@ _Name = TypeVar("_Name", bound=str)
 Place = str | PathLike[str]
 Pool = Literal["seeds"] | None
 By = Literal["scenario"] | None
+Run = str | int
+"""A run: its name, its number (as a number or as text), or a part of its name that no other run has."""
 Time = float | str | None
 """A time of a run, in seconds, or as text: `46.6`, `46.6s`, `46600ms`."""
 
@@ -54,17 +56,23 @@ def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> t
     return tuple(name for name in names if name in (asked or ()))
 
 
-def run_named(asked: str, names: Sequence[str], others: Sequence[str] = ()) -> str:
+def run_named(asked: object, names: Sequence[str], others: Sequence[str] = ()) -> str:
     """Return the run of this name or number, or the only one whose name contains the text.
 
     Args:
-        asked: A name, a number from 1 in the order of the ledger, or a part of a name.
+        asked: A `Run`; numbers are from 1, in the order of the ledger.
         names: The runs in the order of the ledger. Digits alone are always a number.
         others: What also has a name, but no number, such as plans.
 
     Raises:
-        UsageError: No run matches, or several do.
+        UsageError: No run matches, or several do, or it is neither text nor a whole number.
     """
+    if isinstance(asked, int) and not isinstance(asked, bool):
+        return _numbered(f"{asked}", names)
+    if not isinstance(asked, str):
+        raise UsageError(
+            f"run: found {printable.value(repr(asked), 80)}, expected the name of a run, a part of it, or its number"
+        )
     known_names = (*names, *others)
     if asked in known_names:
         return asked

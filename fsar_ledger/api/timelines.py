@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from fsar_ledger.errors import UsageError
 
-from .names import Time
+from .names import Run, Time
 
 if TYPE_CHECKING:
     from .log import Pause
@@ -30,7 +30,7 @@ class Timelines:
 
     def log(
         self,
-        run: str | None = None,
+        run: Run | None = None,
         since: Time = None,
         until: Time = None,
         robot: str | None = None,

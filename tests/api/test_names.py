@@ -1,6 +1,7 @@
 """One way to name things: runs by name, number or part, robots by their short names, times with their unit."""
 
 from decimal import Decimal
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -99,6 +100,34 @@ def test_every_method_takes_the_number_of_a_run(ledger: fsar_ledger.Ledger) -> N
     assert ledger.requests(number).rows() == ledger.requests(run).rows()
     assert str(ledger.prove(f"{number}:12")) == str(ledger.prove(f"{run}:12"))
     assert ledger.prove(number).index == int(number), "a bare number is the place of an event"
+
+
+def test_every_method_takes_the_number_of_a_run_as_a_number(ledger: fsar_ledger.Ledger) -> None:
+    for number in (1, 2):
+        text = str(number)
+        assert {one.run for one in ledger.events(number)} == {one.run for one in ledger.events(text)}
+        assert ledger.state(number) == ledger.state(text)
+        assert ledger.log(number).rows() == ledger.log(text).rows()
+        assert ledger.requests(number).rows() == ledger.requests(text).rows()
+        action = ledger.requests(number).rows()[0]["action_id"]
+        assert ledger.explain(number, action).timeline == ledger.explain(text, action).timeline
+
+
+@pytest.mark.parametrize("asked", [1.0, True, [1], 0, -1, 10**20])
+def test_what_is_neither_text_nor_the_number_of_a_run_is_an_error(ledger: fsar_ledger.Ledger, asked: Any) -> None:
+    for ask in (
+        ledger.events,
+        ledger.state,
+        ledger.log,
+        ledger.requests,
+        lambda run: ledger.explain(run, "A1-1/2.1"),
+        lambda run: ledger.query("audit/requests", run=run),
+    ):
+        with pytest.raises(
+            UsageError, match=r"^run: found .*, expected the name of a run|no run of this number"
+        ) as caught:
+            ask(asked)
+        assert caught.value.exit_code == 2
 
 
 @given(st.integers(0, MAX_SECONDS * 1_000_000))
