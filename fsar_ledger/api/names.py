@@ -76,9 +76,12 @@ def run_named(asked: object, names: Sequence[str], others: Sequence[str] = ()) -
     known_names = (*names, *others)
     if asked in known_names:
         return asked
-    if asked.isascii() and asked.isdecimal():
+    if asked.isascii() and asked.removeprefix("-").isdecimal():
         return _numbered(asked, names)
-    found = sorted(name for name in known_names if asked and asked in name)
+    is_part = asked != "" and not asked.startswith(
+        "-"
+    )  # hashes follow a "-", so a negative number would be part of one
+    found = sorted(name for name in known_names if is_part and asked in name)
     if len(found) == 1:
         return found[0]
     if found:

@@ -56,6 +56,20 @@ def test_digits_are_the_number_of_a_run_even_where_names_hold_them() -> None:
         run_named("1", [])
 
 
+@pytest.mark.parametrize("asked", ["-1", "-12", "-34", "-7", "-0"])
+def test_a_negative_number_is_no_part_of_a_name(asked: str) -> None:
+    with pytest.raises(
+        UsageError, match=rf"run {asked}: there is no run of this number, expected a number from 1 to 4"
+    ):
+        run_named(asked, NAMES)
+
+
+@pytest.mark.parametrize("asked", ["-12ab", "-34c", "-"])
+def test_what_begins_with_a_hyphen_is_no_part_of_a_name(asked: str) -> None:
+    with pytest.raises(UsageError, match=f"run {asked}: there is no such run"):
+        run_named(asked, NAMES)
+
+
 def test_a_part_that_several_runs_have_lists_them_with_their_numbers() -> None:
     with pytest.raises(UsageError, match=r"found 2 runs .* cfc\.door\.r0000-34cd \(number 2\), fsar\..* \(number 1\)"):
         run_named("r0000", NAMES)
