@@ -87,8 +87,9 @@ def values(query: "Query", given: Mapping[str, str]) -> dict[str, str]:
     defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
     require_known(query, given, defaults)
     filled = defaults | dict(given)
-    if missing := sorted(name for name, value in filled.items() if value is None):
+    if missing := [one.name for one in query.parameters.values() if filled[one.sql_name] is None]:
         raise UnknownQuery(
-            f"query {query.name}: parameter {', '.join(missing)} has no value; give it with --param {missing[0]}=VALUE"
+            f"query {query.name}: found no value of {', '.join(missing)}, which has no default; give one, as in "
+            f"{missing[0]}=VALUE"
         )
     return {name: str(value) for name, value in filled.items()}

@@ -7,7 +7,7 @@
 -- NULL: the decision's columns when no cause was a decision; decided_by when the record names no decider
 -- Example: fsar-ledger query audit/decision_owner LEDGER --param run=RUN --param seq=107
 --   answers for an ExecutionFinished: RequestAccepted, 3 causes back, by robot/C1 alone, so it was local
--- Parameters: run: run = all, seq: seq = 0
+-- Parameters: seq: seq, run: run = all
 WITH RECURSIVE causes AS (
     SELECT run_id, seq, caused_by
     FROM event_principals

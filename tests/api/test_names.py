@@ -227,6 +227,13 @@ def test_the_old_name_of_a_time_is_an_error_that_says_the_new_one(ledger: fsar_l
         ledger.query("audit/policy_at", robt="B1")
 
 
+def test_a_parameter_without_default_must_be_given(ledger: fsar_ledger.Ledger) -> None:
+    with pytest.raises(UnknownQuery, match=r"^query audit/decision_owner: found no value of seq, .* as in seq=VALUE$"):
+        ledger.query("decision_owner", run="1")
+    with pytest.raises(UnknownQuery, match="found no value of seq"):
+        ledger.query("decision_owner", run="1", seq=None)
+
+
 def test_parameters_in_a_header_have_a_kind_and_a_default() -> None:
     query = parse("audit/x", HEADER + "-- Parameters: run: run = all, at: time = end, seq: seq\nSELECT 1")
     assert query.parameters == {

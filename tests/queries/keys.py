@@ -6,6 +6,11 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.library import Query
 
 
+def required(query: Query) -> dict[str, str]:
+    """Return a value, the seq of the first event, for each parameter of the query that has no default."""
+    return {one.sql_name: "0" for one in query.parameters.values() if one.default is None}
+
+
 def broken_keys(database: Database, queries: Iterator[Query]) -> list[str]:
     """Return what is wrong with the keys of these queries over the rows of this database, with their defaults."""
     return [f"{query.name}: {fault}" for query in queries for fault in _faults(database, query)]
@@ -14,7 +19,7 @@ def broken_keys(database: Database, queries: Iterator[Query]) -> list[str]:
 def _faults(database: Database, query: Query) -> Iterator[str]:
     if (key := query.key) is None:
         return
-    rows = database.query(query.name)
+    rows = database.query(query.name, required(query))
     if unknown := sorted(key.keys() - set(rows.column_names)):
         yield f"key names {', '.join(unknown)}, which is no column"
     elif not key:

@@ -12,6 +12,7 @@ from fsar_ledger.errors import InvalidQuery
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, generated, library, parse
+from tests.queries.keys import required
 
 FILES = sorted(Path(str(files("fsar_ledger.queries"))).rglob("*.sql"))
 GENERATED = {query.name for query in generated()}
@@ -75,7 +76,7 @@ def empty() -> Iterator[Database]:
 
 @pytest.mark.parametrize("name", PACKAGED)
 def test_query_runs_on_an_empty_ledger(empty: Database, name: str) -> None:
-    table = empty.query(name)
+    table = empty.query(name, required(library().find(name)))
     constant = name in CONSTANT
     assert (table.num_rows > 0) == constant
     assert table.num_columns > 0
