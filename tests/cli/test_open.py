@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import pyarrow as pa
 import pytest
 
@@ -74,6 +75,27 @@ def test_a_macro_takes_a_run_by_name(ledger: Path, tmp_path: Path) -> None:
     assert sorted_rows(found) == sorted_rows(opened.query("request_timeline", run=str(run)).rows())
 
 
+def test_a_macro_takes_a_run_by_its_number_and_refuses_one_that_is_not_on_record(ledger: Path, tmp_path: Path) -> None:
+    opened = fsar_ledger.open_ledger(ledger)
+    file = opened.open(tmp_path / "l.duckdb").file
+    run, number = list(opened.numbers().items())[-1]
+    calls = [f"requests(run := {given})" for given in (f"'{run}'", f"'{number}'", number)]
+    found = read_elsewhere(file, tmp_path / "read", *calls)
+    assert [sorted_rows(rows) for rows in found] == [sorted_rows(opened.query("requests", run=run).rows())] * 3
+    assert found[0]
+    with duckdb.connect(str(file), read_only=True) as elsewhere:
+        for unknown in ("'nosuch'", "999", "''", "NULL"):
+            with pytest.raises(duckdb.InvalidInputException, match=r"no such run, .* FROM run_numbers` lists"):
+                elsewhere.execute(f"FROM denials(run := {unknown})").fetchall()
+
+
+def test_open_says_how_to_call_a_macro(call: Call, ledger: Path, tmp_path: Path) -> None:
+    said = call("open", ledger, "--out", tmp_path / "l.duckdb").out
+    macro = said.partition("as `FROM ")[2].partition("`")[0]
+    (found,) = read_elsewhere(tmp_path / "l.duckdb", tmp_path / "read", macro)
+    assert sorted_rows(found) == sorted_rows(fsar_ledger.open_ledger(ledger).query("denials", run="1").rows())
+
+
 def test_the_file_names_its_head(ledger: Path, tmp_path: Path) -> None:
     written = fsar_ledger.open_ledger(ledger).open(tmp_path / "l.duckdb")
     head = written.provenance.head
@@ -111,9 +133,7 @@ def test_an_empty_ledger_has_every_relation_without_rows(call: Call, tmp_path: P
         pass
     called = call("open", tmp_path / "empty", "--out", tmp_path / "l.duckdb")
     assert called.code == 0, called.err
-    head, runs, requests = read_elsewhere(
-        tmp_path / "l.duckdb", tmp_path / "read", "ledger_head", "runs", "requests(run := 'x')"
-    )
+    head, runs, requests = read_elsewhere(tmp_path / "l.duckdb", tmp_path / "read", "ledger_head", "runs", "requests()")
     assert ([row["events"] for row in head], runs, requests) == ([0], [], [])
 
 

@@ -43,5 +43,6 @@ def open(  # named as the command is
             f"{written.provenance.head.size if written.provenance.head else 0:,} events"
         )
     )
+    show(printable.line("a macro is called by its parameters, as `FROM denials(run := 1)`"))
     if written.not_included:
         show(printable.line(f"not included: {', '.join(written.not_included)}, which need fsar-ledger itself"))
