@@ -67,6 +67,25 @@ def test_policy_is_that_of_the_window_that_holds_then(
 
 
 @pytest.mark.parametrize(
+    ("at_us", "outcome", "since_us", "until_us"),
+    [(9, "review", 5, 10), (12, "deny", 10, 30), (19, "deny", 10, 30), (25, "deny", 10, 30), (30, "allow", 30, None)],
+)
+def test_policy_lasts_until_its_outcome_changes_whichever_windows_begin_and_end_before(
+    at_us: int, outcome: str, since_us: int, until_us: int | None
+) -> None:
+    def opened(time_us: int, window: str, says: str) -> Row:
+        return event("PolicyWindowOpened", time_us, robot="robot/B1", scope="fleet", window=window, outcome=says)
+
+    def closed(time_us: int, window: str) -> Row:
+        return event("PolicyWindowClosed", time_us, robot="robot/B1", scope="fleet", window=window)
+
+    windows = (opened(5, "w0", "review"), opened(10, "w1", "deny"), closed(11, "w0"), opened(15, "w2", "deny"))
+    events = (*ROBOTS, *windows, closed(20, "w1"), closed(30, "w2"))
+    (row, _) = asked("policy_at", "outcome since_us until_us", *events, at_us=at_us, robot="robot/B1")
+    assert row == (outcome, since_us, until_us)
+
+
+@pytest.mark.parametrize(
     ("at_us", "expected"),
     [
         (11, []),
