@@ -73,8 +73,9 @@ def compare(
 
     Runs are paired by seed, scenario and number. For each metric: both means, first minus second with its 95 %
     interval, the number of pairs that differ at all, p of the paired t-test, or of the exact sign test where few
-    differ, Holm over these tests, and d_z. Containment and latency are ratios over all pairs. The answer also says how
-    many pairs met the same facts of the world, how many only the same draws, and which constants differ.
+    differ, Holm over these tests, and d_z. The t-test has as many degrees of freedom as pairs differ, less one;
+    `statistics` counts every pair, so that its p differs. Containment and latency are ratios over all pairs. The answer
+    also says how many pairs met the same facts of the world, how many only the same draws, and which constants differ.
     """
     from fsar_ledger.cli.answering import opened, warn
     from fsar_ledger.cli.output import check_form
@@ -225,6 +226,13 @@ def _how_to_read(found: "Paired") -> list[str]:
             f"{found.rows[0].family_tests} tests together"
         )
     ]
+    if fewer := [row for row in found.rows if row.test == "paired t" and row.differing_pairs < row.n]:
+        lines.append(
+            "paired t has as many degrees of freedom as pairs differ, less one; `statistics` counts every pair, so "
+            f"that its p differs: {_cells(fewer)}"
+        )
+    if any(row.metric == "human_intervention" for row in found.rows):
+        lines.append("human_intervention is the share of runs that called the fleet supervisor")
     if alike:
         lines.append(f"no pair differs, so there is no test: {_cells(alike)}")
     if few:

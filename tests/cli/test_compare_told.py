@@ -1,0 +1,27 @@
+"""What `compare` says below its numbers, so that they are not read as those of `statistics`."""
+
+from pathlib import Path
+
+from msgspec import structs
+
+from fsar_ledger import open_ledger
+from fsar_ledger.cli.commands.compare import _how_to_read
+from tests.cli.conftest import Call
+
+
+def test_metrics_whose_t_test_counts_fewer_pairs_than_that_of_statistics_are_named(ledger: Path) -> None:
+    found = open_ledger(ledger).compare("fsar", "cfc")
+    row = found.rows[0]
+    fewer = structs.replace(row, metric="authority_conflicts", test="paired t", n=100, differing_pairs=85)
+    every = structs.replace(row, metric="governance_locality", test="paired t", n=100, differing_pairs=100)
+    said = [line for line in _how_to_read(structs.replace(found, rows=[fewer, every])) if "degrees of freedom" in line]
+    assert said == [
+        "paired t has as many degrees of freedom as pairs differ, less one; `statistics` counts every pair, so that "
+        "its p differs: authority_conflicts"
+    ]
+    assert not [line for line in _how_to_read(structs.replace(found, rows=[every])) if "degrees of freedom" in line]
+
+
+def test_compare_says_that_human_intervention_is_a_share_of_runs(call: Call, ledger: Path) -> None:
+    said = call("compare", ledger, "--first", "fsar", "--second", "cfc").out.splitlines()
+    assert "human_intervention is the share of runs that called the fleet supervisor" in said
