@@ -108,6 +108,30 @@ def chosen_run(database: Database, ledger: Path, asked: Run | None) -> str:
     return str(first[0]["run_id"]) if asked is None else run_of(database, asked)
 
 
+def run_with(database: Database, ledger: Path, asked: Run | None, action: str | None) -> str:
+    """Return the run that was asked for, else the only one that has the action, or the first if there is no action.
+
+    Raises:
+        UsageError: There is no such run, or several have the action.
+    """
+    if asked is not None or not action:
+        return chosen_run(database, ledger, asked)
+    sql = """
+        SELECT run_id FROM run_numbers
+        WHERE run_id IN (SELECT run_id FROM keyed_events WHERE action_id = $action)
+        ORDER BY number
+    """
+    found = [str(row["run_id"]) for row in database.rows(sql, {"action": action})]
+    if len(found) > 1:
+        numbers = numbers_of(database)
+        named = printable.some(printable.value(str(numbers.get(run, run))) for run in found)
+        raise UsageError(
+            f"{printable.value(action)}: found this action in {len(found):,} runs, expected the run, too; give "
+            f"{option('run')} one of {named}"
+        )
+    return found[0] if found else chosen_run(database, ledger, None)
+
+
 def _about(database: Database, run: str) -> Provenance:
     return of_rows(database, database.library.find("audit/request_timeline"), run)
 

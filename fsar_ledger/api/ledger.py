@@ -204,15 +204,19 @@ class Ledger(Timelines, Integrity):
             return requests(database, chosen_run(database, self.path, run))
 
     def explain(self, run: Run | None = None, request: str | None = None, failure: str | None = None) -> "Account":
-        """Give an account of a request of a run (the first by default), or of a failure, level by level.
+        """Give an account of a request of a run, or of a failure, level by level.
+
+        Without `run` it is the only one that has the request.
 
         Raises:
-            UsageError: The run has no such request, it has not failed, or both or neither are named.
+            UsageError: There is no such request, several runs have it, it has not failed, or both or neither are named.
         """
-        from .explain import account, chosen_run
+        from .explain import account, run_with
 
         with self.database() as database:
-            return account(database, self.path, chosen_run(database, self.path, run), request, failure)
+            return account(
+                database, self.path, run_with(database, self.path, run, request or failure), request, failure
+            )
 
     # --- judgement ---
 

@@ -226,7 +226,7 @@ RunOption = Annotated[
         "--run",
         metavar="RUN",
         help="A run: its number, its name, or a part of it that no other run has.",
-        show_default="the first run",
+        show_default="the first run, or the only one that has the ACTION",
         autocompletion=completing.runs,
     ),
 ]

@@ -42,6 +42,31 @@ def test_the_call_that_the_list_suggests_runs(call: Call, ledger: Path) -> None:
     assert "asked by" in said.out
 
 
+def test_an_action_of_several_runs_asks_for_the_run(call: Call, ledger: Path) -> None:
+    listed = json.loads(call("query", "audit/requests", ledger, "--json").out)["rows"]
+    numbers = {row["run_id"]: row["number"] for row in json.loads(call("query", "runs", ledger, "--json").out)["rows"]}
+    runs = sorted({numbers[row["run_id"]] for row in listed if row["action_id"] == "A1-1/2.1"})
+    assert len(runs) > 5
+    for option in ("--request", "--failure"):
+        asked = call("explain", ledger, option, "A1-1/2.1")
+        one_message(
+            asked, 2, f"A1-1/2.1: found this action in {len(runs)} runs", f"give --run one of {runs[0]}, {runs[1]},"
+        )
+        assert asked.out == ""
+    assert call("explain", ledger, "--run", runs[1], "--request", "A1-1/2.1").code == 0
+
+
+def test_an_action_of_one_run_is_told_without_naming_the_run(call: Call, workflows: Path) -> None:
+    listed = json.loads(call("query", "audit/requests", workflows, "--json").out)["rows"]
+    runs_of: dict[str, list[str]] = {}
+    for row in listed:
+        runs_of.setdefault(row["action_id"], []).append(row["run_id"])
+    first = json.loads(call("explain", workflows, "--json").out)["run"]
+    action, (name,) = next((one, runs) for one, runs in runs_of.items() if len(runs) == 1 and runs != [first])
+    said = call("explain", workflows, "--request", action, "--json")
+    assert (said.code, json.loads(said.out)["run"]) == (0, name)
+
+
 def test_the_door_relay_is_told_from_gap_to_result(call: Call, workflows: Path) -> None:
     said = call("explain", workflows, "--run", DOOR, "--request", "A1-1/2.1")
     lines = [line[22:] for line in said.out.splitlines() if line.startswith("    ")]
@@ -125,7 +150,7 @@ def test_a_request_is_drawn_beside_the_text(call: Call, workflows: Path, tmp_pat
         (("--run", ""), ("no such run",)),
         (("--request", "A1-1/2"), ("no such request", "did you mean A1-1/2.1?")),
         (("--request", "zzz"), ("no such request", "--run 1` lists them")),
-        (("--failure", "A1-1/1.1"), ("no failure", "--request A1-1/1.1")),
+        (("--run", "1", "--failure", "A1-1/1.1"), ("no failure", "--request A1-1/1.1")),
         (("--request", "A1-1/2.1", "--failure", "A1-1/2.1"), ("expected one of them",)),
         (("--svg", "x.svg"), ("found no request to draw", "--request")),
     ],

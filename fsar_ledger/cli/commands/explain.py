@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = examples(
     "fsar-ledger explain out/ledger",
-    "fsar-ledger explain out/ledger --request A1-1/2.1",
+    "fsar-ledger explain out/ledger --run 1 --request A1-1/2.1",
     "fsar-ledger explain out/ledger --run 2 --request A1-1/2.1 --svg out/request.svg",
     "fsar-ledger explain out/ledger --run 1 --json",
 )
@@ -77,7 +77,7 @@ def explain(
     recovery tried at each level, for how long, and why it moved on. Without --request and --failure, list the requests
     of the run.
     """
-    from fsar_ledger.api.explain import account, chosen_run, requests
+    from fsar_ledger.api.explain import account, requests, run_with
     from fsar_ledger.api.lookup import numbers_of
     from fsar_ledger.cli.answering import opened, warn
     from fsar_ledger.cli.output import json_text, run_text
@@ -95,7 +95,7 @@ def explain(
         require_outside(path, f"--{kind} {path}")
     asked = opened(ledger, verified=verified)
     with asked.database() as database:
-        name = chosen_run(database, ledger, run)
+        name = run_with(database, ledger, run, request or failure)
         number = numbers_of(database).get(name)
         if request is None and failure is None:
             listed = requests(database, name)
