@@ -22,6 +22,7 @@ from fsar_ledger.errors import FsarLedgerError, UsageError, named_as_options
 
 from . import commands
 from .memory import reading
+from .once import Command
 from .terminal import Enough, say, show
 
 INTERRUPTED = 130
@@ -64,9 +65,12 @@ def _register() -> None:
     for name in sorted(names, key=lambda one: (names[one], one)):
         module = import_module(f"{commands.__name__}.{name}")
         if hasattr(module, "group"):
+            for one in module.group.registered_commands:
+                one.cls = Command
             app.add_typer(module.group, name=name)
         else:
-            app.command(name.replace("_", "-"), epilog=module.EXAMPLES)(reading(getattr(module, name)))
+            register = app.command(name.replace("_", "-"), cls=Command, epilog=module.EXAMPLES)
+            register(reading(getattr(module, name)))
         if hasattr(module, "AFTER_INTERRUPTION"):
             AFTER_INTERRUPTION[name] = module.AFTER_INTERRUPTION
 

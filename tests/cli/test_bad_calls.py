@@ -3,8 +3,10 @@
 import json
 import os
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -54,6 +56,35 @@ def test_an_impossible_experiment_is_refused_before_anything_is_written(
 
 def test_an_unknown_command_suggests_the_nearest(call: Call) -> None:
     one_message(call("simulat"), 2, "'simulate'")
+
+
+def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield every command that does something, with the words that call it."""
+    for name, one in getattr(command, "commands", {}).items():
+        yield from leaves(one, (*path, name))
+    if not hasattr(command, "commands"):
+        yield path, command
+
+
+DOUBLED = [
+    (path, option.opts[0])
+    for path, command in leaves(app._commands())
+    for option in command.params
+    if option.param_type_name == "option" and not (option.multiple or option.is_flag)
+]
+
+
+@pytest.mark.parametrize(("path", "option"), DOUBLED, ids=[" ".join((*path, option)) for path, option in DOUBLED])
+def test_an_option_with_one_value_is_refused_if_it_is_given_twice(
+    call: Call, path: tuple[str, ...], option: str
+) -> None:
+    called = call(*path, option, "1", f"{option}=2")
+    one_message(called, 2, f"{option}: found it 2 times, expected it once", f"`fsar-ledger {' '.join(path)} --help`")
+
+
+def test_options_of_several_values_and_flags_may_be_given_twice(call: Call, ledger: Path) -> None:
+    assert call("log", ledger, "--about", "policy", "--about", "trust", "--json", "--json").code == 0
+    assert call("query", "denials", ledger, "--param", "run=1", "--param", "action=all").code == 0
 
 
 def test_an_output_that_is_no_ledger_is_left_alone(call: Call, tmp_path: Path) -> None:
