@@ -151,10 +151,16 @@ def some(parts: Iterable[str], what: str = "more") -> str:
 
 
 def did_you_mean(asked: str, names: Collection[str]) -> str:
-    """Return `; did you mean NAME?` for the nearest name, or nothing where none is near.
+    """Return `; did you mean NAME?` for the nearest name, or nothing where none is near."""
+    near = nearest(asked, names)
+    return "" if near is None else f"; did you mean {value(near)}?"
 
-    The nearest is the name in other capitals, else the first that begins like the one asked for, else the most similar
-    one, else the first with the most similar beginning.
+
+def nearest(asked: str, names: Collection[str]) -> str | None:
+    """Return the name that is probably meant, None where none is near.
+
+    It is the name in other capitals, else the first that begins like the one asked for, else the most similar one, else
+    the first with the most similar beginning. At least half of the letters must agree.
     """
     from difflib import get_close_matches
 
@@ -162,12 +168,12 @@ def did_you_mean(asked: str, names: Collection[str]) -> str:
     found = (
         [name for name in ordered if name.casefold() == asked.casefold()]
         or [name for name in ordered if name.startswith(asked)]
-        or get_close_matches(asked, ordered, 1, 0.4)
+        or get_close_matches(asked, ordered, 1, 0.5)
         or [
             name
-            for beginning in get_close_matches(asked, [name[: len(asked)] for name in ordered], 1, 0.3)
+            for beginning in get_close_matches(asked, [name[: len(asked)] for name in ordered], 1, 0.5)
             for name in ordered
             if name.startswith(beginning)
         ]
     )
-    return f"; did you mean {value(found[0])}?" if asked and found else ""
+    return found[0] if asked and found else None

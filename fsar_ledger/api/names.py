@@ -23,6 +23,15 @@ Time = float | str | None
 MAX_DIGITS = 16
 MAX_SECONDS = 9_007_199_254
 
+_KINDS = {
+    "robot": "a robot",
+    "supervisor": "a supervisor",
+    "coordinator": "the coordinator",
+    "service": "a service",
+    "agent": "an agent of a robot",
+}
+"""By the first word of its name, what a principal is."""
+
 _TIME = re.compile(r"([0-9]{1,16}(?:\.[0-9]{0,16})?|\.[0-9]{1,16})\s*(s|ms)?")
 
 
@@ -110,22 +119,38 @@ def _numbered(asked: str, names: Sequence[str]) -> str:
 def principal_named(what: str, asked: str, names: Sequence[str]) -> str:
     """Return the principal of a robot or supervisor (`what`) that is given as `B1` or in full, as `robot/B1`.
 
+    Capitals do not matter where only one name is meant.
+
     Raises: UsageError if there is none.
     """
-    name = asked if asked.startswith(f"{what}/") else f"{what}/{asked}"
-    return named(what, asked, names, name)
+    before = f"{what}/"
+    short = asked[len(before) :] if asked.casefold().startswith(before) else asked
+    found = [name for name in names if name.casefold() == f"{before}{short}".casefold()]
+    if f"{before}{short}" in found:
+        return f"{before}{short}"
+    if len(found) == 1:
+        return found[0]
+    kind = _KINDS.get(asked.partition("/")[0])
+    if kind is not None and not asked.startswith(before):
+        raise UsageError(f"{what} {printable.value(asked)}: found {kind}, expected {_one_of(what, names)}")
+    near = printable.nearest(short, [name.removeprefix(before) for name in names])
+    hint = ";" if near is None else f"; did you mean {printable.value(before + near)}?"
+    raise _unknown(what, asked, hint, names)
 
 
-def named(what: str, asked: str, names: Sequence[str], name: str | None = None) -> str:
-    """Return the name, by default as it is given, if it is one of these. Raises: UsageError, with the nearest."""
-    sought = asked if name is None else name
-    if sought in names:
-        return sought
-    hint = printable.did_you_mean(sought, names)
-    raise UsageError(
-        f"{what} {printable.value(asked)}: there is no such {what}{hint or ';'} expected one of "
-        f"{printable.some(map(printable.value, sorted(names))) or f'none: no {what} is on record'}"
-    )
+def named(what: str, asked: str, names: Sequence[str]) -> str:
+    """Return the name if it is one of these. Raises: UsageError, with the nearest."""
+    if asked in names:
+        return asked
+    raise _unknown(what, asked, printable.did_you_mean(asked, names) or ";", names)
+
+
+def _unknown(what: str, asked: str, hint: str, names: Sequence[str]) -> UsageError:
+    return UsageError(f"{what} {printable.value(asked)}: there is no such {what}{hint} expected {_one_of(what, names)}")
+
+
+def _one_of(what: str, names: Sequence[str]) -> str:
+    return f"one of {printable.some(map(printable.value, sorted(names))) or f'none: no {what} is on record'}"
 
 
 def names_of(asked: str | Sequence[str] | None) -> list[str] | None:

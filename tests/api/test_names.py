@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import fsar_ledger
 from fsar_ledger.api.info import ranges
 from fsar_ledger.api.lookup import action_of, numbers_of, run_of
-from fsar_ledger.api.names import MAX_SECONDS, microseconds, run_named
+from fsar_ledger.api.names import MAX_SECONDS, microseconds, named, principal_named, run_named
 from fsar_ledger.errors import InvalidQuery, UnknownQuery, UsageError
 from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.proof import blocks
@@ -68,6 +68,43 @@ def test_a_negative_number_is_no_part_of_a_name(asked: str) -> None:
 def test_what_begins_with_a_hyphen_is_no_part_of_a_name(asked: str) -> None:
     with pytest.raises(UsageError, match=f"run {asked}: there is no such run"):
         run_named(asked, NAMES)
+
+
+@pytest.mark.parametrize("asked", ["c1", "C1", "robot/c1", "Robot/C1"])
+def test_capitals_do_not_matter_in_the_name_of_a_robot(asked: str) -> None:
+    assert principal_named("robot", asked, ["robot/A1", "robot/C1"]) == "robot/C1"
+
+
+def test_capitals_matter_where_they_tell_robots_apart() -> None:
+    assert principal_named("robot", "c1", ["robot/C1", "robot/c1"]) == "robot/c1"
+    with pytest.raises(UsageError, match="robot aB: there is no such robot; did you mean robot/AB"):
+        principal_named("robot", "aB", ["robot/AB", "robot/ab"])
+
+
+@pytest.mark.parametrize("asked", ["Z9", "E5", "robot/Z9", "flying"])
+def test_what_is_like_no_name_of_a_robot_gets_no_suggestion(asked: str) -> None:
+    with pytest.raises(UsageError, match=f"robot {asked}: there is no such robot; expected one of robot/A1, robot/D1$"):
+        principal_named("robot", asked, ["robot/A1", "robot/D1"])
+
+
+@pytest.mark.parametrize(
+    ("asked", "found"),
+    [
+        ("coordinator", "the coordinator"),
+        ("supervisor/C1", "a supervisor"),
+        ("service/policy", "a service"),
+        ("agent/C1/policy", "an agent of a robot"),
+    ],
+)
+def test_a_principal_that_is_no_robot_is_told_what_it_is(asked: str, found: str) -> None:
+    with pytest.raises(UsageError, match=f"robot {asked}: found {found}, expected one of robot/C1$"):
+        principal_named("robot", asked, ["robot/C1"])
+
+
+@pytest.mark.parametrize("asked", ["flying", "nosuch"])
+def test_what_is_like_no_name_gets_no_suggestion(asked: str) -> None:
+    with pytest.raises(UsageError, match="there is no such name; expected one of "):
+        named("name", asked, ["navigate.indoor", "lift", "injected-1-1", "A1-1/2.1"])
 
 
 def test_a_part_that_several_runs_have_lists_them_with_their_numbers() -> None:
