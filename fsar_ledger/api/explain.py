@@ -105,7 +105,7 @@ def chosen_run(database: Database, ledger: Path, asked: Run | None) -> str:
     first = database.rows("SELECT run_id FROM run_numbers WHERE number = 1")
     if not first:
         raise UsageError(f"{ledger}: found no run, so there is nothing to explain")
-    return str(first[0]["run_id"]) if asked is None else run_of(database, asked)
+    return str(first[0]["run_id"]) if asked is None else run_of(database, asked, ledger)
 
 
 def run_with(database: Database, ledger: Path, asked: Run | None, action: str | None) -> str:

@@ -90,7 +90,7 @@ class Ledger(Timelines, Integrity):
         name = None
         if run is not None or robot is not None or since is not None:
             with self.database() as database:
-                name = None if run is None else run_of(database, run)
+                name = None if run is None else run_of(database, run, self.path)
                 robot = None if robot is None else robot_of(database, robot, name)
                 time_of(database, "since", since, name)
         return Events(self.path, Filter(name, since_us, until_us, robot), self._demanded)
@@ -104,7 +104,7 @@ class Ledger(Timelines, Integrity):
         from fsar_ledger.projections.fold import fold
 
         with self.database() as database:
-            name = run_of(database, run)
+            name = run_of(database, run, self.path)
             until_us = time_of(database, "at", at, name)
         found = self.events(name)
         return fold(logged.event for logged in found if until_us is None or logged.time_us <= until_us)
@@ -123,7 +123,7 @@ class Ledger(Timelines, Integrity):
 
         with self.database() as database:
             query = database.library.find(name)
-            given = parameters_of(database, query, parameters)
+            given = parameters_of(database, query, parameters, self.path)
             rows = database.query(name, given)
             return Table(rows, of_rows(database, query))
 

@@ -65,7 +65,7 @@ def asked_of(
     """
     since_us, until_us = span(since, until)
     concerns = concerns_of(about)
-    name = chosen_run(database, ledger, None) if run is None else None if run == ALL else run_of(database, run)
+    name = chosen_run(database, ledger, None) if run is None else None if run == ALL else run_of(database, run, ledger)
     if since_us is not None and not is_growing:
         _require_in_run(database, name, since, since_us)
     full = None if robot is None else robot_of(database, robot, name)

@@ -1,6 +1,7 @@
 """Look up what a question names, as the ledger names it: runs, robots, actions, times and the rest of parameters."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsar_ledger import printable
@@ -54,14 +55,18 @@ _PRINCIPALS = ("robot", "supervisor")
 _WORDS = {"record": "kind of record", "case": "case number"}
 
 
-def run_of(database: "Database", asked: object) -> str:
+def run_of(database: "Database", asked: object, ledger: Path | None = None) -> str:
     """Return the full name of a run that is given by name, number or unique part.
+
+    An error says how to list the runs of `ledger`, if it is given.
 
     Raises:
         UsageError: No run, or several, match, or it is neither text nor a whole number.
     """
     runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (_RUNS, _PLANS))
-    return run_named(asked, runs, plans)
+    if ledger is None:
+        return run_named(asked, runs, plans)
+    return run_named(asked, runs, plans, f"`fsar-ledger query runs {printable.word(ledger)}` lists them")
 
 
 def numbers_of(database: "Database") -> dict[str, int]:
@@ -94,7 +99,7 @@ def time_of(database: "Database", what: str, asked: Time, run: str | None) -> in
     return time_us
 
 
-def parameters_of(database: "Database", query: "Query", given: Mapping[str, object]) -> dict[str, str]:
+def parameters_of(database: "Database", query: "Query", given: Mapping[str, object], ledger: Path) -> dict[str, str]:
     """Return what the SQL of a query gets for these parameters, each understood by its kind; None: its default.
 
     Raises:
@@ -112,7 +117,7 @@ def parameters_of(database: "Database", query: "Query", given: Mapping[str, obje
         if text is None or text == one.default:
             continue
         if one.kind == "run":
-            found[one.sql_name] = run = run_of(database, given[one.name])
+            found[one.sql_name] = run = run_of(database, given[one.name], ledger)
         else:
             found[one.sql_name] = _value(database, one, text, run)
     return found

@@ -65,19 +65,22 @@ def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> t
     return tuple(name for name in names if name in (asked or ()))
 
 
-def run_named(asked: object, names: Sequence[str], others: Sequence[str] = ()) -> str:
+def run_named(
+    asked: object, names: Sequence[str], others: Sequence[str] = (), way: str = "the query `runs` lists them"
+) -> str:
     """Return the run of this name or number, or the only one whose name contains the text.
 
     Args:
         asked: A `Run`; numbers are from 1, in the order of the ledger.
         names: The runs in the order of the ledger. Digits alone are always a number.
         others: What also has a name, but no number, such as plans.
+        way: Where people find the names.
 
     Raises:
         UsageError: No run matches, or several do, or it is neither text nor a whole number.
     """
     if isinstance(asked, int) and not isinstance(asked, bool):
-        return _numbered(f"{asked}", names)
+        return _numbered(f"{asked}", names, way)
     if not isinstance(asked, str):
         raise UsageError(
             f"run: found {printable.value(repr(asked), 80)}, expected the name of a run, a part of it, or its number"
@@ -86,7 +89,7 @@ def run_named(asked: object, names: Sequence[str], others: Sequence[str] = ()) -
     if asked in known_names:
         return asked
     if asked.isascii() and asked.removeprefix("-").isdecimal():
-        return _numbered(asked, names)
+        return _numbered(asked, names, way)
     is_part = asked != "" and not asked.startswith(
         "-"
     )  # hashes follow a "-", so a negative number would be part of one
@@ -101,18 +104,17 @@ def run_named(asked: object, names: Sequence[str], others: Sequence[str] = ()) -
         raise UsageError(
             f"run {printable.value(asked)}: found {len(found):,} runs whose names contain this, expected one of {shown}"
         )
-    hint = printable.did_you_mean(asked, known_names)
-    raise UsageError(f"run {printable.value(asked)}: there is no such run{hint or ';'} the query `runs` lists them")
+    parts = {part for name in known_names for part in name.split(".")}
+    hint = printable.did_you_mean(asked, known_names) or printable.did_you_mean(asked, parts)
+    raise UsageError(f"run {printable.value(asked)}: there is no such run{hint or ';'} {way}")
 
 
-def _numbered(asked: str, names: Sequence[str]) -> str:
+def _numbered(asked: str, names: Sequence[str], way: str) -> str:
     """Return the run of this number, from 1. Raises: UsageError if there is none."""
     number = int(asked) if len(asked) <= MAX_DIGITS else len(names) + 1
     if not 1 <= number <= len(names):
         held = f"a number from 1 to {len(names)}" if names else "no number: there is no run"
-        raise UsageError(
-            f"run {asked:.80}: there is no run of this number, expected {held}; the query `runs` lists them"
-        )
+        raise UsageError(f"run {asked:.80}: there is no run of this number, expected {held}; {way}")
     return names[number - 1]
 
 

@@ -38,7 +38,7 @@ def prove_event(ledger: Path, event: str, demanded: str | None = None) -> Proof:
 def _run(ledger: Path, asked: str, demanded: str | None) -> str:
     """Return the full name of the run. Raises: As `run_of` and `connect`."""
     with connect(ledger, demanded=demanded) as database:
-        return run_of(database, asked)
+        return run_of(database, asked, ledger)
 
 
 def _index_of(view: LedgerView, run: str | None, seq: str) -> int:

@@ -1,5 +1,6 @@
 """One way to name things: runs by name, number or part, robots by their short names, times with their unit."""
 
+import re
 from decimal import Decimal
 from typing import Any
 
@@ -110,6 +111,27 @@ def test_what_is_like_no_name_gets_no_suggestion(asked: str) -> None:
 def test_a_part_that_several_runs_have_lists_them_with_their_numbers() -> None:
     with pytest.raises(UsageError, match=r"found 2 runs .* cfc\.door\.r0000-34cd \(number 2\), fsar\..* \(number 1\)"):
         run_named("r0000", NAMES)
+
+
+@pytest.mark.parametrize(("asked", "near"), [("dorr", "door"), ("dooor", "door")])
+def test_a_typing_error_in_a_part_of_a_name_gets_the_nearest_part(asked: str, near: str) -> None:
+    with pytest.raises(UsageError, match=rf"run {asked}: there is no such run; did you mean {near}\? "):
+        run_named(asked, NAMES)
+
+
+def test_an_unknown_run_names_the_command_that_lists_the_runs(ledger: fsar_ledger.Ledger) -> None:
+    way = re.escape(f"`fsar-ledger query runs {ledger.path}` lists them")
+    for ask in (
+        ledger.events,
+        ledger.state,
+        ledger.log,
+        ledger.requests,
+        lambda run: ledger.prove(f"{run}:1"),
+        lambda run: ledger.query("audit/requests", run=run),
+    ):
+        for asked in ("dorr-relay", "99999"):
+            with pytest.raises(UsageError, match=way):
+                ask(asked)
 
 
 def test_a_plan_has_a_name_and_no_number() -> None:

@@ -320,7 +320,7 @@ def test_every_name_of_an_event_gives_the_same_proof(call: Call, folder: Path) -
         ("fsar:٣", ("expected RUN:SEQ",)),
         ("", ("expected RUN:SEQ",)),
         ("fsar.full:12", ("found 4 runs whose names contain this", "(number 1)")),
-        ("fsra.full.door:12", ("no such run", "did you mean fsar.full.door-relay", "the query `runs` lists them")),
+        ("fsra.full.door:12", ("no such run", "did you mean fsar.full.door-relay", "`fsar-ledger query runs /")),
         (f"{RUN}:{{1}}", ("found {1} events in the run", "a seq from 0 to {2}")),
         (f"{RUN}:{'9' * 40}", ("found {1} events",)),
     ],
