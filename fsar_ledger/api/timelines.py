@@ -41,7 +41,7 @@ class Timelines:
         Args:
             run: The run; None: the first; `all`: every run.
             since: Only from this time on.
-            until: Only before this time.
+            until: Only before this time, which may be after the end of the run.
             robot: Only events that name this robot.
             about: Only events of these concerns, such as `requests` or `policy,trust`.
 

@@ -92,6 +92,14 @@ def test_what_is_no_time_is_an_error(ledger: Ledger, asked: str | float) -> None
         ledger.log(RUN, since=asked)
 
 
+def test_a_span_may_end_after_the_run_but_not_begin_there(ledger: Ledger) -> None:
+    assert ledger.log(1, until=9000).rows() == ledger.log(1).rows()
+    assert list(ledger.events(1, until=9000)) == list(ledger.events(1))
+    for ask in (ledger.log, ledger.events):
+        with pytest.raises(UsageError, match="9000"):
+            ask(1, since=9000)
+
+
 def test_what_the_run_does_not_observe_is_said_where_it_is_asked_for() -> None:
     with from_rows(run(observes=["request", "trust"])) as database:
         about = {

@@ -40,11 +40,20 @@ def log(
     since: Annotated[
         str | None,
         typer.Option(
-            "--from", metavar="TIME", help="Only from this time on: 46.6, 46.6s or 46600ms.", show_default="0"
+            "--from",
+            metavar="TIME",
+            help="Only from this time on, within the run: 46.6, 46.6s or 46600ms.",
+            show_default="0",
         ),
     ] = None,
     until: Annotated[
-        str | None, typer.Option("--to", metavar="TIME", help="Only before this time.", show_default="the end")
+        str | None,
+        typer.Option(
+            "--to",
+            metavar="TIME",
+            help="Only before this time, which may be after the end of the run.",
+            show_default="the end",
+        ),
     ] = None,
     robot: Annotated[
         str | None,
