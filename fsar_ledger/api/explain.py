@@ -72,6 +72,11 @@ def account(database: Database, ledger: Path, run: str, request: str | None, fai
     Raises:
         UsageError: The run has no such action, the action has not failed, or both or neither are named.
     """
+    if "" in (request, failure):
+        empty = option("request" if request == "" else "failure")
+        raise UsageError(
+            f"{empty}: found an empty name, expected an action; explain without {empty} lists the requests"
+        )
     action = request or failure
     if action is None or (request is not None and failure is not None):
         raise UsageError(

@@ -152,6 +152,8 @@ def test_a_request_is_drawn_beside_the_text(call: Call, workflows: Path, tmp_pat
         (("--request", "zzz"), ("no such request", "--run 1` lists them")),
         (("--run", "1", "--failure", "A1-1/1.1"), ("no failure", "--request A1-1/1.1")),
         (("--request", "A1-1/2.1", "--failure", "A1-1/2.1"), ("expected one of them",)),
+        (("--run", "1", "--request", ""), ("--request: found an empty name", "explain without --request lists")),
+        (("--failure", ""), ("--failure: found an empty name", "explain without --failure lists")),
         (("--svg", "x.svg"), ("found no request to draw", "--request")),
     ],
 )
