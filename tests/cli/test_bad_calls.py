@@ -82,6 +82,13 @@ def test_an_option_with_one_value_is_refused_if_it_is_given_twice(
     one_message(called, 2, f"{option}: found it 2 times, expected it once", f"`fsar-ledger {' '.join(path)} --help`")
 
 
+@pytest.mark.parametrize(("path", "option"), DOUBLED, ids=[" ".join((*path, option)) for path, option in DOUBLED])
+def test_an_option_without_its_value_names_the_help_of_the_command(
+    call: Call, path: tuple[str, ...], option: str
+) -> None:
+    one_message(call(*path, option), 2, option, f"(see `fsar-ledger {' '.join(path)} --help`)")
+
+
 def test_options_of_several_values_and_flags_may_be_given_twice(call: Call, ledger: Path) -> None:
     assert call("log", ledger, "--about", "policy", "--about", "trust", "--json", "--json").code == 0
     assert call("query", "denials", ledger, "--param", "run=1", "--param", "action=all").code == 0
