@@ -31,13 +31,15 @@ def open_ledger(path: Place, *, verified: bool = False, progress: Progress | Non
     Args:
         path: The folder.
         verified: Compare all rows with the root first, as `verify` does, unless an earlier comparison of this head is
-            remembered; answers about later commits are then refused.
+            remembered; then only compare the files with their hashes. Answers about later commits are then refused.
         progress: Called with the segments compared and their total.
 
     Raises:
         NotALedger, FormatVersionMismatch: The folder holds no ledger that this version reads.
         LedgerCorrupted: It contradicts itself.
     """
-    if not verified:
-        open_for_answers(Path(path))
-    return Ledger(path, demanded=demanded_head(Path(path), verified=verified, progress=progress))
+    demanded = demanded_head(Path(path), verified=verified, progress=progress)
+    view = open_for_answers(Path(path))
+    if verified:
+        view.segments()  # what is remembered was perhaps compared in another place, and this is an altered copy
+    return Ledger(path, demanded=demanded)

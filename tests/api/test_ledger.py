@@ -178,3 +178,15 @@ def test_a_proof_of_an_event_shows_that_event(ledger: fsar_ledger.Ledger, tmp_pa
     file.write_text(file.read_text().replace("3", "4"))
     with pytest.raises(LedgerCorrupted):
         fsar_ledger.verify_proof(file)
+
+
+def test_an_altered_copy_of_a_verified_ledger_is_not_opened_as_verified(ledger: fsar_ledger.Ledger, copy: Path) -> None:
+    fsar_ledger.open_ledger(ledger.path, verified=True)
+    fsar_ledger.open_ledger(copy, verified=True)
+    segment = min(copy.rglob("*.parquet"))
+    data = bytearray(segment.read_bytes())
+    data[len(data) // 2] ^= 1
+    segment.chmod(0o644)
+    segment.write_bytes(data)
+    with pytest.raises(LedgerCorrupted, match=segment.name):
+        fsar_ledger.open_ledger(copy, verified=True)
