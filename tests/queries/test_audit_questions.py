@@ -3,6 +3,7 @@
 import re
 import shlex
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -241,7 +242,7 @@ def test_the_example_of_each_question_runs_and_says_what_it_answers(real: Databa
     given = dict(re.findall(r"--param (\w+)=(\S+)", " ".join(options)))
     assert len(options) == 2 * len(given)
     shown = {key: "all" if value == "RUN" else value for key, value in given.items()}
-    real.query(name, parameters_of(real, library().find(name), shown))
+    real.query(name, parameters_of(real, library().find(name), shown, Path("LEDGER")))
 
 
 @pytest.mark.parametrize("name", [name for name in QUESTIONS if "run" in library().find(name).parameters])
