@@ -157,7 +157,7 @@ def test_a_query_with_parameters_runs_with_their_values_or_defaults() -> None:
 
 
 def test_a_missing_unknown_or_unfit_parameter_is_said() -> None:
-    with pytest.raises(UnknownQuery, match="parameter run has no value"):
+    with pytest.raises(UnknownQuery, match="found no value of run, which has no default"):
         audited({})
     with pytest.raises(UnknownQuery, match=r"found parameter colour.*run, from"):
         audited({"run": "a", "colour": "red"})
