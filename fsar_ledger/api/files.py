@@ -119,7 +119,7 @@ def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iter
         options = pa_csv.WriteOptions(quoting_header="none")
         empty = _fields(schema.empty_table(), raw=raw).schema
         with pa_csv.CSVWriter(temporary, empty, write_options=options) as writer:
-            yield lambda table: writer.write_table(_fields(table, raw=raw))
+            yield lambda table: _write_fields(writer, table, raw=raw)
 
 
 def _in_groups(tables: Iterable[pa.Table], schema: pa.Schema) -> Iterator[pa.Table]:
@@ -150,6 +150,12 @@ def _parquet_columns(schema: pa.Schema) -> tuple[list[str], dict[str, str]]:
 def _write_lines(file: TextIO, table: pa.Table) -> None:
     for batch in table.to_batches():
         file.writelines(map(json_lines, slices(batch, SENT_BYTES)))
+
+
+def _write_fields(writer: pa_csv.CSVWriter, table: pa.Table, *, raw: bool) -> None:
+    for batch in table.to_batches():
+        for part in slices(batch, SENT_BYTES):  # text that is checked and quoted takes several times its bytes
+            writer.write_table(_fields(pa.Table.from_batches([part]), raw=raw))
 
 
 def _fields(table: pa.Table, *, raw: bool) -> pa.Table:

@@ -14,13 +14,13 @@ import pytest
 
 from fsar_ledger.ledger.verify.verify import verify
 
-RUNS = ["--runs", "5", "--seed", "9"]
+SEED = ["--seed", "9"]
 PINNED = "2157cbb864921c4a48bee5eea6fea6ced75a1d0d1e7ab02e39fdc53dc4e838bb"
 """The root of the default experiment. Only a new fit, or a new version of the model, may change it."""
 
 
-def command(out: Path, *options: str) -> list[str]:
-    return [sys.executable, "-m", "fsar_ledger", "simulate", str(out), *RUNS, *options]
+def command(out: Path, *options: str, runs: int = 5) -> list[str]:
+    return [sys.executable, "-m", "fsar_ledger", "simulate", str(out), "--runs", str(runs), *SEED, *options]
 
 
 def simulate(out: Path, *options: str, **environment: str) -> None:
@@ -104,12 +104,12 @@ def test_a_killed_simulation_resumes_to_the_same_bytes(tmp_path: Path, expected:
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_a_killed_enlargement_resumes_to_the_bytes_of_one_that_nobody_killed(tmp_path: Path, workers: str) -> None:
-    options = ["--architecture", "fsar", "--scenario", "door-relay", "--seed", "9", "--runs"]
+    options = ["--architecture", "fsar", "--scenario", "door-relay"]
     for name in ("straight", "killed"):
-        subprocess.run([*command(tmp_path / name), *options, "30"], check=True, capture_output=True)
+        subprocess.run(command(tmp_path / name, *options, runs=30), check=True, capture_output=True)
     kills = 0
     for commits in range(4, 8):  # two plans and two batches are there; each call is killed after one commit more
-        arguments = [*command(tmp_path / "killed", "--workers", workers), *options, "130"]
+        arguments = command(tmp_path / "killed", "--workers", workers, *options, runs=130)
         process = subprocess.Popen(
             arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
@@ -121,7 +121,7 @@ def test_a_killed_enlargement_resumes_to_the_bytes_of_one_that_nobody_killed(tmp
         process.wait()
     assert kills >= 2
     for name in ("straight", "killed"):
-        subprocess.run([*command(tmp_path / name), *options, "130"], check=True, capture_output=True)
+        subprocess.run(command(tmp_path / name, *options, runs=130), check=True, capture_output=True)
     assert fingerprint(tmp_path / "killed") == fingerprint(tmp_path / "straight")
     assert verify(tmp_path / "killed").ok
 
