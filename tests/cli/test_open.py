@@ -55,6 +55,7 @@ def sorted_rows(rows: list[dict[str, Any]]) -> list[str]:
     return sorted(json.dumps(row, default=str) for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_old", [False, True], ids=["new", "0.1.0"])
 def test_every_relation_reads_elsewhere_as_here(ledger: Path, tmp_path: Path, *, is_old: bool) -> None:
     opened = fsar_ledger.open_ledger(OLD if is_old else ledger)
@@ -105,6 +106,7 @@ def test_the_file_names_its_head(ledger: Path, tmp_path: Path) -> None:
     assert (row["events"], row["root"]) == (head.size, head.root)
 
 
+@pytest.mark.slow
 def test_a_file_of_its_own_is_replaced(ledger: Path, tmp_path: Path) -> None:
     fsar_ledger.open_ledger(OLD).open(tmp_path / "l.duckdb")
     fsar_ledger.open_ledger(ledger).open(tmp_path / "l.duckdb")
@@ -137,7 +139,9 @@ def test_an_empty_ledger_has_every_relation_without_rows(call: Call, tmp_path: P
     assert ([row["events"] for row in head], runs, requests) == ([0], [], [])
 
 
-@pytest.mark.parametrize("bytes_max", [4_096, 1 << 18, 3 << 20, 5 << 20])
+@pytest.mark.parametrize(
+    "bytes_max", [4_096, *(pytest.param(one, marks=pytest.mark.slow) for one in (1 << 18, 3 << 20, 5 << 20))]
+)
 def test_a_full_disk_leaves_the_old_file_and_no_part_of_a_new_one(ledger: Path, tmp_path: Path, bytes_max: int) -> None:
     file = fsar_ledger.open_ledger(OLD).open(tmp_path / "l.duckdb").file
     before = file.read_bytes()
@@ -175,6 +179,7 @@ def test_a_file_that_another_program_writes_stays(call: Call, ledger: Path, tmp_
     assert file.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_two_at_once_leave_one_whole_file(ledger: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "fsar_ledger", "open", str(ledger), "--out", str(tmp_path / "l.duckdb")]
     both = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]

@@ -352,7 +352,7 @@ def test_long_work_says_what_is_done_of_what_how_fast_and_how_long_the_rest_take
         ("audit LEDGER", "judged 10 of 10 invariants"),
         ("multiverse LEDGER --metric human_intervention", "read 4 of 4 combinations of readings"),
         ("export LEDGER --out OUT.csv", "exported 2 of 2 commits"),
-        ("open LEDGER --out OUT.duckdb", " views and queries"),
+        pytest.param("open LEDGER --out OUT.duckdb", " views and queries", marks=pytest.mark.slow),
     ],
 )
 def test_verbs_that_take_long_tell_how_far_they_are_and_erase_it(
