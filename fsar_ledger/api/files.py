@@ -5,10 +5,10 @@ full disk leaves half of one.
 """
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
-from typing import TextIO
 
 import msgspec
 import pyarrow as pa
@@ -26,7 +26,7 @@ from fsar_ledger.metrics.sandbox import SENT_BYTES, slices
 from fsar_ledger.metrics.verified import is_verified
 
 from .provenance import Provenance
-from .texts import harmless, json_lines, json_texts
+from .texts import harmless, in_turn, json_lines, json_texts
 
 LINES = (".ndjson", ".jsonl")
 SUFFIXES = (".csv", ".parquet", *LINES)
@@ -94,32 +94,33 @@ def _format_of(out: Path) -> str:
 
 
 def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, raw: bool) -> int:
-    """Write the tables one after the other; memory holds one of them at a time."""
+    """Write the tables one after the other and return the number of rows; memory holds a few megabytes of text."""
     rows = 0
-    with whole_file(out) as temporary, _writer(out, temporary, schema, raw=raw) as write:
-        for table in _in_groups(tables, schema) if out.suffix == ".parquet" else tables:
-            write(table)
+
+    def counted() -> Iterator[pa.Table]:
+        nonlocal rows
+        for table in tables:
             rows += table.num_rows
+            yield table
+
+    with whole_file(out) as temporary:
+        if _format_of(out) == ".parquet":
+            _write_parquet(temporary, schema, counted())
+        elif out.suffix in LINES:
+            with temporary.open("w", encoding="utf-8", newline="\n") as file:
+                file.writelines(in_turn(json_lines, _slices(counted())))
+        else:
+            _write_csv(temporary, schema, counted(), raw=raw)
     return rows
 
 
-@contextmanager
-def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iterator[Callable[[pa.Table], None]]:
-    if _format_of(out) == ".parquet":
-        dictionary, encoding = _parquet_columns(schema)
-        with pq.ParquetWriter(
-            temporary, schema, compression="zstd", use_dictionary=dictionary, column_encoding=encoding
-        ) as writer:
-            yield lambda table: writer.write_table(table)
-    elif out.suffix in LINES:
-        with temporary.open("w", encoding="utf-8", newline="\n") as file:
-            yield lambda table: _write_lines(file, table)
-    else:
-        # Text is quoted and NULL is not, so that an empty text differs from NULL; names of columns need no quotes.
-        options = pa_csv.WriteOptions(quoting_header="none")
-        empty = _fields(schema.empty_table(), raw=raw).schema
-        with pa_csv.CSVWriter(temporary, empty, write_options=options) as writer:
-            yield lambda table: _write_fields(writer, table, raw=raw)
+def _write_parquet(place: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> None:
+    dictionary, encoding = _parquet_columns(schema)
+    with pq.ParquetWriter(
+        place, schema, compression="zstd", use_dictionary=dictionary, column_encoding=encoding
+    ) as writer:
+        for table in _in_groups(tables, schema):
+            writer.write_table(table)
 
 
 def _in_groups(tables: Iterable[pa.Table], schema: pa.Schema) -> Iterator[pa.Table]:
@@ -147,28 +148,31 @@ def _parquet_columns(schema: pa.Schema) -> tuple[list[str], dict[str, str]]:
     return [one.path for one in columns if one.physical_type == "BYTE_ARRAY"], encoding
 
 
-def _write_lines(file: TextIO, table: pa.Table) -> None:
-    for batch in table.to_batches():
-        file.writelines(map(json_lines, slices(batch, SENT_BYTES)))
+def _write_csv(place: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, raw: bool) -> None:
+    fields = partial(_fields, raw=raw)
+    # Text is quoted and NULL is not, so that an empty text differs from NULL; names of columns need no quotes.
+    options = pa_csv.WriteOptions(quoting_header="none")
+    empty = fields(pa.RecordBatch.from_pylist([], schema)).schema
+    with pa_csv.CSVWriter(place, empty, write_options=options) as writer:
+        for batch in in_turn(fields, _slices(tables)):
+            writer.write_batch(batch)
 
 
-def _write_fields(writer: pa_csv.CSVWriter, table: pa.Table, *, raw: bool) -> None:
-    for batch in table.to_batches():
-        for part in slices(batch, SENT_BYTES):  # text that is checked and quoted takes several times its bytes
-            writer.write_table(_fields(pa.Table.from_batches([part]), raw=raw))
+def _slices(tables: Iterable[pa.Table]) -> Iterator[pa.RecordBatch]:
+    """Yield the rows a few at a time, because text that is checked and quoted takes several times its bytes."""
+    return (part for table in tables for batch in table.to_batches() for part in slices(batch, SENT_BYTES))
 
 
-def _fields(table: pa.Table, *, raw: bool) -> pa.Table:
-    """Return the table as CSV writes it: each list as JSON text, and text harmless unless `raw`."""
-    for at, field in enumerate(table.schema):
-        if pa.types.is_nested(field.type):
-            chunks = [pc.if_else(chunk.is_valid(), json_texts(chunk), None) for chunk in table.column(at).chunks]
-        elif pa.types.is_string(field.type) and not raw:
-            chunks = list(map(harmless, table.column(at).chunks))
-        else:
-            continue
-        table = table.set_column(at, field.name, pa.chunked_array(chunks, pa.string()))
-    return table
+def _fields(batch: pa.RecordBatch, *, raw: bool) -> pa.RecordBatch:
+    """Return the rows as CSV writes them: each list as JSON text, and text harmless unless `raw`."""
+    columns = []
+    for column in batch.columns:
+        if pa.types.is_nested(column.type):
+            column = pc.if_else(column.is_valid(), json_texts(column), None)
+        elif pa.types.is_string(column.type) and not raw:
+            column = harmless(column)
+        columns.append(column)
+    return pa.RecordBatch.from_arrays(columns, names=batch.schema.names)
 
 
 @contextmanager

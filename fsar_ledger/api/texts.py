@@ -5,9 +5,11 @@ function for a single value (`fields.field_text`, `printable`). So the text of a
 values.
 """
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import reduce
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
@@ -29,9 +31,28 @@ _SIMPLE = (pa.types.is_string, pa.types.is_integer, pa.types.is_boolean, pa.type
 _LEAST, _MOST = 1e-4, 1e16
 """From the one and below the other, numbers have no exponent in CSV, nor in JSON."""
 
+AT_ONCE = 2
+"""Batches that are converted at once; each takes several times its bytes."""
+
+Converted = TypeVar("Converted")
 Encode = Callable[[Any], str]
 Texts: TypeAlias = "pa.Array | str"
 """The text of each row, or the one that all rows have."""
+
+
+def in_turn(convert: Callable[[pa.RecordBatch], Converted], batches: Iterable[pa.RecordBatch]) -> Iterator[Converted]:
+    """Yield each batch converted, in order; the next one is converted meanwhile.
+
+    Raises: As `convert`, and as `batches`.
+    """
+    with ThreadPoolExecutor(AT_ONCE) as pool:  # Arrow's kernels leave the interpreter to others
+        waiting: deque[Future[Converted]] = deque()
+        for batch in batches:
+            waiting.append(pool.submit(convert, batch))
+            if len(waiting) > AT_ONCE:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
 
 
 def csv_lines(batch: pa.RecordBatch, *, raw: bool = False) -> str:

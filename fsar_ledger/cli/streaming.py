@@ -2,7 +2,8 @@
 
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -64,7 +65,7 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
             return _ndjson(batches)
         if self.as_csv:
             return _csv(columns, batches, raw=self.raw)
-        return _table(columns, _rows(batches), self.limit, wide=self.wide, numbers=numbers)
+        return _table(columns, batches, self.limit, wide=self.wide, numbers=numbers)
 
     def show(self, pieces: Iterable[Shown]) -> None:
         """Show the answer."""
@@ -73,45 +74,40 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _json(empty: str, batches: "Iterable[pa.RecordBatch]") -> Iterator[Shown]:
-    from fsar_ledger.api.texts import json_lines
+    from fsar_ledger.api.texts import in_turn, json_lines
 
     before, after = empty.rsplit("[]", 1)
     is_first = True
-    for batch in filter(len, batches):
-        lines = json_lines(batch, "    ", ",\n")
+    for lines in in_turn(partial(json_lines, before="    ", after=",\n"), filter(len, batches)):
         yield Shown((before + "[\n" if is_first else ",\n") + lines.removesuffix(",\n"))
         is_first = False
     yield Shown(f"{before}[]{after}" if is_first else f"\n  ]{after}")
 
 
 def _ndjson(batches: "Iterable[pa.RecordBatch]") -> Iterator[Shown]:
-    from fsar_ledger.api.texts import json_lines
+    from fsar_ledger.api.texts import in_turn, json_lines
 
-    return (Shown(json_lines(batch)) for batch in batches)
+    return map(Shown, in_turn(json_lines, batches))
 
 
 def _csv(columns: Sequence[str], batches: "Iterable[pa.RecordBatch]", *, raw: bool) -> Iterator[Shown]:
-    from fsar_ledger.api.texts import csv_lines
+    from fsar_ledger.api.texts import csv_lines, in_turn
 
     yield csv_text([], columns, raw=raw)
-    for batch in batches:
-        yield Shown(csv_lines(batch.select(list(columns)), raw=raw))
-
-
-def _rows(batches: "Iterable[pa.RecordBatch]") -> Iterator[list[dict[str, Any]]]:
-    from fsar_ledger.api.table import rows_of
-
-    return (rows for batch in batches for rows in rows_of(batch))
+    yield from map(Shown, in_turn(partial(csv_lines, raw=raw), (batch.select(list(columns)) for batch in batches)))
 
 
 def _table(
-    columns: Sequence[str], parts: Iterable[Sequence[Row]], limit: int, *, wide: bool, numbers: "Numbers | None"
+    columns: Sequence[str], batches: "Iterable[pa.RecordBatch]", limit: int, *, wide: bool, numbers: "Numbers | None"
 ) -> Iterator[Shown]:
+    from fsar_ledger.api.table import rows_of
+
     shown: list[Row] = []
     count = 0
-    for rows in parts:
-        shown += rows[: limit - len(shown)] if limit else rows
-        count += len(rows)
+    for batch in batches:
+        wanted = batch.slice(0, limit - len(shown)) if limit else batch
+        shown += [row for rows in rows_of(wanted) for row in rows]
+        count += len(batch)
     yield table(shown, columns, wide=wide, numbers=numbers) or Shown("(no rows)\n")
     if count > len(shown):
         yield more_text(count - len(shown))

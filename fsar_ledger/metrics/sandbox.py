@@ -79,24 +79,23 @@ class Refusal(msgspec.Struct, frozen=True):
 
 
 def answer(descriptor: int) -> None:
-    """Read one `Question` from the pipe and write one `Refusal`, or null and the answer.
+    """Read one `Question` from the pipe, and write the parts of the answer as they come, each an Arrow stream.
 
-    An answer is an Arrow stream for each slice, then an empty message.
+    After them come an empty message and null, or the `Refusal` for which the parts before it are no answer.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C also reaches the caller, which ends this process
     with Connection(descriptor) as pipe:
         question = msgspec.json.decode(pipe.recv_bytes(), type=Question)
         give_up(question.limits)
+        refusal = None
         try:
-            batches = _select(question)
+            for batch in _select(question):
+                for part in slices(batch, SENT_BYTES):
+                    pipe.send_bytes(_stream(part))
         except (QueryFailed, LedgerCorrupted, MemoryError, pa.ArrowException, OSError) as error:
-            pipe.send_bytes(msgspec.json.encode(_refusal(error, question.limits)))
-            return
-        pipe.send_bytes(b"null")
-        for batch in batches:
-            for part in slices(batch, SENT_BYTES):
-                pipe.send_bytes(_stream(part))
+            refusal = _refusal(error, question.limits)
         pipe.send_bytes(b"")
+        pipe.send_bytes(msgspec.json.encode(refusal))
 
 
 def _refusal(error: Exception, limits: Limits) -> Refusal:
@@ -135,8 +134,8 @@ def _checked() -> ds.ParquetFileFormat:
     )
 
 
-def _select(question: Question) -> list[pa.RecordBatch]:
-    """Return the answer, reading no further than its limits. Raises: QueryFailed."""
+def _select(question: Question) -> Iterator[pa.RecordBatch]:
+    """Yield the answer, reading no further than its limits; the first batch is empty. Raises: QueryFailed."""
     limits, segments = question.limits, question.segments
     pa.set_cpu_count(1)  # threads reserve address space, which is limited
     pa.set_io_thread_count(1)
@@ -150,7 +149,6 @@ def _select(question: Question) -> list[pa.RecordBatch]:
         database.check_one_select(question.sql)
         database.prepare(question.sql)
         database.only_read()
-        batches: list[pa.RecordBatch] = []
         rows = size = 0
         for batch in map(_plain, database.batches(question.sql)):
             rows, size = rows + batch.num_rows, size + batch.nbytes
@@ -167,8 +165,7 @@ def _select(question: Question) -> list[pa.RecordBatch]:
                         f"SQL: found a row that takes {weighs:,} bytes, expected at most {ROW_BYTES:,}; ask for fewer "
                         "columns or shorter values"
                     )
-            batches.append(batch)
-        return batches
+            yield batch
 
 
 def _plain(batch: pa.RecordBatch) -> pa.RecordBatch:

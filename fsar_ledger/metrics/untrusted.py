@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Pipe
 from pathlib import Path
@@ -56,7 +56,8 @@ OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory", "out of m
 class Stream(NamedTuple):
     """The answer of a SELECT at this head, and whether the rows that it read were compared with the head's root.
 
-    `batches` yields some rows at a time. It raises QueryFailed when the time is over.
+    `batches` yields some rows at a time. What it has yielded is an answer only if it ends: it raises QueryFailed or
+    LedgerCorrupted when a limit, the SQL or a segment is in the way of the rest.
     """
 
     head: Head
@@ -79,8 +80,8 @@ def stream_untrusted(
         SequenceConflict: As `is_verified`.
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
-    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, first, process):
-        yield Stream(head, rows_verified, pa.ipc.open_stream(first).schema.names, _batches(process))
+    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, parts):
+        yield Stream(head, rows_verified, next(parts).schema.names, parts)
 
 
 def table_untrusted(
@@ -90,35 +91,32 @@ def table_untrusted(
 
     Raises: as `stream_untrusted`.
     """
-    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, first, process):
-        tables = [pa.ipc.open_stream(first).read_all()]
-        while data := process.receive():
-            tables.append(pa.ipc.open_stream(data).read_all())
-            process.check_time()
-    return pa.concat_tables(tables), head, rows_verified
+    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, parts):
+        return pa.Table.from_batches(parts), head, rows_verified
 
 
 @contextmanager
 def _answering(
     ledger: Path, sql: str, limits: Limits, demanded: str | None
-) -> Iterator[tuple[Head, bool, bytes, "_Process"]]:
-    """Yield the head, whether its rows were compared with the root, an empty first part and the process."""
+) -> Iterator[tuple[Head, bool, Iterator[pa.RecordBatch]]]:
+    """Yield the head, whether its rows were compared with the root, and the parts of the answer."""
     check_text(sql, limits)
-    view = open_for_answers(ledger)
-    rows_verified = is_verified(view, demanded)
-    segments = [str(path.resolve()) for path in view.segments()]
-    with _process(limits) as process:
-        process.send(msgspec.json.encode(Question(segments, sql, limits)))
-        refusal = msgspec.json.decode(process.receive(), type=Refusal | None)
-        if refusal is not None:
-            raise (first_damage(view.segments()) if refusal.may_be_damage else None) or QueryFailed(refusal.message)
-        yield view.head, rows_verified, process.receive(), process
+    with _process(limits) as process:  # it starts while the ledger is opened
+        view = open_for_answers(ledger)
+        rows_verified = is_verified(view, demanded)
+        segments = view.segments()
+        process.send(msgspec.json.encode(Question([str(path.resolve()) for path in segments], sql, limits)))
+        yield view.head, rows_verified, _parts(process, segments)
 
 
-def _batches(process: "_Process") -> Iterator[pa.RecordBatch]:
+def _parts(process: "_Process", segments: Sequence[Path]) -> Iterator[pa.RecordBatch]:
+    """Yield the parts of the answer, the first without rows. Raises: LedgerCorrupted, QueryFailed: it is not whole."""
     while data := process.receive():
         yield from pa.ipc.open_stream(data)
         process.check_time()
+    refusal = msgspec.json.decode(process.receive(), type=Refusal | None)
+    if refusal is not None:
+        raise (first_damage(segments) if refusal.may_be_damage else None) or QueryFailed(refusal.message)
 
 
 def check_text(sql: str, limits: Limits) -> None:
