@@ -1,12 +1,18 @@
 """Measures how long rows take to become CSV, JSON and Parquet, against DuckDB's own COPY; prints the ratios.
 
-python benchmarks/rows.py                    1,000,000 rows, the best of 3
-python benchmarks/rows.py --rows 100000      fewer
+python benchmarks/rows.py                        1,000,000 rows, the best of 3
+python benchmarks/rows.py --rows 100000          fewer
+python benchmarks/rows.py --ledger out/ledger    the commands `sql` and `export`, from start to end, against those of
+                                                 DuckDB's command line, `duckdb`, over the same segments
 """
 
 import argparse
+import os
+import shutil
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -52,6 +58,18 @@ def duckdb_copy(connection: duckdb.DuckDBPyConnection, kind: str, out: Path) -> 
     connection.execute(f"COPY answer TO '{out}' (FORMAT {COPY[kind]})")
 
 
+def show(name: str, repeats: int, own: Callable[[Path], None], duckdbs: Callable[[Path], None], suffix: str) -> None:
+    """Print the quickest of both, the bytes that they wrote, and the ratios."""
+    with TemporaryDirectory() as folder:
+        own_s, own_bytes = best(repeats, own, Path(folder, f"own.{suffix}"))
+        duckdb_s, duckdb_bytes = best(repeats, duckdbs, Path(folder, f"duckdb.{suffix}"))
+    print(
+        f"{name:15} {own_s:6.2f} s and {own_bytes >> 20:5} MiB, DuckDB {duckdb_s:6.2f} s and {duckdb_bytes >> 20:5} "
+        f"MiB: time {own_s / duckdb_s:.2f}, size {own_bytes / duckdb_bytes:.2f}",
+        flush=True,
+    )
+
+
 def best(repeats: int, write: Callable[[Path], None], out: Path) -> tuple[float, int]:
     """Return the seconds of the quickest and the bytes of the file."""
     seconds = []
@@ -62,24 +80,57 @@ def best(repeats: int, write: Callable[[Path], None], out: Path) -> tuple[float,
     return min(seconds), out.stat().st_size
 
 
+def compare_writers(rows: int, repeats: int) -> None:
+    """Compare what makes text and files of rows in memory."""
+    with duckdb.connect() as connection:
+        table = connection.sql(ROWS.format(rows=rows)).to_arrow_table()
+        connection.register("answer", table)
+        print(f"{rows:,} rows of {table.num_columns} columns; ratios are ours to those of COPY")
+        for kind in COPY:
+            show(kind, repeats, partial(ours, table, kind), partial(duckdb_copy, connection, kind), kind)
+
+
+def compare_commands(ledger: Path, repeats: int) -> None:
+    """Compare commands that write all events, from their start to their end."""
+    own_cli, duckdb_cli = Path(sys.executable).with_name("fsar-ledger"), shutil.which("duckdb")
+    if duckdb_cli is None:
+        raise SystemExit("duckdb: not found on the PATH; install DuckDB's command line")
+    segments = ", ".join(f"'{path.resolve()}'" for path in sorted(ledger.glob("segments/*.parquet")))
+    select = f"SELECT * FROM read_parquet([{segments}])"
+
+    def shown(*command: object) -> Callable[[Path], None]:
+        return lambda out: run(command, out)
+
+    def written(*command: object) -> Callable[[Path], None]:
+        return lambda out: run([str(word).replace("OUT", str(out)) for word in command], Path(os.devnull))
+
+    print(f"all events of {ledger}; ratios are ours to those of DuckDB's command line")
+    for form, mode in (("--csv", "-csv"), ("--json", "-json"), ("--ndjson", "-jsonlines")):
+        own = shown(own_cli, "sql", ledger, "SELECT * FROM events", form, "--seconds", 600)
+        show(f"sql {form}", repeats, own, shown(duckdb_cli, mode, "-c", select), "text")
+    for kind in ("csv", "ndjson", "parquet"):
+        own = written(own_cli, "export", ledger, "--out", "OUT")
+        copy = written(duckdb_cli, "-c", f"COPY ({select}) TO 'OUT' (FORMAT {COPY[kind]})")
+        show(f"export .{kind}", repeats, own, copy, kind)
+
+
+def run(command: Sequence[object], out: Path) -> None:
+    """Run the command with its answer in this file."""
+    with out.open("wb") as file:
+        subprocess.run(list(map(str, command)), stdout=file, stderr=subprocess.DEVNULL, check=True)
+
+
 def main() -> None:
     """Print a line for each format."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--rows", type=int, default=1_000_000)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--ledger", type=Path)
     asked = parser.parse_args()
-    with duckdb.connect() as connection, TemporaryDirectory() as folder:
-        table = connection.sql(ROWS.format(rows=asked.rows)).to_arrow_table()
-        connection.register("answer", table)
-        print(f"{asked.rows:,} rows of {table.num_columns} columns; ratios are ours to DuckDB's")
-        for kind in COPY:
-            one, other = Path(folder, f"own.{kind}"), Path(folder, f"copy.{kind}")
-            own, own_bytes = best(asked.repeats, partial(ours, table, kind), one)
-            copy, copy_bytes = best(asked.repeats, partial(duckdb_copy, connection, kind), other)
-            print(
-                f"{kind:8} {own:6.2f} s and {own_bytes >> 20:4} MiB, COPY {copy:6.2f} s and {copy_bytes >> 20:4} MiB: "
-                f"time {own / copy:.2f}, size {own_bytes / copy_bytes:.2f}"
-            )
+    if asked.ledger is None:
+        compare_writers(asked.rows, asked.repeats)
+    else:
+        compare_commands(asked.ledger, asked.repeats)
 
 
 if __name__ == "__main__":

@@ -196,7 +196,9 @@ def slices(batch: pa.RecordBatch, most: int = SLICE_BYTES) -> Iterator[pa.Record
 
 def weight(batch: pa.RecordBatch) -> int:
     """Estimate the bytes that these rows take as Python values, however little Arrow needs for them."""
-    return int(batch.nbytes) + VALUE_BYTES * sum(_values(column) for column in batch.columns)
+    nested = [at for at, kind in enumerate(batch.schema.types) if pa.types.is_nested(kind)]
+    flat: int = batch.num_rows * (batch.num_columns - len(nested))
+    return int(batch.nbytes) + VALUE_BYTES * (flat + sum(_values(batch.column(at)) for at in nested))
 
 
 def _values(column: pa.Array) -> int:
