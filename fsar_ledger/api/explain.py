@@ -13,7 +13,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
-from .lookup import numbers_of, run_of
+from .lookup import names_on_record, numbers_of, run_of
 from .names import Run
 from .provenance import Provenance, of_rows
 from .table import Table
@@ -114,10 +114,10 @@ def chosen_run(database: Database, ledger: Path, asked: Run | None) -> str:
 
 
 def run_with(database: Database, ledger: Path, asked: Run | None, action: str | None) -> str:
-    """Return the run that was asked for, else the only one that has the action, or the first if there is no action.
+    """Return the run that was asked for, else the only one that has the action, or the first if none is named.
 
     Raises:
-        UsageError: There is no such run, or several have the action.
+        UsageError: There is no such run, or none or several have the action.
     """
     if asked is not None or not action:
         return chosen_run(database, ledger, asked)
@@ -134,7 +134,10 @@ def run_with(database: Database, ledger: Path, asked: Run | None, action: str | 
             f"{printable.value(action)}: found this action in {len(found):,} runs, expected the run, too; give "
             f"{option('run')} one of {named}"
         )
-    return found[0] if found else chosen_run(database, ledger, None)
+    if not found:
+        only = chosen_run(database, ledger, None)
+        raise UsageError(_no_action(database, ledger, only if len(numbers_of(database)) == 1 else None, action))
+    return found[0]
 
 
 def _about(database: Database, run: str) -> Provenance:
@@ -145,10 +148,13 @@ def _asked(database: Database, query: str, run: str, action: str) -> Rows:
     return plain_rows(database.query(f"audit/{query}", {"run": run, "action": action}))
 
 
-def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
-    sql = "SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL"
-    known = [row["action_id"] for row in database.rows(sql, {"run": run})]
-    number = numbers_of(database).get(run, run)
-    way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(number)}` lists them"
-    hint = printable.did_you_mean(asked, known) or ";"
-    return f"{asked}: there is no such request in run {printable.value(run)}{hint} {way}"
+def _no_action(database: Database, ledger: Path, run: str | None, asked: str) -> str:
+    """Say that the run, or with None every run, lacks the action; name the nearest, and how to list those there are."""
+    place = "any run" if run is None else f"run {printable.value(run)}"
+    hint = printable.did_you_mean(asked, names_on_record(database, "action", run)) or ";"
+    called = (
+        f"query requests {printable.word(ledger)}"
+        if run is None
+        else f"explain {printable.word(ledger)} --run {printable.word(numbers_of(database).get(run, run))}"
+    )
+    return f"{asked}: there is no such request in {place}{hint} `fsar-ledger {called}` lists them"

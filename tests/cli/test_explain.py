@@ -92,6 +92,14 @@ def test_the_door_relay_is_told_from_gap_to_result(call: Call, workflows: Path) 
         assert party in said.out
 
 
+def test_a_story_says_when_the_action_begins_and_how_long_it_took(call: Call, workflows: Path) -> None:
+    asked = ("explain", workflows, "--run", DOOR, "--request", "A1-1/2.1")
+    parties = json.loads(call(*asked, "--json").out)["parties"]
+    lines = call(*asked).out.splitlines()
+    assert lines[1] == f"action A1-1/2.1, {parties['capability']}, begins at {parties['began_s']:.3f} s"
+    assert f"{parties['ended_s'] - parties['began_s']:.3f} s after it began" in lines[-3]
+
+
 def test_a_failure_is_told_level_by_level_with_the_time_at_each(call: Call, workflows: Path) -> None:
     said = call("explain", workflows, "--run", RECOVERY, "--failure", "A1-1/2.1")
     rows = json.loads(call("explain", workflows, "--run", RECOVERY, "--failure", "A1-1/2.1", "--json").out)["recovery"]
@@ -148,8 +156,9 @@ def test_a_request_is_drawn_beside_the_text(call: Call, workflows: Path, tmp_pat
     [
         (("--run", "fsra"), ("no such run", "did you mean fsar.full.")),
         (("--run", ""), ("no such run",)),
-        (("--request", "A1-1/2"), ("no such request", "did you mean A1-1/2.1?")),
-        (("--request", "zzz"), ("no such request", "--run 1` lists them")),
+        (("--request", "A1-1/2"), ("no such request in any run", "did you mean A1-1/2.1?")),
+        (("--request", "zzz"), ("no such request in any run", "`fsar-ledger query requests ")),
+        (("--run", "1", "--request", "zzz"), ("no such request in run fsar.full.", "--run 1` lists them")),
         (("--run", "1", "--failure", "A1-1/1.1"), ("no failure", "--request A1-1/1.1")),
         (("--request", "A1-1/2.1", "--failure", "A1-1/2.1"), ("expected one of them",)),
         (("--run", "1", "--request", ""), ("--request: found an empty name", "explain without --request lists")),

@@ -168,7 +168,8 @@ def _list(ledger: Path, run: Run, found: "Table", *, as_json: bool, wide: bool) 
 def _told(run: str, action: str, timeline: Timeline, parties: Mapping[str, Any]) -> Iterator[str]:
     """Yield the words for the run, the action, a line for each step, and the parties."""
     yield run
-    yield f"action {printable.value(action)}" + (f", {parties['capability']}" if parties["capability"] else "")
+    what = f", {parties['capability']}" if parties["capability"] else ""
+    yield f"action {printable.value(action)}{what}, begins at {parties['began_s']:.3f} s"
     between = [_between(row) for row in timeline]
     width = width_of_names(max(map(len, between), default=0), BESIDE)
     for row, names in zip(timeline, between, strict=True):
