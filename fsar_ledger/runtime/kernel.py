@@ -9,6 +9,9 @@ Commands of a robot that is off, and messages over a link that is down, are kept
 the link back. A robot then continues for the time it had left. A message departs when its sender can send, travels
 whatever happens to the sender or the receiver meanwhile, and waits at the receiver until it can be received. So the
 world constrains every architecture alike; which robot carries out a command is data of the handler table.
+
+What a reaction asks at a port is answered by the run's environment, which also has what happens by itself. The clock is
+the kernel's: a command without a wait is due at a fixed time.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,24 +19,24 @@ from functools import lru_cache
 from heapq import heapify, heappop, heappush
 from typing import Any
 
-from fsar_ledger.constants import END_US
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
 from fsar_ledger.projections.fold import ROUTES, State, apply
 from fsar_ledger.projections.world import is_linked
 
 from .architectures.handler_table import HandlerTable
-from .handlers.commands import React, Scheduled
-from .world.draws import Draws
-from .world.schedule import Fact
+from .handlers.commands import Command, React, Scheduled
+from .ports import Environment
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
 _Pending = tuple[
     int, int, int, Scheduled
 ]  # due time (or, for what is kept, the delay once it is released), serial, cause, command
 
-LATEST_US = 2 * END_US  # no run is longer; one that is still busy then, with moments between commands, is a bug
+NEVER_US = 2**63 - 1
+"""Later than any time that can be stored."""
 MOMENT_US = 60_000_000
+"""A run that is still busy when it should have ended, with no longer moments between commands, does not end."""
 
 
 @lru_cache(maxsize=32)
@@ -48,8 +51,7 @@ class Kernel:
     def __init__(
         self,
         table: HandlerTable,
-        facts: Sequence[Fact],
-        draws: Draws,
+        environment: Environment,
         founding: Sequence[Event],
         founded: State | None = None,
     ) -> None:
@@ -64,9 +66,10 @@ class Kernel:
         self._decides = table.decides
         self._actors = table.actors
         self._plan = _plan(table)
-        self._facts = facts
+        self._facts = environment.facts
         self._next_fact = 0
-        self._draws = draws
+        self._answer = environment.answer
+        self._latest_us = NEVER_US if environment.latest_us is None else environment.latest_us
         self._pending: list[_Pending] = []
         self._kept: list[_Pending] = []
         self._serial = 0
@@ -84,18 +87,38 @@ class Kernel:
             setattr(self.state, slot, getattr(founded, slot))
         apply(self.state, founding[0])
 
-    def run(self) -> None:
-        """Run until nothing is left to happen."""
+    def submit(self, time_us: int, command: Command) -> int:
+        """Give the run a command from outside, and return when it is due: then, or as soon as no other is.
+
+        Raises:
+            ValueError: The time is not after what has happened.
+        """
+        if time_us <= self.times_us[-1]:
+            raise ValueError(f"found a command at {time_us} microseconds, expected it after {self.times_us[-1]}")
+        taken = {due_us for due_us, _, cause, _ in self._pending if cause == 0}
+        taken.update(fact_us for fact_us, _ in self._facts[self._next_fact :])
+        while time_us in taken:
+            time_us += 1
+        self._serial += 1
+        heappush(self._pending, (time_us, self._serial, 0, Scheduled(command)))
+        return time_us
+
+    def run(self, until_us: int = NEVER_US) -> None:
+        """Run until nothing is left to happen, or all that is due by then has happened."""
         facts, count, pending, decides = self._facts, len(self._facts), self._pending, self._decides
         position = self._next_fact
         while True:
             if position < count and (not pending or facts[position][0] <= pending[0][0]):
                 time_us, fact = facts[position]
+                if time_us > until_us:
+                    break
                 position += 1
                 self._happened(fact, time_us)
             elif pending:
                 time_us, _, cause, scheduled = pending[0]
-                if time_us > LATEST_US:
+                if time_us > until_us:
+                    break
+                if time_us > self._latest_us:
                     self._require_end(time_us, cause, scheduled)
                     pending.clear()
                     continue
@@ -104,13 +127,13 @@ class Kernel:
                 command, ask = scheduled.command, scheduled.ask
                 command.now_us = time_us
                 if ask is not None:
-                    command.drawn = self._draws.value(ask.stream, ask.key)
+                    command.answer = self._answer(ask)
                 events = decides[type(command)](self.state, command)
                 if events:
                     self._batch(events, time_us, cause)
             else:
-                self._next_fact = position
-                return
+                break
+        self._next_fact = position
 
     def _require_end(self, time_us: int, cause: int, scheduled: Scheduled) -> None:
         """Check that a command due so late was scheduled long before. Raises: RuntimeError if it was not."""
@@ -176,8 +199,8 @@ class Kernel:
         for react in reacts:
             for scheduled in react(state, event, time_us):
                 due_us = time_us + scheduled.after_us
-                for draw in scheduled.draws:
-                    due_us += self._draws.value(draw.stream, draw.key, draw.share_ppm)
+                for ask in scheduled.waits:
+                    due_us += self._answer(ask)
                 if due_us <= time_us:
                     due_us = time_us + 1
                 while due_us in taken:
@@ -198,7 +221,7 @@ class Kernel:
             return False
         scheduled = one[3]
         actor = self._actor(scheduled)
-        senders = [draw.sender for draw in scheduled.draws if draw.sender is not None]
+        senders = [ask.sender for ask in scheduled.waits if ask.sender is not None]
         if _is_message(scheduled) and after_us:
             ends, actor = senders[:1], None
         else:
@@ -247,9 +270,7 @@ class Kernel:
 
 def _is_message(scheduled: Scheduled) -> bool:
     """Return whether this is only a message, which travels while its receiver is off, and waits there."""
-    return (
-        scheduled.after_us <= 1 and bool(scheduled.draws) and all(draw.sender is not None for draw in scheduled.draws)
-    )
+    return scheduled.after_us <= 1 and bool(scheduled.waits) and all(ask.sender is not None for ask in scheduled.waits)
 
 
 def _is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:

@@ -50,7 +50,7 @@ from .handler_tables import handler_table_of
 from .handlers.commands import Command, Decide
 from .kernel import Kernel
 from .plan import misnamed
-from .simulation import MODEL_VERSION, RunSpec, draws_of, founding_of, run_id, run_started
+from .simulation import MODEL_VERSION, RunSpec, environment_of, founding_of, run_id, run_started
 from .world.founding import founding
 from .world.schedule import arrivals_expected, schedule
 from .worlds import Played, played, remarks_on
@@ -241,12 +241,12 @@ class _Replay(Kernel):
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
-        self._facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+        environment = environment_of(spec, constants)
+        self._facts = environment.facts
         self._silent: list[tuple[int, Decide]] = []  # decisions since the last event, which made none
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
-        draws = draws_of(spec, constants)
-        super().__init__(handler_table_of(spec.architecture, spec.configuration), self._facts, draws, events, founded)
+        super().__init__(handler_table_of(spec.architecture, spec.configuration), environment, events, founded)
         self._decides = {command: self._noted(decide) for command, decide in self._decides.items()}
 
     def handler(self) -> str:

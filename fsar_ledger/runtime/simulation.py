@@ -21,6 +21,7 @@ from .kernel import Kernel
 from .world.draws import Draws, run_key
 from .world.founding import founding
 from .world.schedule import schedule
+from .world.simulated import Simulated
 
 MODEL_VERSION = "2"
 
@@ -71,15 +72,15 @@ def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = Non
 
     `table` replaces the architecture's own handler table.
     """
-    facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
-    draws = draws_of(spec, constants)
     table = table or handler_table_of(spec.architecture, spec.configuration)
-    return Kernel(table, facts, draws, *founding_of(spec, constants))
+    return Kernel(table, environment_of(spec, constants), *founding_of(spec, constants))
 
 
-def draws_of(spec: RunSpec, constants: Constants) -> Draws:
-    """Return the draws of the run; the durations of an own fleet's capabilities are among them."""
-    return Draws(run_key(spec.seed, spec.scenario, spec.run), _world(constants.world, constants.fleet))
+def environment_of(spec: RunSpec, constants: Constants) -> Simulated:
+    """Return the world of the run; the durations of an own fleet's capabilities are among its draws."""
+    facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+    draws = Draws(run_key(spec.seed, spec.scenario, spec.run), _world(constants.world, constants.fleet))
+    return Simulated(facts, draws)
 
 
 @lru_cache(maxsize=8)

@@ -28,6 +28,7 @@ from fsar_ledger.ledger.store.keys import new_key, read_signer
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import (
     ARCHITECTURES,
     RunSpec,
@@ -37,7 +38,8 @@ from fsar_ledger.runtime.simulation import (
     simulate_run,
 )
 from fsar_ledger.runtime.world.draws import Draws, run_key
-from fsar_ledger.runtime.world.schedule import Fact, schedule
+from fsar_ledger.runtime.world.schedule import schedule
+from fsar_ledger.runtime.world.simulated import Simulated
 from tests.attacks.conftest import Attack
 
 CONSTANTS = Constants()
@@ -66,8 +68,7 @@ def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> LedgerRun:
     """Return the handlers' decisions where only these facts happen."""
     one = Kernel(
         handler_table_of(spec.architecture),
-        facts,
-        Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world),
+        Simulated(facts, Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)),
         *founding_of(spec, CONSTANTS),
     )
     one.run()

@@ -24,6 +24,7 @@ from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.world.simulated import Simulated
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
 HELPER = Robot("robot/F1")
@@ -40,7 +41,7 @@ class Bench(Kernel):
     def __init__(self, founding: Sequence[Event]) -> None:
         self.now_us = 0
         self.rebuilt = State()
-        super().__init__(FSAR, (), Draws(run_key(0, "live", 0), WORLD), founding)
+        super().__init__(FSAR, Simulated((), Draws(run_key(0, "live", 0), WORLD)), founding)
 
     def issue(self, command: Command) -> tuple[Event, ...]:
         """Somebody outside gives the command now; its events."""
@@ -65,7 +66,7 @@ class Bench(Kernel):
         self.now_us = max(self.now_us + 1, due_us)
         command.now_us = self.now_us
         if ask is not None:
-            command.drawn = self._draws.value(ask.stream, ask.key)
+            command.answer = self._answer(ask)
         events = self._decides[type(command)](self.state, command)
         if events:
             self._batch(events, self.now_us, cause)
@@ -197,7 +198,7 @@ def arguments(state: State, command: type[msgspec.Struct]) -> st.SearchStrategy[
     names, hints = _names(state), get_type_hints(command)
     drawn: dict[str, st.SearchStrategy[Any]] = {}
     for field in msgspec.structs.fields(command):
-        if field.name in ("now_us", "drawn"):
+        if field.name in ("now_us", "answer"):
             continue
         hint = hints[field.name]
         kinds = get_args(hint) if type(None) in get_args(hint) else (hint,)

@@ -11,6 +11,7 @@ from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started
 from fsar_ledger.runtime.world.draws import Draws, run_key
 from fsar_ledger.runtime.world.founding import founding
 from fsar_ledger.runtime.world.schedule import schedule
+from fsar_ledger.runtime.world.simulated import Simulated
 
 H_F = Supervisor("supervisor/fleet")
 
@@ -23,8 +24,7 @@ def governed(
     facts = sorted([*schedule(constants, 42, scenario, run, 4), *interventions], key=lambda fact: fact[0])
     one = Kernel(
         structure,
-        facts,
-        Draws(run_key(42, scenario, run), constants.world),
+        Simulated(facts, Draws(run_key(42, scenario, run), constants.world)),
         (run_started(spec, constants), *founding(4)),
     )
     one.run()

@@ -38,7 +38,7 @@ def opened(name: str, outcome: Any) -> PolicyWindowOpened:
     return PolicyWindowOpened(robot=B, scope="local", window=name, outcome=outcome)
 
 
-START = StartAction("q1", drawn=5)
+START = StartAction("q1", answer=5)
 
 
 def test_an_approval_lifts_no_rule_that_denies_by_then() -> None:

@@ -40,8 +40,8 @@ def helped(
     return state, admitted.helper
 
 
-def ended(state: State, helper: Robot, drawn: int = 1) -> tuple[Event, ...]:
-    return end_assistance(state, EndAssistance(ACTION, helper, 1, drawn=drawn))
+def ended(state: State, helper: Robot, answer: int = 1) -> tuple[Event, ...]:
+    return end_assistance(state, EndAssistance(ACTION, helper, 1, answer=answer))
 
 
 def asked_again(state: State, now_us: int = 9_000_000) -> tuple[Event, ...]:
@@ -92,7 +92,7 @@ def test_an_actuator_that_stands_in_has_to_hold() -> None:
         state, helper = helped(robot=A, capability="carry.package", cause="degradation")
         assert helper == D
         apply(state, ActuatorDegraded(D, grade))
-        [found] = ended(state, D, drawn=0)
+        [found] = ended(state, D, answer=0)
         assert isinstance(found, AssistanceFailed)
         assert found.cause == "degradation"
         assert (types(ended(state, D)) == ["AssistanceEnded", "FailureResolved"]) == (grade == "unreliable")
@@ -101,7 +101,7 @@ def test_an_actuator_that_stands_in_has_to_hold() -> None:
 def test_a_body_that_clears_a_way_needs_no_actuator() -> None:
     state, helper = helped()
     apply(state, ActuatorDegraded(helper, "lost"))
-    assert types(ended(state, helper, drawn=0)) == ["AssistanceEnded", "FailureResolved"]
+    assert types(ended(state, helper, answer=0)) == ["AssistanceEnded", "FailureResolved"]
 
 
 def test_help_ends_once() -> None:

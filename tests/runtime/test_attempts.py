@@ -119,7 +119,7 @@ def test_a_request_that_was_executed_is_not_admitted_again_before_it_is_closed(c
     state = asked()
     assert given_to(state, EvaluateRequest(FIRST)) == ["RequestAdmitted", "ExecutionQueued"]
     given_to(state, TakeTurn(FIRST))
-    assert given_to(state, StartAction(FIRST, drawn=5)) == ["ExecutionStarted"]
+    assert given_to(state, StartAction(FIRST, answer=5)) == ["ExecutionStarted"]
     assert given_to(state, ReportResult(B, FIRST, "success")) == ["ExecutionFinished"]
     assert given_to(state, command) == []
 

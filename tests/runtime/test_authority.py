@@ -157,7 +157,7 @@ def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"), RevokeAuthority(H_F, A, B))
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "queued, and goes on"
-    assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionStarted"]
+    assert types(play(state, StartAction("q1", answer=5))) == ["ExecutionStarted"]
     denied = evaluated(state)
     assert isinstance(denied, RequestDenied)
     assert denied.reason == "authority"

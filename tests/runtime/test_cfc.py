@@ -58,7 +58,7 @@ def running(*before) -> State:  # type: ignore[no-untyped-def]
         apply(state, event)
     for event in approach(state, TakeTurn(ACTION)):
         apply(state, event)
-    for event in start(state, StartAction(ACTION, now_us=9_000_000, drawn=2_000_000)):
+    for event in start(state, StartAction(ACTION, now_us=9_000_000, answer=2_000_000)):
         apply(state, event)
     return state
 

@@ -151,7 +151,7 @@ def test_a_request_that_has_its_result_is_no_rival(is_closed: bool) -> None:
         RequestCapability(Robot("robot/A1"), B, DOOR, "D-1", "q1"),
         EvaluateRequest("q1"),
         TakeTurn("q1"),
-        StartAction("q1", drawn=5),
+        StartAction("q1", answer=5),
     ]
     for command in (*served, ReportResult(B, "q1", "success"), *([CloseRequest("q1")] if is_closed else [])):
         events = decided(state, command)

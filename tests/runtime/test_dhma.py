@@ -89,7 +89,7 @@ def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = accepted(*before)
     for event in approach(state, TakeTurn(ACTION)):
         apply(state, event)
-    for event in start(state, StartAction(ACTION, now_us=9_000_000, drawn=2_000_000)):
+    for event in start(state, StartAction(ACTION, now_us=9_000_000, answer=2_000_000)):
         apply(state, event)
     return state
 
@@ -163,7 +163,7 @@ def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
     }
     for event in (*questioned, *approach(state, TakeTurn(ACTION))):
         apply(state, event)
-    voided = start(state, StartAction(ACTION, now_us=9_000_000, drawn=1))
+    voided = start(state, StartAction(ACTION, now_us=9_000_000, answer=1))
     assert "ContractVoided" in types(voided)
 
 

@@ -61,7 +61,7 @@ def executing(*before, own: bool = False):  # type: ignore[no-untyped-def]
     if not own:
         for event in take_turn(state, TakeTurn(action_id)):
             apply(state, event)
-    for event in start(state, StartAction(action_id, now_us=9_000_000, drawn=2_000_000)):
+    for event in start(state, StartAction(action_id, now_us=9_000_000, answer=2_000_000)):
         apply(state, event)
     return state, action_id
 
@@ -155,7 +155,7 @@ def test_without_policy_composition_a_robots_own_steps_and_routine_keep_the_flee
         assert types(decide_routine(state, DecideRoutine(A, "motion"))) == ["RoutineWithheld"]
         for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
             apply(state, event)
-        [held] = start(state, StartAction("A1-1/1.1", now_us=5, drawn=7))
+        [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
         assert isinstance(held, ExecutionHeld)
         assert held.reason == "fleet-rule"
 
@@ -225,11 +225,11 @@ def test_a_start_waits_for_the_robots_own_policy() -> None:
     for event in decide_own_step(queued, DecideOwnStep("A1-1/1.1")):
         apply(queued, event)
     apply(queued, window(A))
-    [held] = start(queued, StartAction("A1-1/1.1", now_us=5, drawn=7))
+    [held] = start(queued, StartAction("A1-1/1.1", now_us=5, answer=7))
     assert isinstance(held, ExecutionHeld)
     assert held.principals.path == ("robot/A1",)
     apply(queued, held)
-    [again] = start(queued, StartAction("A1-1/1.1", now_us=9, drawn=7))
+    [again] = start(queued, StartAction("A1-1/1.1", now_us=9, answer=7))
     assert again.principals.path == ()  # type: ignore[attr-defined]
     assert state.execution.actions["A1-1/1.1"].stage == "running"
 
@@ -238,7 +238,7 @@ def test_a_start_takes_as_long_as_the_world_says() -> None:
     queued = given("fsar", ARRIVED, OWN_STEP)
     for event in decide_own_step(queued, DecideOwnStep("A1-1/1.1")):
         apply(queued, event)
-    [began] = start(queued, StartAction("A1-1/1.1", now_us=5, drawn=7))
+    [began] = start(queued, StartAction("A1-1/1.1", now_us=5, answer=7))
     assert isinstance(began, ExecutionStarted)
     assert began.ends_us == 12
 

@@ -85,7 +85,7 @@ def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
     state = given("fsar", ARRIVED, step, ObstructionAppeared(A, "o"))
     for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
         apply(state, event)
-    for event in start(state, StartAction("A1-1/1.1", now_us=5, drawn=7_000_000)):
+    for event in start(state, StartAction("A1-1/1.1", now_us=5, answer=7_000_000)):
         apply(state, event)
     for event in detect_obstruction(state, DetectObstruction("A1-1/1.1", now_us=6)):
         apply(state, event)
@@ -179,6 +179,6 @@ def test_the_relay_is_the_nearest_teams() -> None:
 def test_a_second_approach_for_an_action_is_another_way() -> None:
     state, action_id = failed()
     way = ApproachStarted(Subject("A1-1", action_id), B)
-    again = start_after_approach(state, way, 0)[0].draws[0].key
-    first = start_after_approach(executing()[0], way, 0)[0].draws[0].key
+    again = start_after_approach(state, way, 0)[0].waits[0].key
+    first = start_after_approach(executing()[0], way, 0)[0].waits[0].key
     assert (first, again) == (action_id, f"{action_id}/1")

@@ -16,8 +16,10 @@ from fsar_ledger.events.request import InternalHandoff
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.runtime.architectures.dhma import talk
 from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.ports import Ask
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel
 from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.world.simulated import Simulated
 
 HOP = re.compile(r"(.*)/hop(\D*)(\d*)$")
 PHASES = {
@@ -52,17 +54,17 @@ class Heard(Draws):
         super().__init__(run_key(spec.seed, spec.scenario, spec.run), WorldConstants())
         self.hops: set[str] = set()
 
-    def value(self, stream: str, key: str, share_ppm: int = 1_000_000) -> int:
-        if stream == "message" and HOP.search(key):
-            self.hops.add(key)
-        return super().value(stream, key, share_ppm)
+    def answer(self, ask: Ask) -> int:
+        if ask.what == "message" and HOP.search(ask.key):
+            self.hops.add(ask.key)
+        return super().answer(ask)
 
 
 @cache
 def played(spec: RunSpec) -> tuple[Kernel, set[str]]:
     """A whole run and the internal hops that were drawn in it."""
     one, heard = kernel(spec, Constants()), Heard(spec)
-    one._draws = heard
+    one._answer = Simulated((), heard).answer
     one.run()
     return one, heard.hops
 

@@ -34,6 +34,7 @@ from fsar_ledger.events.world import (
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import (
     ARCHITECTURES,
@@ -45,7 +46,8 @@ from fsar_ledger.runtime.simulation import (
     simulate_run,
 )
 from fsar_ledger.runtime.world.draws import Draws, run_key
-from fsar_ledger.runtime.world.schedule import Fact, schedule
+from fsar_ledger.runtime.world.schedule import schedule
+from fsar_ledger.runtime.world.simulated import Simulated
 from tests.runtime.forgeries import changed, dropped
 
 CONSTANTS = Constants()
@@ -74,7 +76,7 @@ def world_of(spec: RunSpec) -> tuple[Fact, ...]:
 def simulated_in(facts: Sequence[Fact], spec: RunSpec) -> LedgerRun:
     """The run that the real handlers make in a world of these facts, under the name of the honest one."""
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)
-    one = Kernel(handler_table_of(spec.architecture), facts, draws, *founding_of(spec, constants_of(spec)))
+    one = Kernel(handler_table_of(spec.architecture), Simulated(facts, draws), *founding_of(spec, constants_of(spec)))
     one.run()
     return LedgerRun(run_id(run_started(spec, constants_of(spec))), one.times_us, one.caused_by, one.events)
 

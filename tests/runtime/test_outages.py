@@ -40,10 +40,12 @@ from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers import task
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, Scheduled, StartAction
 from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
 from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
-from fsar_ledger.runtime.world.schedule import Fact, schedule
+from fsar_ledger.runtime.world.schedule import schedule
+from fsar_ledger.runtime.world.simulated import Simulated
 from tests.runtime.histories import started
 
 EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
@@ -89,8 +91,7 @@ def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
     """The run of these facts and no others."""
     one = Kernel(
         handler_table_of(architecture),
-        facts,
-        Draws(run_key(1, "door-relay", 0), WorldConstants()),
+        Simulated(facts, Draws(run_key(1, "door-relay", 0), WorldConstants())),
         started(architecture),
     )
     one.run()
@@ -277,12 +278,8 @@ def test_extreme_constants_make_runs_that_end_and_can_be_stored_and_replayed(nam
 
 def test_a_length_longer_than_any_run_is_a_time_that_can_be_stored() -> None:
     law = Range(HUGE, HUGE)
-    assert (
-        Draws(run_key(1, "door-relay", 0), msgspec.structs.replace(WorldConstants(), response=law)).value(
-            "response", "call"
-        )
-        < 2**53
-    )
+    draws = Draws(run_key(1, "door-relay", 0), msgspec.structs.replace(WorldConstants(), response=law))
+    assert draws.answer(Ask("human", "response", "call")) < 2**53
     stream = Stream(run_key(1, "door-relay", 0), "long")
     assert max(stream.within_us(law), stream.exponential_us(HUGE)) < 2**53
 

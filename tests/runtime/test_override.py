@@ -58,7 +58,7 @@ def busy(*before: Any, stage: str = "running", level: OverrideLevel = "none") ->
     if stage != "queued":
         play(state, TakeTurn("q1"))
     if stage == "running":
-        play(state, StartAction("q1", now_us=1_000_000, drawn=2_000_000))
+        play(state, StartAction("q1", now_us=1_000_000, answer=2_000_000))
     return state
 
 
@@ -126,7 +126,7 @@ def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once(
     state = busy(stage="approaching")
     _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert preempted.remaining_us is None
-    assert play(state, StartAction("q1", drawn=5)) == (), "it is not there"
+    assert play(state, StartAction("q1", answer=5)) == (), "it is not there"
     apply(
         state,
         ExecutionFinished(
@@ -135,10 +135,10 @@ def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once(
             B,
         ),
     )
-    assert play(state, StartAction("q1", drawn=5)) == (), "the way back comes first"
+    assert play(state, StartAction("q1", answer=5)) == (), "the way back comes first"
     assert types(play(state, TakeTurn("q1"))) == ["ApproachStarted"]
     assert len(state.authority.claims["q1"]) == 2
-    assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionStarted"]
+    assert types(play(state, StartAction("q1", answer=5))) == ["ExecutionStarted"]
 
 
 def test_what_was_preempted_before_its_turn_is_accepted_at_its_turn() -> None:
@@ -248,10 +248,10 @@ def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behi
         decided_by=Supervisor("supervisor/B1"),
     )
     state = given("fsar", OPEN, rule, arrived, own)
-    assert types(play(state, DecideOwnStep("B1-1/1.1"), StartAction("B1-1/1.1", drawn=5))) == ["ExecutionHeld"]
+    assert types(play(state, DecideOwnStep("B1-1/1.1"), StartAction("B1-1/1.1", answer=5))) == ["ExecutionHeld"]
     assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     apply(state, msgspec.structs.replace(rule, outcome="allow"))
-    assert play(state, StartAction("B1-1/1.1", drawn=5)) == ()
+    assert play(state, StartAction("B1-1/1.1", answer=5)) == ()
     apply(
         state,
         ExecutionFinished(
@@ -260,4 +260,4 @@ def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behi
             B,
         ),
     )
-    assert types(play(state, StartAction("B1-1/1.1", drawn=5))) == ["ExecutionStarted"]
+    assert types(play(state, StartAction("B1-1/1.1", answer=5))) == ["ExecutionStarted"]

@@ -191,7 +191,7 @@ def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_b
             decided_by=Supervisor("supervisor/B1"),
         ),
     )
-    assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionHeld"]
+    assert types(play(state, StartAction("q1", answer=5))) == ["ExecutionHeld"]
     assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     apply(
         state,
@@ -201,7 +201,7 @@ def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_b
             B,
         ),
     )
-    assert types(play(state, TakeTurn("q1"), StartAction("q1", drawn=5))) == ["ExecutionHeld"]
+    assert types(play(state, TakeTurn("q1"), StartAction("q1", answer=5))) == ["ExecutionHeld"]
 
 
 @any_of(st.lists(st.tuples(st.integers(0, 40_000_000), st.sampled_from(LEVELS), st.booleans()), min_size=1, max_size=7))

@@ -245,7 +245,7 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
         apply(state, event)
     for event in take_turn(state, TakeTurn("A1-1/2.1")):
         apply(state, event)
-    escalated, held = start(state, StartAction("A1-1/2.1", now_us=5, drawn=7))
+    escalated, held = start(state, StartAction("A1-1/2.1", now_us=5, answer=7))
     assert escalated == PolicyConflictEscalated(
         Subject("A1-1", "A1-1/2.1"),
         Principals(decided_by=POLICY, requested_by=A, executed_by=B, supervised_by=H_F, path=(POLICY,)),
@@ -257,12 +257,12 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
     assert held.outcome == "deny"
     for event in (escalated, held):
         apply(state, event)
-    assert types(start(state, StartAction("A1-1/2.1", now_us=9, drawn=7))) == [
+    assert types(start(state, StartAction("A1-1/2.1", now_us=9, answer=7))) == [
         "PolicyConflictEscalated",
         "ExecutionHeld",
     ]
     apply(state, rule("review"))
-    assert types(start(state, StartAction("A1-1/2.1", now_us=9, drawn=7))) == ["ExecutionHeld"]
+    assert types(start(state, StartAction("A1-1/2.1", now_us=9, answer=7))) == ["ExecutionHeld"]
 
 
 @pytest.mark.parametrize(
@@ -303,7 +303,7 @@ def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
     for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
         apply(state, event)
     apply(state, rule("deny", robot=A))
-    [held] = start(state, StartAction("A1-1/1.1", now_us=5, drawn=7))
+    [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
     assert isinstance(held, ExecutionHeld)
     apply(state, held)
 
@@ -315,7 +315,7 @@ def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
     assert woken(RolePolicyRuleSet(scope="local", role="A", outcome="allow")) == [], "the robot's own stands"
     assert woken(rule("allow", robot=B)) == []
     assert woken(rule("allow", robot=A)) == [StartAction("A1-1/1.1")]
-    assert types(start(state, StartAction("A1-1/1.1", now_us=9, drawn=7))) == ["ExecutionStarted"]
+    assert types(start(state, StartAction("A1-1/1.1", now_us=9, answer=7))) == ["ExecutionStarted"]
 
 
 def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_allows() -> None:
@@ -326,14 +326,14 @@ def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_
             RolePolicyRuleSet(scope="local", role="A", outcome="deny"),
         ):
             apply(state, event)
-        [held] = start(state, StartAction("A1-1/1.1", now_us=5, drawn=7))
+        [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
         assert isinstance(held, ExecutionHeld)
         apply(state, held)
         apply(state, lifted)
         assert [one.command for react in FSAR.reacts[type(lifted)] for one in react(state, lifted, 6)] == [
             StartAction("A1-1/1.1")
         ]
-        assert types(start(state, StartAction("A1-1/1.1", now_us=9, drawn=7))) == ["ExecutionStarted"]
+        assert types(start(state, StartAction("A1-1/1.1", now_us=9, answer=7))) == ["ExecutionStarted"]
 
 
 def test_a_rule_of_the_role_is_a_mandate_for_each_of_its_robots_without_an_exception() -> None:

@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import get_args
 
 import pytest
+from msgspec.structs import replace
 
 from fsar_ledger.constants import Constants, Structure, WorldConstants
 from fsar_ledger.events import Event
@@ -23,9 +24,11 @@ from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run
 from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
-from fsar_ledger.runtime.world.schedule import Fact, schedule
+from fsar_ledger.runtime.world.schedule import schedule
+from fsar_ledger.runtime.world.simulated import Simulated
 from tests.recycled import from_table
 from tests.runtime.histories import finished
 
@@ -78,9 +81,9 @@ class RecordingDraws(Draws):
         super().__init__(key, world)
         self.asked: dict[tuple[str, str], int] = {}
 
-    def value(self, stream: str, key: str, share_ppm: int = 1_000_000) -> int:
-        self.asked[stream, key] = super().value(stream, key)
-        return super().value(stream, key, share_ppm)
+    def answer(self, ask: Ask) -> int:
+        self.asked[ask.what, ask.key] = super().answer(replace(ask, share_ppm=1_000_000))
+        return super().answer(ask)
 
 
 class CountingDraws(RecordingDraws):
@@ -88,9 +91,9 @@ class CountingDraws(RecordingDraws):
 
     __slots__ = ()
 
-    def value(self, stream: str, key: str, share_ppm: int = 1_000_000) -> int:
-        drawn = super().value(stream, f"{len(self.asked)}/{key}", share_ppm)
-        self.asked[stream, key] = drawn
+    def answer(self, ask: Ask) -> int:
+        drawn = super().answer(replace(ask, key=f"{len(self.asked)}/{ask.key}"))
+        self.asked[ask.what, ask.key] = drawn
         return drawn
 
 
@@ -98,7 +101,7 @@ def asked_by(architecture: Architecture, draws: type[RecordingDraws]) -> dict[tu
     spec = RunSpec(3, architecture, "full", "collaborative-delivery", 4, 1)
     recording = draws(run_key(3, "collaborative-delivery", 1), WorldConstants())
     run = kernel(spec, Constants())
-    run._draws = recording
+    run._answer = Simulated((), recording).answer
     run.run()
     return recording.asked
 

@@ -28,9 +28,11 @@ from fsar_ledger.events.world import (
 )
 from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of
 from fsar_ledger.runtime.world.draws import Draws, run_key
-from fsar_ledger.runtime.world.schedule import Fact, schedule
+from fsar_ledger.runtime.world.schedule import schedule
+from fsar_ledger.runtime.world.simulated import Simulated
 from tests.runtime.physics import EVERY, LAWLESS, OURS, QUIET
 
 S = 1_000_000
@@ -46,7 +48,9 @@ def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
     """The run of two teams in a calm world, in which this happens and nothing else."""
     spec, constants = RunSpec(5, architecture, "full", "door-relay", size, 0), Constants(world=CALM)
     one = Kernel(
-        handler_table_of(architecture), facts, Draws(run_key(5, "door-relay", 0), CALM), *founding_of(spec, constants)
+        handler_table_of(architecture),
+        Simulated(facts, Draws(run_key(5, "door-relay", 0), CALM)),
+        *founding_of(spec, constants),
     )
     one.run()
     return one
@@ -58,7 +62,9 @@ def without(architecture: Architecture, scenario: str, robot: str, ends: type[Ev
     spec, constants = RunSpec(5, architecture, "full", scenario, 8, 0), Constants(world=CALM)
     facts = ((1, ends(robot)), *schedule(constants, 5, spec.scenario, 0, 8))
     one = Kernel(
-        handler_table_of(architecture), facts, Draws(run_key(5, spec.scenario, 0), CALM), *founding_of(spec, constants)
+        handler_table_of(architecture),
+        Simulated(facts, Draws(run_key(5, spec.scenario, 0), CALM)),
+        *founding_of(spec, constants),
     )
     one.run()
     return one
@@ -227,8 +233,7 @@ def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_d
         facts = schedule(constants, 5, spec.scenario, run, 4)
         one = Kernel(
             handler_table_of(architecture),
-            facts,
-            Draws(run_key(5, spec.scenario, run), slow),
+            Simulated(facts, Draws(run_key(5, spec.scenario, run), slow)),
             *founding_of(spec, constants),
         )
         one.run()
@@ -241,7 +246,9 @@ def test_a_bid_on_its_way_is_waited_for_when_another_candidate_is_silent() -> No
     spec, constants = RunSpec(5, "dhma", "full", "door-relay", 8, 0), Constants(world=slow)
     facts: list[Fact] = [(1, RobotWentOff(B)), (S, TASK)]
     run = Kernel(
-        handler_table_of("dhma"), facts, Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants)
+        handler_table_of("dhma"),
+        Simulated(facts, Draws(run_key(5, "door-relay", 0), slow)),
+        *founding_of(spec, constants),
     )
     run.run()
     (asked_us, _), *_ = of(run, RequestIssued)
@@ -333,8 +340,7 @@ def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
     )
     run = Kernel(
         handler_table_of("fsar"),
-        [*facts, (S, task)],
-        Draws(run_key(5, "door-relay", 0), slow),
+        Simulated([*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow)),
         *founding_of(spec, constants),
     )
     run.run()

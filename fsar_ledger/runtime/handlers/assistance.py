@@ -8,9 +8,10 @@ from fsar_ledger.projections.execution import HELPING, Action, Execution
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.world import World
+from fsar_ledger.runtime.ports import Ask
 
 from .actors import helping
-from .commands import Actors, Decides, Draw, EndAssistance, Reacts, Scheduled, StopAssistance
+from .commands import Actors, Decides, EndAssistance, Reacts, Scheduled, StopAssistance, holds
 from .execution import next_turn
 from .recovery import actuator_holds, open_failure
 
@@ -39,13 +40,13 @@ def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
             return ()
 
 
-def end_of(event: AssistanceAdmitted, after_us: int, draws: tuple[Draw, ...] = ()) -> Scheduled:
+def end_of(event: AssistanceAdmitted, after_us: int, waits: tuple[Ask, ...] = ()) -> Scheduled:
     """Schedule the end of the admitted help.
 
-    A helper whose actuator is degraded meets the same draw under every architecture.
+    A helper whose actuator is degraded meets the same answer under every architecture.
     """
-    ask = Draw("reliability", f"assist/{event.subject.action_id}/{event.failure}/{event.helper}")
-    return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, draws, ask)
+    ask = holds(f"assist/{event.subject.action_id}/{event.failure}/{event.helper}")
+    return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, waits, ask)
 
 
 def _helped(execution: Execution, recoveries: Recoveries, action_id: str, who: Robot) -> tuple[Action, Recovery] | None:
@@ -60,7 +61,7 @@ def _hindrance(world: World, recovery: Recovery, command: EndAssistance) -> Fail
     """
     if world.obstructions.get(command.helper):
         return "obstruction"
-    if recovery.cause == "degradation" and not actuator_holds(world, command.helper, command.drawn):
+    if recovery.cause == "degradation" and not actuator_holds(world, command.helper, command.answer):
         return "degradation"
     return None
 

@@ -1,8 +1,8 @@
 """Commands, and how a reaction schedules one.
 
-A reaction cannot know how long a message takes: it names the draws that the delay consists of, and the kernel asks the
-world. A draw is named by its stream and by what it serves (action, failure, hop), so that every architecture that meets
-the same hop of the same action meets the same latency.
+A reaction cannot know how long a message takes: it asks at the ports (`ports.py`), and the kernel has the environment
+answer. A question is named by what it is about and by what it serves (action, failure, hop), so that every architecture
+that meets the same hop of the same action meets the same latency.
 """
 
 from collections.abc import Callable
@@ -14,16 +14,17 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Operation, Robot
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.ports import Ask
 
 
 class Command(msgspec.Struct, kw_only=True):
     """A request to decide.
 
-    When it is due, the kernel stamps `now_us` (run time) and, where asked, the world's draw.
+    When it is due, the kernel stamps `now_us` (run time) and, where something is asked, the environment's answer.
     """
 
     now_us: int = 0
-    drawn: int = 0
+    answer: int = 0
 
 
 class PublicCommand(Command, kw_only=True):
@@ -33,26 +34,16 @@ class PublicCommand(Command, kw_only=True):
     """
 
 
-class Draw(msgspec.Struct, frozen=True, gc=False):
-    """A draw from the world: its law, what it serves, and the share of it that counts (parts per million).
-
-    The latency of a message has a `sender`, which must be linked when the message sets out. The actor of the command,
-    who receives it, must be linked when it arrives.
-    """
-
-    stream: str
-    key: str
-    share_ppm: int = 1_000_000
-    sender: str | None = None
-
-
 class Scheduled(msgspec.Struct, frozen=True, gc=False):
-    """A `command` that is due `after_us` plus the drawn lengths of time from now; never at the same instant."""
+    """A `command` that is due `after_us` plus the lengths of its waits from now; never at the same instant.
+
+    What it asks is asked when it is due.
+    """
 
     command: Command
     after_us: int = 1
-    draws: tuple[Draw, ...] = ()
-    ask: Draw | None = None
+    waits: tuple[Ask, ...] = ()
+    ask: Ask | None = None
 
 
 Decide = Callable[[State, Any], tuple[Event, ...]]
@@ -67,27 +58,37 @@ None is an actor that is never off: the world, a service, the coordinator, a hum
 Actors = dict[type[Command], Actor]
 
 
-def message(sender: str | None, key: str, hop: int | str) -> Draw:
-    """Return the latency of one message from the sender to another principal, in service of `key`.
+def message(sender: str | None, key: str, hop: int | str) -> Ask:
+    """Ask for the latency of one message from the sender to another principal, in service of `key`.
 
     Paper: sec:evaluation:simulator.
     """
-    return Draw("message", f"{key}/{hop}", 1_000_000, sender or "")
+    return Ask("network", "message", f"{key}/{hop}", 1_000_000, sender or "")
 
 
-def at_once(sender: str | None) -> Draw:
-    """Return a message to which the model gives no time."""
-    return Draw("message", "", 0, sender or "")
+def at_once(sender: str | None) -> Ask:
+    """Ask for the latency of a message to which the model gives no time."""
+    return Ask("network", "message", "", 0, sender or "")
 
 
-def hop(fleet: Fleet, key: str, ordinal: int | str) -> Draw:
-    """Return the latency of one internal hop between two agents of a robot."""
-    return Draw("message", f"{key}/hop{ordinal}", fleet.structure.hop_ppm)
+def hop(fleet: Fleet, key: str, ordinal: int | str) -> Ask:
+    """Ask for the latency of one internal hop between two agents of a robot."""
+    return Ask("network", "message", f"{key}/hop{ordinal}", fleet.structure.hop_ppm)
 
 
-def hops(fleet: Fleet, key: str, name: str, count: int) -> tuple[Draw, ...]:
-    """Return the latencies of several internal hops in a row."""
+def hops(fleet: Fleet, key: str, name: str, count: int) -> tuple[Ask, ...]:
+    """Ask for the latencies of several internal hops in a row."""
     return tuple(hop(fleet, key, f"{name}{ordinal}") for ordinal in range(count))
+
+
+def lasts(what: str, key: str) -> Ask:
+    """Ask a robot's body how long this takes: a capability, or `approach` or `retry`."""
+    return Ask("body", what, key)
+
+
+def holds(key: str) -> Ask:
+    """Ask a robot's body whether a degraded actuator holds."""
+    return Ask("body", "reliability", key)
 
 
 class BeginStep(Command):

@@ -21,6 +21,7 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import World
+from fsar_ledger.runtime.ports import Ask
 
 from .actors import body, named, nobody
 from .attribution import is_injected, parties
@@ -30,7 +31,6 @@ from .commands import (
     DecideRoutine,
     Decides,
     DetectObstruction,
-    Draw,
     FinishAttempt,
     HaltAction,
     PauseAction,
@@ -39,15 +39,17 @@ from .commands import (
     Scheduled,
     StartAction,
     TakeTurn,
+    holds,
+    lasts,
 )
 from .recovery import actuator_holds, failed
 
 NAVIGATION = "navigate.indoor"
 
 
-def start_action(action_id: str, capability: str, after_us: int = 1, draws: tuple[Draw, ...] = ()) -> Scheduled:
+def start_action(action_id: str, capability: str, after_us: int = 1, waits: tuple[Ask, ...] = ()) -> Scheduled:
     """Start the action when the robot is ready; its duration is the world's."""
-    return Scheduled(StartAction(action_id), after_us, draws, Draw(capability, action_id))
+    return Scheduled(StartAction(action_id), after_us, waits, lasts(capability, action_id))
 
 
 def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -57,7 +59,7 @@ def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> 
     """
     action, request = state.execution.actions[event.subject.action_id], state.request.get(event.subject.action_id)
     again = action.failures + action.preemptions + (request.round if request is not None else 0)
-    way = Draw("approach", f"{event.subject.action_id}/{again}" if again else event.subject.action_id)
+    way = lasts("approach", f"{event.subject.action_id}/{again}" if again else event.subject.action_id)
     return (start_action(event.subject.action_id, action.capability, 0, (way,)),)
 
 
@@ -86,7 +88,7 @@ def waiting(execution: Execution, action_id: str) -> Action | None:
 
 def started(fleet: Fleet, world: World, action: Action, command: StartAction) -> ExecutionStarted:
     """Return the fact that the action runs from now to its planned end."""
-    duration_us = fleet.structure.injected_execution_us if is_injected(action) else command.drawn
+    duration_us = fleet.structure.injected_execution_us if is_injected(action) else command.answer
     return ExecutionStarted(
         subject=action.subject,
         principals=parties(fleet, world, action),
@@ -110,7 +112,7 @@ def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or action.ends_us != command.ends_us:
         return ()
-    if action.capability != NAVIGATION and not actuator_holds(state.world, action.robot, command.drawn):
+    if action.capability != NAVIGATION and not actuator_holds(state.world, action.robot, command.answer):
         return (failed(action, "degradation", command.now_us),)
     return (_finished(state.fleet, state.world, action),)
 
@@ -192,7 +194,7 @@ def _on_queue(
 
 def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:
     segment = state.execution.actions[event.subject.action_id].segments
-    ask = Draw("reliability", f"{event.subject.action_id}/{segment}")
+    ask = holds(f"{event.subject.action_id}/{segment}")
     finish = Scheduled(FinishAttempt(event.subject.action_id, event.ends_us), max(1, event.ends_us - now_us), ask=ask)
     if state.world.obstructions.get(event.robot):
         return (Scheduled(DetectObstruction(event.subject.action_id)), finish)

@@ -17,7 +17,7 @@ from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.world import World
 
-from .commands import Actors, Decides, Draw, EndAttempt, PublicCommand, Reacts, Scheduled
+from .commands import Actors, Decides, EndAttempt, PublicCommand, Reacts, Scheduled, holds, lasts
 from .rejection import not_in_charge, rejected, unknown_robot
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
@@ -130,20 +130,20 @@ def open_failure(execution: Execution, recoveries: Recoveries, action_id: str) -
     return None if action is None or recovery is None else (action, recovery)
 
 
-def actuator_holds(world: World, robot: Robot, drawn: int) -> bool:
+def actuator_holds(world: World, robot: Robot, answer: int) -> bool:
     """Tell whether the robot's actuator holds this time.
 
-    A sound one always holds, an unreliable one as the world draws, a slipping or lost one never.
+    A sound one always holds, an unreliable one as its body answers, a slipping or lost one never.
     """
     grade = world.degraded.get(robot)
-    return grade is None or (grade == "unreliable" and bool(drawn))
+    return grade is None or (grade == "unreliable" and bool(answer))
 
 
 def attempt_succeeds(world: World, recovery: Recovery, command: EndAttempt) -> bool:
     """Tell whether the way is clear, or the degraded actuator held this time."""
     if recovery.cause == "obstruction":
         return not world.obstructions.get(recovery.robot)
-    return actuator_holds(world, recovery.robot, command.drawn)
+    return actuator_holds(world, recovery.robot, command.answer)
 
 
 def attempted(action: Action, recovery: Recovery, principals: Principals, deadline_us: int) -> RecoveryAttempted:
@@ -177,7 +177,7 @@ def end_of_attempt(fleet: Fleet, event: RecoveryAttempted) -> Scheduled:
     """Schedule the end of an attempt that the robot makes by itself, once it has prepared."""
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end, preparation_us = EndAttempt(event.failed_action, event.number), fleet.structure.retry_preparation_us
-    return Scheduled(end, preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key))
+    return Scheduled(end, preparation_us, (lasts("retry", key),), holds("retry/" + key))
 
 
 def _attempt_result(

@@ -19,9 +19,10 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import Supervision, density
 from fsar_ledger.projections.world import World
+from fsar_ledger.runtime.ports import Ask
 
 from .actors import nobody
-from .commands import Actors, Decides, Draw, PublicCommand, Reacts, Respond, Scheduled, at_once
+from .commands import Actors, Decides, PublicCommand, Reacts, Respond, Scheduled, at_once
 from .rejection import not_in_charge, rejected, unknown_robot
 from .task import first_in_order
 
@@ -183,7 +184,7 @@ def awaiting(state: State, event: SupervisorCalled, caller: str | None) -> tuple
     action = state.execution.actions.get(event.subject.action_id)
     ordinal = action.failures if action is not None else 0
     share = state.fleet.structure.ordering_response_ppm if event.purpose == "ordering" else 1_000_000
-    response = Draw("response", f"{event.subject.action_id}/{event.purpose}/{ordinal}", share)
+    response = Ask("human", "response", f"{event.subject.action_id}/{event.purpose}/{ordinal}", share)
     return (Scheduled(Respond(state.supervision.called), 0, (response, at_once(caller))),)
 
 

@@ -9,6 +9,7 @@ from hashlib import blake2b
 from math import log
 
 from fsar_ledger.constants import Range, WorldConstants
+from fsar_ledger.runtime.ports import Ask
 
 FOREVER_US = (
     10**15
@@ -51,7 +52,7 @@ class Stream:
 
 
 class Draws:
-    """Draws made during the run, named by stream and by the task, step, attempt and hop that use them."""
+    """Draws that answer during the run, named by stream and by the task, step, attempt and hop that use them."""
 
     __slots__ = ("_hash", "_laws", "_reliability")
 
@@ -69,10 +70,11 @@ class Draws:
             stream: (law.low_s * 1e6, (law.high_s - law.low_s) * 1e6 * _SHARE) for stream, law in laws.items()
         }
 
-    def value(self, stream: str, key: str, share_ppm: int = 1_000_000) -> int:
-        """Return the draw: a duration in microseconds; for `reliability`, 1 if a degraded actuator holds, else 0."""
+    def answer(self, ask: Ask) -> int:
+        """Draw the answer: a length in microseconds; to `reliability`, 1 if a degraded actuator holds, else 0."""
+        stream, share_ppm = ask.what, ask.share_ppm
         digest = self._hash.copy()
-        digest.update(f"{stream}|{key}".encode())
+        digest.update(f"{stream}|{ask.key}".encode())
         word: int = _ONE.unpack(digest.digest())[0] >> 11
         if stream == "reliability":
             return int(word * _SHARE < self._reliability)

@@ -36,12 +36,11 @@ from fsar_ledger.events.world import (
     SupervisorReturned,
     SyncPhaseSet,
 )
+from fsar_ledger.runtime.ports import Fact
 
 from .draws import Stream, run_key
 from .founding import Member, floor_of, members, team_size
 from .scripted import arrived, workflow_facts
-
-Fact = tuple[int, Event]  # run time in microseconds, what happens
 
 
 def happening(constants: Constants, name: str) -> Scenario | Workflow:

@@ -26,7 +26,8 @@ from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import nobody
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled
+from fsar_ledger.runtime.ports import Ask
 
 NO_TIME = "no time left"  # why a step is denied whose task would be given up before the coordinator comes to it
 
@@ -54,9 +55,9 @@ def by_coordinator(executor: Robot | None) -> Principals:
     return Parties(requested_by=None, executed_by=executor, supervised_by=FLEET_SUPERVISOR).decided(COORDINATOR)
 
 
-def to_coordinator(action_id: str, item: str, draw: Draw) -> Scheduled:
+def to_coordinator(action_id: str, item: str, wait: Ask) -> Scheduled:
     """Send the coordinator a message about the action."""
-    return Scheduled(ReachCoordinator(action_id, item), 0, (draw,))
+    return Scheduled(ReachCoordinator(action_id, item), 0, (wait,))
 
 
 def until_next_sync_us(fleet: Fleet, knowledge: Knowledge, now_us: int) -> int:

@@ -28,11 +28,12 @@ from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
     Decides,
-    Draw,
     EndAssistance,
     EndAttempt,
     Reacts,
     Scheduled,
+    holds,
+    lasts,
     message,
 )
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
@@ -187,8 +188,8 @@ def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Sc
 
 def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}/{event.number}"
-    order = (message(COORDINATOR, key, "order"), Draw("retry", key))
-    return (Scheduled(EndAttempt(event.failed_action, event.number), 0, order, Draw("reliability", "retry/" + key)),)
+    order = (message(COORDINATOR, key, "order"), lasts("retry", key))
+    return (Scheduled(EndAttempt(event.failed_action, event.number), 0, order, holds("retry/" + key)),)
 
 
 def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:

@@ -18,7 +18,7 @@ from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import parties
 from fsar_ledger.runtime.handlers.authority import release
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAttempt, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, EndAttempt, Reacts, Scheduled, holds, lasts
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted, open_failure
 
 from .agents import claims, planner
@@ -151,8 +151,8 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end = EndAttempt(event.failed_action, event.number)
     preparation_us = state.fleet.structure.retry_preparation_us
-    length, record = talk(state.fleet, event.robot, RECOVERY, key, "report", (Draw("retry", key),), preparation_us)
-    return (Scheduled(end, preparation_us, length, Draw("reliability", "retry/" + key)), record)
+    length, record = talk(state.fleet, event.robot, RECOVERY, key, "report", (lasts("retry", key),), preparation_us)
+    return (Scheduled(end, preparation_us, length, holds("retry/" + key)), record)
 
 
 def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:

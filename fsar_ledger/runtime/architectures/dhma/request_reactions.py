@@ -24,12 +24,12 @@ from fsar_ledger.runtime.handlers.commands import (
     CloseRequest,
     CompleteStep,
     Decides,
-    Draw,
     Reacts,
     Scheduled,
     at_once,
     message,
 )
+from fsar_ledger.runtime.ports import Ask
 
 from .request import (
     AcceptAward,
@@ -47,8 +47,8 @@ from .talk import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, talk
 LONGEST = 3  # a call that is delivered within the answer time, and two hops, are over after so many of them
 
 
-def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
-    """Deliver the call to the candidate, whose agents work out a bid. The draws `before` come first."""
+def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] = ()) -> tuple[Scheduled, ...]:
+    """Deliver the call to the candidate, whose agents work out a bid. The waits `before` come first."""
     key = f"{request.action_id}/{request.round}/{robot}"
     said, record = talk(fleet, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
     return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
@@ -71,7 +71,7 @@ def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Schedu
     return (*calls, *_closing(state.fleet, request, (at_once(request.requester),)))
 
 
-def _closing(fleet: Fleet, request: Request, draws: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
+def _closing(fleet: Fleet, request: Request, waits: tuple[Ask, ...]) -> tuple[Scheduled, ...]:
     """Schedule both ends of bidding.
 
     The first is when the calls should have been delivered; the last is later by the longest time that agents take to
@@ -80,8 +80,8 @@ def _closing(fleet: Fleet, request: Request, draws: tuple[Draw, ...]) -> tuple[S
     answer_us = fleet.answer_us
     last = CloseBidding(request.action_id, request.round, is_last=True)
     return (
-        Scheduled(CloseBidding(request.action_id, request.round), answer_us, draws),
-        Scheduled(last, LONGEST * answer_us, draws),
+        Scheduled(CloseBidding(request.action_id, request.round), answer_us, waits),
+        Scheduled(last, LONGEST * answer_us, waits),
     )
 
 

@@ -11,10 +11,11 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.actors import named
 from fsar_ledger.runtime.handlers.attribution import recorded_by
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled, hop, hops
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, hop, hops
+from fsar_ledger.runtime.ports import Ask
 
 Talk = tuple[AgentKind, ...]
-Said = tuple[tuple[Draw, ...], Scheduled]
+Said = tuple[tuple[Ask, ...], Scheduled]
 
 CALL: Talk = ("planning", "communication")  # the planner wants another robot asked
 EVALUATION: Talk = (
@@ -68,7 +69,7 @@ def talk(
     agents: Talk,
     key: str,
     name: int | str,
-    before: tuple[Draw, ...] = (),
+    before: tuple[Ask, ...] = (),
     after_us: int = 0,
 ) -> Said:
     """Return how long these agents talk, and schedule the record of it.

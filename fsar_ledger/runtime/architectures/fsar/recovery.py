@@ -31,7 +31,6 @@ from fsar_ledger.runtime.handlers.commands import (
     Actors,
     Command,
     Decides,
-    Draw,
     EndAssistance,
     EndAttempt,
     Reacts,
@@ -48,6 +47,7 @@ from fsar_ledger.runtime.handlers.recovery import (
     open_failure,
 )
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
+from fsar_ledger.runtime.ports import Ask
 
 from .availability import found_silent
 from .helpers import Found, peer, peer_query, reassignee
@@ -328,7 +328,7 @@ def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple
 
 
 def _asking(
-    fleet: Fleet, recoveries: Recoveries, action_id: str, since_us: int, told: tuple[Draw, ...]
+    fleet: Fleet, recoveries: Recoveries, action_id: str, since_us: int, told: tuple[Ask, ...]
 ) -> tuple[Scheduled, ...]:
     """Schedule the question to the peers, and the end of the time for their answers."""
     recovery = recoveries[action_id]

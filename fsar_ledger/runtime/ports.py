@@ -1,0 +1,51 @@
+"""Ports: where a run leaves what the federation decides, and what answers there.
+
+A reaction cannot know how long a message, a robot or a human takes, or what comes of it: it asks at a port, and the
+environment of the run answers. The clock is the kernel's own, so a fixed time is asked of nobody.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, Protocol, TypeAlias
+
+import msgspec
+
+from fsar_ledger.events import Event
+
+Port = Literal["network", "body", "human"]
+"""Who answers: what carries messages, the body of a robot, a supervisor."""
+
+Fact: TypeAlias = tuple[int, Event]
+"""What happens by itself: when (microseconds of run time), and what."""
+
+
+class Ask(msgspec.Struct, frozen=True, gc=False):
+    """A question at a port: what it is about, what it serves, and the share of the answer that counts, in ppm.
+
+    `what` and `key` name it within the run: the same message of the same action asks the same under every architecture.
+    A message has a `sender`, who must be linked when it sets out. The actor of the command, who receives it, must be
+    linked when it arrives.
+    """
+
+    port: Port
+    what: str
+    key: str
+    share_ppm: int = 1_000_000
+    sender: str | None = None
+
+
+class Environment(Protocol):
+    """What answers at the ports of one run, and what happens there by itself.
+
+    `facts` are in order of time. A run that is still busy after `latest_us` does not end; None: it may take any time.
+    """
+
+    @property
+    def facts(self) -> Sequence[Fact]:
+        """What happens by itself, in order of time."""
+
+    @property
+    def latest_us(self) -> int | None:
+        """The time by which the run has ended; None if it may take any time. Units: microseconds."""
+
+    def answer(self, ask: Ask) -> int:
+        """Return a length in microseconds; to whether a degraded actuator holds (`reliability`), 1 or 0."""
