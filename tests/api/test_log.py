@@ -60,7 +60,10 @@ def test_a_robot_and_concerns_narrow_the_lines(ledger: Ledger) -> None:
     assert len(both) == sum(CONCERNED.get(row["type"]) in {"request", "policy", "trust"} for row in ledger.log(RUN))
 
 
-@pytest.mark.parametrize("concern", CONCERNS)
+@pytest.mark.parametrize(
+    "concern",
+    [one if one in ("request", "trust", "world") else pytest.param(one, marks=pytest.mark.slow) for one in CONCERNS],
+)
 def test_every_concern_can_be_asked_for(ledger: Ledger, concern: str) -> None:
     assert {row["concern"] for row in ledger.log("all", about=concern)} <= {concern}
 

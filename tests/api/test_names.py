@@ -175,6 +175,7 @@ def test_every_method_takes_the_number_of_a_run(ledger: fsar_ledger.Ledger) -> N
     assert ledger.prove(number).index == int(number), "a bare number is the place of an event"
 
 
+@pytest.mark.slow
 def test_every_method_takes_the_number_of_a_run_as_a_number(ledger: fsar_ledger.Ledger) -> None:
     for number in (1, 2):
         text = str(number)
@@ -244,7 +245,13 @@ def test_every_kind_of_parameter_is_used_and_has_its_typing_error() -> None:
     assert set(KINDS) == {one.kind for _, one in PARAMETERS} == set(TYPING_ERRORS)
 
 
-@pytest.mark.parametrize("name", sorted({name for name, one in PARAMETERS if one.kind == "time"}))
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name == "audit/robot_state_at" else pytest.param(name, marks=pytest.mark.slow)
+        for name in sorted({name for name, one in PARAMETERS if one.kind == "time"})
+    ],
+)
 def test_a_time_after_the_run_is_an_error_that_says_when_it_ends(ledger: fsar_ledger.Ledger, name: str) -> None:
     last = max(one.time_us for one in ledger.events(RUN)) / 1_000_000
     assert ledger.query(name, run=RUN, at=last).rows() == ledger.query(name, run=RUN, at="end").rows()

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SCRIPT = """
 import fsar_ledger
 
@@ -13,6 +15,7 @@ print(made.made.made, made.ledger.verify(workers=2).ok, made.ledger.sql("SELECT 
 """
 
 
+@pytest.mark.slow
 def test_a_script_runs_once_whatever_processes_it_starts(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)

@@ -125,6 +125,7 @@ def ended_with_a_killed_worker(*arguments: object) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
+@pytest.mark.slow
 def test_a_simulation_whose_worker_is_killed_says_so_and_continues_when_it_is_called_again(
     tmp_path: Path, command: Attack, whole: Path
 ) -> None:

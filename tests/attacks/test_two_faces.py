@@ -69,6 +69,7 @@ def test_a_segment_with_two_contents_is_not_consistent(command: Attack, forged: 
     assert f"segments/{newest(forged):012d}.parquet" in called.err
 
 
+@pytest.mark.slow
 def test_a_segment_with_two_contents_gives_no_other_metrics(
     command: Attack, ledger: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -210,6 +210,7 @@ def test_the_ledger_is_the_same_whatever_the_surroundings(
 EXPERIMENTS = {"results": "", "ablation": "/ablation", "scaling": "/scaling", "workflows": "/workflows"}
 
 
+@pytest.mark.slow
 def test_reproduce_makes_the_experiments_that_are_asked_for(call: Call, tmp_path: Path) -> None:
     reproduced(call, tmp_path, "workflows")
 

@@ -62,6 +62,7 @@ def test_statistics_name_differing_worlds_before_any_number_and_fail(call: Call,
     assert {row["n"] for row in csv.DictReader(io.StringIO(as_csv.out))} == {"1"}
 
 
+@pytest.mark.slow
 def test_statistics_with_nothing_to_compare_say_why(call: Call, tmp_path: Path) -> None:
     alone = tmp_path / "alone"
     call("simulate", alone, "--architecture", "fsar", "--scenario", "door-relay", "--runs", "1", "--workers", "1")

@@ -334,6 +334,7 @@ def test_runs_beyond_the_papers_experiment_are_told() -> None:
     assert before(fresh := Made(EMPTY_HEAD, 20, 20, 20)) == beyond(fresh) == []
 
 
+@pytest.mark.slow
 def test_what_is_judged_before_all_planned_runs_are_there_says_so(call: Call, tmp_path: Path, ledger: Path) -> None:
     planned_only(tmp_path / "ledger", small("fsar", "cfc", runs=3))
     simulate(tmp_path / "ledger", small("fsar", "cfc", runs=1), 1)

@@ -45,6 +45,7 @@ def missing(ledger: Ledger) -> list[str]:
     return left_out
 
 
+@pytest.mark.slow
 def test_each_principal_that_a_denial_carries_is_in_the_story_of_its_action(ledger: Path) -> None:
     assert missing(open_ledger(ledger)) == []
 
@@ -139,6 +140,7 @@ def test_each_denial_is_under_what_was_open_or_had_been_seen_while_it_was(ledger
         assert row["was_open"] == (row["denied_s"] < closed_s)
 
 
+@pytest.mark.slow
 def test_the_story_of_a_denial_tells_how_to_prove_the_window_too(call: Call, ledger: Path) -> None:
     opened = open_ledger(ledger)
     (denial, *_) = [row for row in opened.query("requests").rows() if row["result"] == "denied: policy"]

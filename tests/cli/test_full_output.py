@@ -51,7 +51,16 @@ def test_an_answer_without_any_output_to_go_to_is_one_message(ledger: Path, call
     assert done.stderr == "fsar-ledger: the output has nowhere to go: it was closed; write it to a file or a pipe\n"
 
 
-@pytest.mark.parametrize("call", ["info LEDGER", "metrics LEDGER --csv", "verify LEDGER", "explain LEDGER"])
+@pytest.mark.parametrize(
+    "call",
+    [
+        "info LEDGER",
+        *(
+            pytest.param(call, marks=pytest.mark.slow)
+            for call in ("metrics LEDGER --csv", "verify LEDGER", "explain LEDGER")
+        ),
+    ],
+)
 def test_an_answer_is_the_same_where_messages_have_nowhere_to_go(ledger: Path, call: str) -> None:
     usual, done = with_closed(ledger, call, 9), with_closed(ledger, call, 2)
     assert (usual.returncode, done.returncode) == (0, 0)

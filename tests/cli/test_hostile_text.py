@@ -195,6 +195,7 @@ def drive(all_calls: Iterator[tuple[object, ...]], call: Call) -> tuple[set[str]
     return seen, codes
 
 
+@pytest.mark.slow
 def test_no_verb_paints_the_screen(ledger: Path, call: Call, tmp_path: Path) -> None:
     (tmp_path / FOLDER).mkdir()
     (ledger / "staging" / "left\x1b[2J\u202e").write_bytes(b"x")

@@ -26,7 +26,7 @@ def test_the_interventions_of_one_run_are_asked_for_by_its_number(call: Call, le
     assert len(listed.out.splitlines()) == len(expected)
 
 
-@pytest.mark.parametrize("verb", ["metrics", "statistics"])
+@pytest.mark.parametrize("verb", ["metrics", pytest.param("statistics", marks=pytest.mark.slow)])
 def test_on_a_terminal_human_intervention_is_told_to_be_a_share_of_runs(call: Call, ledger: Path, verb: str) -> None:
     shown, _ = on_a_terminal(200, "-m", "fsar_ledger", verb, ledger)
     assert "human_intervention is the share of runs that called the fleet supervisor" in shown

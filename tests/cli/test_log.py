@@ -128,6 +128,7 @@ def test_a_reader_may_stop_early(ledger: Path) -> None:
     process.stderr.close()
 
 
+@pytest.mark.slow
 def test_follow_shows_what_another_process_commits(growing: Path) -> None:
     before = Ledger(growing).head.size
     with following(growing, "--json") as process:
@@ -151,6 +152,7 @@ def test_follow_ends_when_its_reader_has_gone(growing: Path) -> None:
         assert process.wait(timeout=60) == 0
 
 
+@pytest.mark.slow
 def test_follow_ends_with_the_error_of_a_damaged_ledger(growing: Path) -> None:
     with following(growing, "--json") as process:
         read(process, Ledger(growing).head.size)
@@ -160,6 +162,7 @@ def test_follow_ends_with_the_error_of_a_damaged_ledger(growing: Path) -> None:
     assert "commits" in err.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_terminal_sees_the_same_lines_and_follow_waits_there(ledger: Path) -> None:
     terminal, child = pty.openpty()
     process = subprocess.Popen([*COMMAND, "log", str(ledger), "--follow"], stdout=child, stderr=subprocess.DEVNULL)

@@ -1,12 +1,13 @@
 """`open`: a DuckDB file that other programs read, with every relation as the Python door answers it."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import duckdb
 import pyarrow as pa
@@ -15,7 +16,7 @@ import pytest
 import fsar_ledger
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.metrics.library import library
-from tests.cli.conftest import Call, Called, one_message
+from tests.cli.conftest import Call, Called, in_a_process, one_message
 from tests.cli.test_interruption import limited_disk
 
 READER = """
@@ -55,11 +56,34 @@ def sorted_rows(rows: list[dict[str, Any]]) -> list[str]:
     return sorted(json.dumps(row, default=str) for row in rows)
 
 
+class Opened(NamedTuple):
+    """A file that `open` wrote, and what it said."""
+
+    file: Path
+    said: str
+
+
+@pytest.fixture(scope="module")
+def opened(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> Opened:
+    """The ledger in a file that tests only read."""
+    file = tmp_path_factory.mktemp("opened") / "l.duckdb"
+    called = in_a_process("open", ledger, "--out", file)
+    assert called.code == 0, called.err
+    return Opened(file, called.out)
+
+
+@pytest.fixture(scope="module")
+def old(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of another ledger, to be copied."""
+    return fsar_ledger.open_ledger(OLD).open(tmp_path_factory.mktemp("old") / "l.duckdb").file
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("is_old", [False, True], ids=["new", "0.1.0"])
 def test_every_relation_reads_elsewhere_as_here(ledger: Path, tmp_path: Path, *, is_old: bool) -> None:
     opened = fsar_ledger.open_ledger(OLD if is_old else ledger)
     written = opened.open(tmp_path / "l.duckdb")
+    assert written.provenance.head == opened.head
     calls = defaulted()
     found = read_elsewhere(written.file, tmp_path / "read", *calls.values())
     with opened.database() as database:
@@ -67,48 +91,45 @@ def test_every_relation_reads_elsewhere_as_here(ledger: Path, tmp_path: Path, *,
             assert sorted_rows(rows) == sorted_rows(database.query(name).to_pylist()), name
 
 
-def test_a_macro_takes_a_run_by_name(ledger: Path, tmp_path: Path) -> None:
-    opened = fsar_ledger.open_ledger(ledger)
-    run = opened.query("runs").rows()[-1]["run_id"]
-    file = opened.open(tmp_path / "l.duckdb").file
-    (found,) = read_elsewhere(file, tmp_path / "read", f"request_timeline(run := '{run}')")
+def test_a_macro_takes_a_run_by_name(ledger: Path, opened: Opened, tmp_path: Path) -> None:
+    here = fsar_ledger.open_ledger(ledger)
+    run = list(here.numbers())[-1]
+    (found,) = read_elsewhere(opened.file, tmp_path / "read", f"request_timeline(run := '{run}')")
     assert {row["run_id"] for row in found} == {run}
-    assert sorted_rows(found) == sorted_rows(opened.query("request_timeline", run=str(run)).rows())
+    assert sorted_rows(found) == sorted_rows(here.query("request_timeline", run=run).rows())
 
 
-def test_a_macro_takes_a_run_by_its_number_and_refuses_one_that_is_not_on_record(ledger: Path, tmp_path: Path) -> None:
-    opened = fsar_ledger.open_ledger(ledger)
-    file = opened.open(tmp_path / "l.duckdb").file
-    run, number = list(opened.numbers().items())[-1]
+def test_a_macro_takes_a_run_by_its_number_and_refuses_one_that_is_not_on_record(
+    ledger: Path, opened: Opened, tmp_path: Path
+) -> None:
+    here = fsar_ledger.open_ledger(ledger)
+    run, number = list(here.numbers().items())[-1]
     calls = [f"requests(run := {given})" for given in (f"'{run}'", f"'{number}'", number)]
-    found = read_elsewhere(file, tmp_path / "read", *calls)
-    assert [sorted_rows(rows) for rows in found] == [sorted_rows(opened.query("requests", run=run).rows())] * 3
+    found = read_elsewhere(opened.file, tmp_path / "read", *calls)
+    assert [sorted_rows(rows) for rows in found] == [sorted_rows(here.query("requests", run=run).rows())] * 3
     assert found[0]
-    with duckdb.connect(str(file), read_only=True) as elsewhere:
+    with duckdb.connect(str(opened.file), read_only=True) as elsewhere:
         for unknown in ("'nosuch'", "999", "''", "NULL"):
             with pytest.raises(duckdb.InvalidInputException, match=r"no such run, .* FROM run_numbers` lists"):
                 elsewhere.execute(f"FROM denials(run := {unknown})").fetchall()
 
 
-def test_open_says_how_to_call_a_macro(call: Call, ledger: Path, tmp_path: Path) -> None:
-    said = call("open", ledger, "--out", tmp_path / "l.duckdb").out
-    macro = said.partition("as `FROM ")[2].partition("`")[0]
-    (found,) = read_elsewhere(tmp_path / "l.duckdb", tmp_path / "read", macro)
+def test_open_says_how_to_call_a_macro(ledger: Path, opened: Opened, tmp_path: Path) -> None:
+    macro = opened.said.partition("as `FROM ")[2].partition("`")[0]
+    (found,) = read_elsewhere(opened.file, tmp_path / "read", macro)
     assert sorted_rows(found) == sorted_rows(fsar_ledger.open_ledger(ledger).query("denials", run="1").rows())
 
 
-def test_the_file_names_its_head(ledger: Path, tmp_path: Path) -> None:
-    written = fsar_ledger.open_ledger(ledger).open(tmp_path / "l.duckdb")
-    head = written.provenance.head
-    assert head is not None
-    ((row,),) = read_elsewhere(written.file, tmp_path / "read", "ledger_head")
+def test_the_file_names_its_head(ledger: Path, opened: Opened, tmp_path: Path) -> None:
+    head = fsar_ledger.open_ledger(ledger).head
+    ((row,),) = read_elsewhere(opened.file, tmp_path / "read", "ledger_head")
     assert (row["path"], row["commits"]) == (str(ledger.resolve()), head.commits)
     assert (row["events"], row["root"]) == (head.size, head.root)
 
 
 @pytest.mark.slow
-def test_a_file_of_its_own_is_replaced(ledger: Path, tmp_path: Path) -> None:
-    fsar_ledger.open_ledger(OLD).open(tmp_path / "l.duckdb")
+def test_a_file_of_its_own_is_replaced(ledger: Path, old: Path, tmp_path: Path) -> None:
+    shutil.copy(old, tmp_path)
     fsar_ledger.open_ledger(ledger).open(tmp_path / "l.duckdb")
     ((row,),) = read_elsewhere(tmp_path / "l.duckdb", tmp_path / "read", "ledger_head")
     assert row["path"] == str(ledger.resolve())
@@ -142,8 +163,10 @@ def test_an_empty_ledger_has_every_relation_without_rows(call: Call, tmp_path: P
 @pytest.mark.parametrize(
     "bytes_max", [4_096, *(pytest.param(one, marks=pytest.mark.slow) for one in (1 << 18, 3 << 20, 5 << 20))]
 )
-def test_a_full_disk_leaves_the_old_file_and_no_part_of_a_new_one(ledger: Path, tmp_path: Path, bytes_max: int) -> None:
-    file = fsar_ledger.open_ledger(OLD).open(tmp_path / "l.duckdb").file
+def test_a_full_disk_leaves_the_old_file_and_no_part_of_a_new_one(
+    ledger: Path, old: Path, tmp_path: Path, bytes_max: int
+) -> None:
+    file = Path(shutil.copy(old, tmp_path))
     before = file.read_bytes()
     called = limited_disk("open", ledger, "--out", file, "--verified", file_bytes_max=bytes_max)
     one_message(Called(called.returncode, called.stdout, called.stderr), 1, f"{file}: cannot be written", "too large")
@@ -165,8 +188,8 @@ def test_the_ledger_itself_is_no_place(call: Call, ledger: Path) -> None:
     one_message(call("open", ledger, "--out", ledger), 2, f"{ledger}: found", "expected .duckdb")
 
 
-def test_a_file_that_another_program_writes_stays(call: Call, ledger: Path, tmp_path: Path) -> None:
-    file = fsar_ledger.open_ledger(OLD).open(tmp_path / "l.duckdb").file
+def test_a_file_that_another_program_writes_stays(call: Call, ledger: Path, old: Path, tmp_path: Path) -> None:
+    file = Path(shutil.copy(old, tmp_path))
     before = file.read_bytes()
     held = (
         f"import duckdb, sys\nwith duckdb.connect({str(file)!r}):\n    print('held', flush=True)\n    sys.stdin.read()"

@@ -65,7 +65,9 @@ def test_queries_are_listed_a_line_each(call: Call) -> None:
     one_message(call("query", "failures", "--show", "--ndjson"), 2, "--ndjson", "SQL is text")
 
 
-@pytest.mark.parametrize("suffix", files.LINES)
+@pytest.mark.parametrize(
+    "suffix", [pytest.param(one, marks=pytest.mark.slow) if at else one for at, one in enumerate(files.LINES)]
+)
 def test_an_export_of_lines_is_what_ndjson_shows(call: Call, ledger: Path, tmp_path: Path, suffix: str) -> None:
     answer, events = tmp_path / f"answer{suffix}", tmp_path / f"events{suffix}"
     assert call("export", ledger, "--query", "run_metrics", "--out", answer).code == 0
@@ -75,7 +77,9 @@ def test_an_export_of_lines_is_what_ndjson_shows(call: Call, ledger: Path, tmp_p
     assert in_order(lines_of(events.read_text())) == in_order(shown)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    "form", [form if form == "--csv" else pytest.param(form, marks=pytest.mark.slow) for form in FORMS]
+)
 def test_a_reader_that_has_enough_ends_a_long_answer(ledger: Path, form: str) -> None:
     command = [sys.executable, "-m", "fsar_ledger", "sql", str(ledger), MANY, form]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
@@ -87,6 +91,7 @@ def test_a_reader_that_has_enough_ends_a_long_answer(ledger: Path, form: str) ->
         assert process.stderr.read() == b""
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_text(ledger: Path, tmp_path: Path) -> None:
     few, many = (
         cost_of(["sql", str(ledger), f"SELECT {LONG_NAMES} FROM range({count})", "--ndjson"], tmp_path)

@@ -169,7 +169,13 @@ def test_a_table_of_the_numbers_keeps_the_names() -> None:
     assert fitted(rows, ["number", "run_id"], 80, numbers=NUMBERS) == fitted(rows, ["number", "run_id"], 80)
 
 
-@pytest.mark.parametrize("arguments", [("query", "failures"), ("sql", "SELECT run_id, seq FROM failures ORDER BY ALL")])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("query", "failures"),
+        pytest.param(("sql", "SELECT run_id, seq FROM failures ORDER BY ALL"), marks=pytest.mark.slow),
+    ],
+)
 def test_the_numbers_that_a_terminal_shows_are_those_that_questions_take(
     call: Call, ledger: Path, arguments: tuple[str, str]
 ) -> None:
@@ -273,6 +279,7 @@ def test_queries_are_listed_by_group_and_event_views_only_with_all(call: Call) -
     one_message(call("query", "--all"), 2, "--all without --list")
 
 
+@pytest.mark.slow
 def test_on_a_terminal_names_leave_room_for_the_words_of_a_story(call: Call, ledger: Path) -> None:
     run = next(run for run in Ledger(ledger).numbers() if run.startswith("dhma"))
     for verb in (("log", ledger, "--run", run), ("explain", ledger, "--run", run, "--request", "A1-1/2.1")):
@@ -282,6 +289,7 @@ def test_on_a_terminal_names_leave_room_for_the_words_of_a_story(call: Call, led
         assert broad == call(*verb).out, verb
 
 
+@pytest.mark.slow
 def test_on_a_terminal_an_audit_is_a_line_a_verdict_and_names_the_first_events_as_prove_takes_them(
     ledger: Path,
 ) -> None:
@@ -349,8 +357,12 @@ def test_long_work_says_what_is_done_of_what_how_fast_and_how_long_the_rest_take
 @pytest.mark.parametrize(
     ("verb", "told"),
     [
-        ("audit LEDGER", "judged 10 of 10 invariants"),
-        ("multiverse LEDGER --metric human_intervention", "read 4 of 4 combinations of readings"),
+        pytest.param("audit LEDGER", "judged 10 of 10 invariants", marks=pytest.mark.slow),
+        pytest.param(
+            "multiverse LEDGER --metric human_intervention",
+            "read 4 of 4 combinations of readings",
+            marks=pytest.mark.slow,
+        ),
         ("export LEDGER --out OUT.csv", "exported 2 of 2 commits"),
         pytest.param("open LEDGER --out OUT.duckdb", " views and queries", marks=pytest.mark.slow),
     ],

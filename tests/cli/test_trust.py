@@ -308,6 +308,14 @@ def test_every_name_of_an_event_gives_the_same_proof(call: Call, folder: Path) -
         assert call("prove", folder / "ledger", name).out == proof
 
 
+@pytest.fixture(scope="module")
+def numbers(ledger: Path) -> tuple[int, int, int]:
+    """How many events the ledger has, how many the run, and the seq of its last one."""
+    sql = f"SELECT count(*) AS events FROM events INNER JOIN runs USING (run_id) WHERE run_id LIKE '{RUN}%'"
+    (found,) = json.loads(in_a_process("sql", ledger, sql, "--json").out)["rows"]
+    return size_of(ledger), found["events"], found["events"] - 1
+
+
 @pytest.mark.parametrize(
     ("event", "parts"),
     [
@@ -325,15 +333,9 @@ def test_every_name_of_an_event_gives_the_same_proof(call: Call, folder: Path) -
         (f"{RUN}:{'9' * 40}", ("found {1} events",)),
     ],
 )
-def test_an_event_that_is_not_there_is_explained(call: Call, ledger: Path, event: str, parts: tuple[str, ...]) -> None:
-    held = call(
-        "sql",
-        ledger,
-        f"SELECT count(*) AS events FROM events INNER JOIN runs USING (run_id) WHERE run_id LIKE '{RUN}%'",
-        "--json",
-    )
-    (found,) = json.loads(held.out)["rows"]
-    numbers = (size_of(ledger), found["events"], found["events"] - 1)
+def test_an_event_that_is_not_there_is_explained(
+    call: Call, ledger: Path, numbers: tuple[int, int, int], event: str, parts: tuple[str, ...]
+) -> None:
     one_message(call("prove", ledger, event.format(*numbers)), 2, *(part.format(*numbers) for part in parts))
 
 

@@ -81,6 +81,7 @@ def test_a_later_release_decodes_retired_types_as_their_newest_version(later: La
     assert all(event["is_delegated"] == (event["target_role"] is not None) for event in found["events"])
 
 
+@pytest.mark.slow
 def test_metrics_and_queries_over_retired_types_give_the_same_answers(
     later: LaterRelease, capsys: pytest.CaptureFixture[str]
 ) -> None:

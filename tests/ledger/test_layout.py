@@ -259,6 +259,7 @@ def test_no_byte_of_the_footer_makes_the_check_fail_otherwise() -> None:
     assert accepted < 60  # other bounds, histograms, and names of the version
 
 
+@pytest.mark.slow
 def test_no_bit_of_the_order_of_any_column_is_another() -> None:
     orders = b"\x1c\x00\x00" * len(SCHEMA) + b"\x00"
     assert DATA[-8 - len(orders) : -8] == orders

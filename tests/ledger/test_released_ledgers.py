@@ -179,6 +179,7 @@ def test_the_view_of_a_type_has_its_rows_as_events_has_them(path: Path) -> None:
             assert found.equals(database.table(f"{staging_sql(tag)} ORDER BY ALL")), tag
 
 
+@pytest.mark.slow
 def test_rows_of_a_retired_type_are_not_made_anew_for_an_answer(tmp_path: Path) -> None:
     base_ledger(tmp_path / "ledger")
     old = runs(200_000)

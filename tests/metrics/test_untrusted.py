@@ -68,6 +68,7 @@ def test_a_long_answer_comes_in_parts_and_in_order(ledger: Path) -> None:
     assert batches[-1].to_pylist()[-1] == {"i": 49_999, "pair": [49_999, 50_000]}
 
 
+@pytest.mark.slow
 def test_the_time_of_whoever_takes_the_answer_counts(ledger: Path) -> None:
     with stream_untrusted(ledger, "SELECT i FROM range(200000) AS t(i)", Limits(seconds=2)) as answer:
         next(answer.batches)
@@ -76,6 +77,7 @@ def test_the_time_of_whoever_takes_the_answer_counts(ledger: Path) -> None:
             next(answer.batches)
 
 
+@pytest.mark.slow
 def test_a_row_that_cannot_be_cut_has_a_limit(ledger: Path) -> None:
     with pytest.raises(QueryFailed, match="found a row that takes"):
         run_untrusted(ledger, "SELECT range(4300000) AS many")

@@ -39,6 +39,7 @@ def database_of_the_commanded_run() -> Database:
     return from_table(encode([LedgerRun("live", kernel.times_us, kernel.caused_by, kernel.events)]))
 
 
+@pytest.mark.slow
 def test_keys_tell_the_rows_of_the_commanded_run_apart() -> None:
     with database_of_the_commanded_run() as database:
         assert broken_keys(database, (query for name, query in FILES.items() if name.startswith(CHEAP))) == []

@@ -312,6 +312,7 @@ def test_help_for_a_failure_is_no_failure_of_the_helper() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_sql_and_the_fold_agree_on_states_and_surfaces_throughout_a_run_with_a_degraded_robot() -> None:
     record = simulate_run(RunSpec(42, "fsar", "full", "failure-recovery-chain", 4, 17), Constants())
     state, seen = State(), set()

@@ -88,6 +88,7 @@ def test_report_and_numbers_in_the_same_file_are_refused(ledger: Path, tmp_path:
     assert out.read_bytes() == b"old"
 
 
+@pytest.mark.slow
 def test_figure_is_written_as_svg_and_png(ledger: Path, tmp_path: Path) -> None:
     result_figure_svg(ledger, tmp_path / "results.svg")
     result_figure_png(ledger, tmp_path / "results.png")

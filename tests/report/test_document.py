@@ -233,6 +233,7 @@ def test_other_configurations_stand_in_their_own_table(make_ledger: Make) -> Non
     assert "other-runs" in document.data(found, None)["tables"]
 
 
+@pytest.mark.slow
 def test_tables_are_of_one_seed_and_the_others_stand_apart(ledger: Path, tmp_path: Path, findings: Findings) -> None:
     several = shutil.copytree(ledger, tmp_path / "several")
     kept = [run for run in open_ledger(ledger).runs() if run.run_id.startswith("failure-recovery-chain-0-")]

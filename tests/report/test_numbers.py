@@ -212,6 +212,7 @@ def test_the_numbers_of_a_ledger_are_those_of_its_tables(alone: Findings) -> Non
     assert document.data(alone, None)["tables"]["tally"].rows[-1][2].value == len(found)
 
 
+@pytest.mark.slow
 def test_the_figure_has_a_panel_for_each_table_that_is_there_and_shows_what_became_of_a_number() -> None:
     alone, both = numbers(findings([cell("yes")])), numbers(findings([cell("yes")], scaling=[cell("no")]))
     assert words(overview(alone)).count("Scaling") == 0

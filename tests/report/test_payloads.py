@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import msgspec
 import pyarrow as pa
 import pyarrow.csv as pa_csv
+import pytest
 
 from fsar_ledger.api.fields import csv_text
 from fsar_ledger.api.files import _write_tables
@@ -110,6 +111,7 @@ def test_there_are_forty() -> None:
     assert len(set(PAYLOADS)) >= 40
 
 
+@pytest.mark.slow
 def test_no_figure_breaks_and_none_grows() -> None:
     for at in range(0, len(PAYLOADS), 5):
         for svg in drawn("svg", PAYLOADS[at : at + 5]):
@@ -175,6 +177,7 @@ def test_an_exported_file_holds_no_formula_unless_asked(tmp_path: Path) -> None:
             assert painted(out.read_text("utf-8")[:200_000].rpartition("\n")[0]) == []
 
 
+@pytest.mark.slow
 def test_the_report_reads_no_payload_as_markup(findings: Findings) -> None:
     """A payload that were evaluated would stop the typesetter: it panics, or leaves something open."""
     hostile = {f"{payload[:200]} {number}": payload for number, payload in enumerate(PAYLOADS)}

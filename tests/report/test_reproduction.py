@@ -61,6 +61,7 @@ def test_it_holds_the_means_under_every_reading_where_they_were_asked_for(alone:
     assert [row["lowest"] for row in rows["cells"]] == [cell.lowest for cell in read.cells]
 
 
+@pytest.mark.slow
 def test_it_is_written_beside_the_report_and_is_the_same_bytes_again(
     ledger: Path, alone: Findings, tmp_path: Path
 ) -> None:

@@ -91,6 +91,7 @@ def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, 
     assert any(row["workflow-door-relay_ours"] for row in found.coverage)
 
 
+@pytest.mark.slow
 def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Findings) -> None:
     tables = printed(findings)["tables"]
     with connect(ledger) as database:

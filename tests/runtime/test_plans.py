@@ -99,6 +99,7 @@ def test_who_goes_on_adds_no_second_plan(tmp_path: Path) -> None:
     assert (made.asked, made.made, made.held, plans(tmp_path / "ledger")) == (4, 0, 4, [2])
 
 
+@pytest.mark.slow
 def test_an_enlarged_ledger_has_the_runs_and_metrics_of_a_fresh_one_and_another_root(
     fresh: Path, enlarged: tuple[Path, Head]
 ) -> None:
@@ -142,11 +143,11 @@ def test_the_number_of_workers_changes_no_byte_of_an_enlargement(tmp_path: Path,
     ("first", "then", "made"),
     [
         (SMALL, Experiment(BOTH, ("door-relay", "fleet-contention"), 2, 3), 4),
-        (SMALL, Experiment(("fsar", "cfc", "dhma"), ("door-relay",), 2, 3), 2),
+        pytest.param(SMALL, Experiment(("fsar", "cfc", "dhma"), ("door-relay",), 2, 3), 2, marks=pytest.mark.slow),
         (PAIR, Experiment(("fsar",), ("door-relay",), 2, 3, 4, ("full", "without-layered-recovery")), 2),
-        (SMALL, Experiment(("fsar",), ("door-relay", "fleet-contention"), 3, 3), 4),
-        (PAIR, msgspec.structs.replace(PAIR, seed=4), 2),
-        (PAIR, msgspec.structs.replace(PAIR, fleet_size=8), 2),
+        pytest.param(SMALL, Experiment(("fsar",), ("door-relay", "fleet-contention"), 3, 3), 4, marks=pytest.mark.slow),
+        pytest.param(PAIR, msgspec.structs.replace(PAIR, seed=4), 2, marks=pytest.mark.slow),
+        pytest.param(PAIR, msgspec.structs.replace(PAIR, fleet_size=8), 2, marks=pytest.mark.slow),
         (PAIR, msgspec.structs.replace(PAIR, constants=Constants(world=WorldConstants(window_mean_s=12.0))), 2),
     ],
 )

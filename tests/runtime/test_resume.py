@@ -62,7 +62,13 @@ def assert_resumes(spec: RunSpec, places: int, constants: Constants = CONSTANTS)
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
-@pytest.mark.parametrize("scenario", SCENARIOS)
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        one if one in ("door-relay", "fleet-contention") else pytest.param(one, marks=pytest.mark.slow)
+        for one in SCENARIOS
+    ],
+)
 def test_a_run_resumes_anywhere(scenario: Scenario, architecture: Architecture) -> None:
     for run in range(2):
         assert_resumes(RunSpec(5, architecture, "full", scenario, 4, run), 25)
@@ -74,13 +80,15 @@ def test_an_ablated_run_resumes_anywhere(configuration: Configuration) -> None:
         assert_resumes(RunSpec(5, "fsar", configuration, scenario, 4, 0), 8)
 
 
-@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize(
+    "architecture", ["fsar", *(pytest.param(one, marks=pytest.mark.slow) for one in ARCHITECTURES if one != "fsar")]
+)
 def test_a_run_resumes_at_every_single_position(architecture: Architecture) -> None:
     assert_resumes(RunSpec(6, architecture, "full", "failure-recovery-chain", 4, 3), 10_000)
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
-@pytest.mark.parametrize("run", range(2))
+@pytest.mark.parametrize("run", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_run_with_outages_resumes_anywhere(architecture: Architecture, run: int) -> None:
     """What is kept for a robot that is off, or for a link that is down, follows from the events as well."""
     spec = RunSpec(5, architecture, "full", "fleet-contention", 4, run)

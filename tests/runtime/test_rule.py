@@ -220,6 +220,7 @@ def test_more_local_attempts_contain_more_failures() -> None:
     assert not rises(counts[::-1])
 
 
+@pytest.mark.slow
 def test_shorter_sync_gives_fewer_violations_under_cfc() -> None:
     violations = [
         metric("policy_violations", "cfc", Structure(sync_period_us=period))

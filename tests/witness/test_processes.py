@@ -90,6 +90,7 @@ def rewritten(path: Path, kept: Path, size: int) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_two_witnesses_follow_a_ledger_and_find_what_its_writer_does_to_it(place: Place) -> None:
     both = place.policy("all", place.first.line("w1"), place.second.line("w2"))
     out = place.folder / "cosigned"
