@@ -292,7 +292,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 ELSEWHERE = (
+    "fsar-ledger metrics out/ledger --by scenario",
+    "fsar-ledger metrics out/ledger --pool seeds",
+    "fsar-ledger statistics out/ledger --csv",
+    "fsar-ledger compare out/ledger --first fsar --second dhma --by scenario",
+    "fsar-ledger compare out/ledger out/large --first fsar --verified --json",
     "fsar-ledger multiverse out/ledger",
+    "fsar-ledger multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
+    "fsar-ledger explain out/ledger --run 1 --json",
+    "fsar-ledger explain out/ledger --run 1 --request A1-1/2.1",
+    "fsar-ledger log out/ledger",
+    "fsar-ledger log out/ledger --run all --about requests,policy --json",
+    "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json",
+    "fsar-ledger open out/ledger --out out/ledger.duckdb",
     "fsar-ledger report out/ledger --out out/report.pdf",
     *(example for name, example in examples() if name == "report" and ("--with" in example or "--numbers" in example)),
 )

@@ -16,6 +16,7 @@ from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.rows.schema import CONCERNED
 from tests.api.conftest import RUN
 from tests.queries.histories import run
+from tests.quick import few
 from tests.recycled import from_rows
 
 
@@ -60,10 +61,7 @@ def test_a_robot_and_concerns_narrow_the_lines(ledger: Ledger) -> None:
     assert len(both) == sum(CONCERNED.get(row["type"]) in {"request", "policy", "trust"} for row in ledger.log(RUN))
 
 
-@pytest.mark.parametrize(
-    "concern",
-    [one if one in ("request", "trust", "world") else pytest.param(one, marks=pytest.mark.slow) for one in CONCERNS],
-)
+@pytest.mark.parametrize("concern", few(CONCERNS, ["request", "trust", "world"]))
 def test_every_concern_can_be_asked_for(ledger: Ledger, concern: str) -> None:
     assert {row["concern"] for row in ledger.log("all", about=concern)} <= {concern}
 
@@ -131,7 +129,7 @@ def test_a_stream_goes_on_with_the_commits_that_come(ledger: Ledger, copy: Path)
     assert told == Ledger(copy).log("all").rows()
 
 
-@pytest.mark.parametrize("what", ["replaced", "damaged", "gone"])
+@pytest.mark.parametrize("what", few(["replaced", "damaged", "gone"], ["damaged"]))
 def test_a_stream_ends_when_the_ledger_is_no_longer_the_one_it_told(copy: Path, what: str) -> None:
     checkpoint = (copy / "checkpoint").read_text()
 

@@ -20,6 +20,7 @@ from fsar_ledger.metrics.query_parameters import KINDS, Parameter
 from tests.api.conftest import RUN
 from tests.queries.histories import run
 from tests.queries.test_every_query import HEADER
+from tests.quick import few
 from tests.recycled import from_rows
 
 NAMES = ("fsar.door.r0000-12ab", "cfc.door.r0000-34cd", "fsar.door.r0001-7", "7")
@@ -246,11 +247,7 @@ def test_every_kind_of_parameter_is_used_and_has_its_typing_error() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        name if name == "audit/robot_state_at" else pytest.param(name, marks=pytest.mark.slow)
-        for name in sorted({name for name, one in PARAMETERS if one.kind == "time"})
-    ],
+    "name", few(sorted({name for name, one in PARAMETERS if one.kind == "time"}), ["audit/robot_state_at"])
 )
 def test_a_time_after_the_run_is_an_error_that_says_when_it_ends(ledger: fsar_ledger.Ledger, name: str) -> None:
     last = max(one.time_us for one in ledger.events(RUN)) / 1_000_000

@@ -72,6 +72,7 @@ def test_json_of_columns_is_json_of_values(batch: pa.RecordBatch) -> None:
     assert json_lines(batch) == "".join(ascii_json(json_bytes(row).decode()) + "\n" for row in rows)
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(batches())
 def test_each_line_of_ndjson_is_a_row(batch: pa.RecordBatch) -> None:

@@ -21,6 +21,7 @@ def exploded(place: Path, name: str, *call: str) -> Cost:
     return cost_of(call, place, 60, attacked())
 
 
+@pytest.mark.slow
 def test_open_claims_cost_no_more_than_their_number(tmp_path: Path) -> None:
     cost = exploded(tmp_path, "200,000 open claims", "query", "conflicts", "ledger")
     assert cost.code == 0

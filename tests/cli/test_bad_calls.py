@@ -14,6 +14,7 @@ from fsar_ledger.cli import app
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
+from tests.quick import few
 
 
 @pytest.fixture
@@ -268,15 +269,18 @@ def test_a_parameter_given_twice_is_refused(call: Call, ledger: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "SELEKT 1",
-        "SELECT",
-        "SELECT nothing FROM events",
-        "SELECT * FROM eventz",
-        "",
-        "DROP VIEW events",
-        "SELECT 1; SELECT 2",
-    ],
+    few(
+        [
+            "SELEKT 1",
+            "SELECT",
+            "SELECT nothing FROM events",
+            "SELECT * FROM eventz",
+            "",
+            "DROP VIEW events",
+            "SELECT 1; SELECT 2",
+        ],
+        ["SELEKT 1", "SELECT * FROM eventz", "DROP VIEW events"],
+    ),
 )
 def test_wrong_sql_is_explained(call: Call, ledger: Path, text: str) -> None:
     called = call("sql", ledger, text)

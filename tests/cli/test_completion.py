@@ -43,6 +43,7 @@ def test_names_are_completed_without_a_ledger(words: tuple[str, ...], offered: l
     assert completed(*words) == offered
 
 
+@pytest.mark.slow
 def test_runs_requests_and_values_are_those_of_the_ledger_on_the_line(ledger: Path) -> None:
     (run,) = completed("explain", ledger, "--run", "cfc.full.door-relay.n4.s7.r0001")
     assert re.fullmatch(r"cfc\.full\.door-relay\.n4\.s7\.r0001-[0-9a-f]+", run)

@@ -25,6 +25,7 @@ from fsar_ledger.runtime.experiments import named
 from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
+from tests.quick import few
 
 from .conftest import Call, one_message
 
@@ -359,7 +360,7 @@ def test_a_plan_without_runs_is_not_said_to_have_been_replayed(call: Call, tmp_p
     assert said.out.endswith("\nreplayed: nothing; the ledger holds no run\n")
 
 
-@pytest.mark.parametrize("command", ["metrics", "statistics", "audit"])
+@pytest.mark.parametrize("command", few(["metrics", "statistics", "audit"], ["metrics"]))
 def test_programs_are_told_that_planned_runs_are_missing(call: Call, tmp_path: Path, command: str) -> None:
     planned_only(tmp_path / "ledger", small(runs=2))
     simulate(tmp_path / "ledger", small(runs=1), 1)

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.conftest import Call, one_message
+from tests.quick import few
 
 
 @pytest.fixture(scope="session")
@@ -117,9 +118,7 @@ def test_the_supervisor_who_ordered_two_requests_is_named_in_both(call: Call, wo
         )
 
 
-@pytest.mark.parametrize(
-    "architecture", ["fsar", *(pytest.param(one, marks=pytest.mark.slow) for one in ("cfc", "dhma"))]
-)
+@pytest.mark.parametrize("architecture", few(["fsar", "cfc", "dhma"], ["fsar"]))
 def test_requests_of_every_architecture_can_be_told(call: Call, ledger: Path, architecture: str) -> None:
     listed = json.loads(
         call("explain", ledger, "--run", f"{architecture}.full.failure-recovery-chain.n4.s7.r0000", "--json").out

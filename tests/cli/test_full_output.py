@@ -7,13 +7,19 @@ from pathlib import Path
 
 import pytest
 
+from tests.quick import few
+
 FULL = Path("/dev/full")
 
 pytestmark = pytest.mark.skipif(not FULL.is_char_device(), reason="no device here that is always full")
 
 
 @pytest.mark.parametrize(
-    "call", ["info LEDGER", "metrics LEDGER --csv", "sql LEDGER 'SELECT 1'", "verify --help", "--version"]
+    "call",
+    few(
+        ["info LEDGER", "metrics LEDGER --csv", "sql LEDGER 'SELECT 1'", "verify --help", "--version"],
+        ["sql LEDGER 'SELECT 1'", "--version"],
+    ),
 )
 def test_an_answer_that_does_not_fit_is_one_message(ledger: Path, call: str) -> None:
     arguments = [
@@ -52,14 +58,7 @@ def test_an_answer_without_any_output_to_go_to_is_one_message(ledger: Path, call
 
 
 @pytest.mark.parametrize(
-    "call",
-    [
-        "info LEDGER",
-        *(
-            pytest.param(call, marks=pytest.mark.slow)
-            for call in ("metrics LEDGER --csv", "verify LEDGER", "explain LEDGER")
-        ),
-    ],
+    "call", few(["info LEDGER", "metrics LEDGER --csv", "verify LEDGER", "explain LEDGER"], ["info LEDGER"])
 )
 def test_an_answer_is_the_same_where_messages_have_nowhere_to_go(ledger: Path, call: str) -> None:
     usual, done = with_closed(ledger, call, 9), with_closed(ledger, call, 2)

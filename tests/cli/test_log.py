@@ -64,6 +64,7 @@ def test_a_run_is_told_a_line_an_event_under_its_name(call: Call, ledger: Path) 
     assert len({line.index("robot/") for line in lines if "robot/" in line[:40]}) == 1
 
 
+@pytest.mark.slow
 def test_between_two_times_the_lines_of_a_robot_about_requests(call: Call, ledger: Path) -> None:
     asked = ("--run", RUN, "--from", "10s", "--to", "30000ms", "--robot", "B1", "--about", "requests,policy")
     found = [json.loads(line) for line in call("log", ledger, *asked, "--json").out.splitlines()]
@@ -79,6 +80,7 @@ def test_json_is_an_object_a_line_for_every_event_of_every_run(call: Call, ledge
     assert (len(found), called.err) == (Ledger(ledger).head.size, "")
 
 
+@pytest.mark.slow
 def test_each_run_has_its_name_above_its_lines(call: Call, ledger: Path) -> None:
     names = [line for line in call("log", ledger, "--run", "all").out.splitlines() if line.startswith("run ")]
     numbers = Ledger(ledger).numbers()
@@ -112,6 +114,7 @@ def test_a_wrong_call_is_one_message(call: Call, ledger: Path, options: tuple[st
     one_message(call("log", ledger, *options), 2, *parts)
 
 
+@pytest.mark.slow
 def test_a_reader_may_stop_early(ledger: Path) -> None:
     process = subprocess.Popen(
         [*COMMAND, "log", str(ledger), "--run", "all", "--json"],

@@ -105,6 +105,7 @@ def test_a_process_that_has_reserved_much_already_is_limited_like_another(tmp_pa
     assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")
 
 
+@pytest.mark.slow
 def test_duckdb_counts_for_itself_and_spills_nowhere(tmp_path: Path) -> None:
     with bounded(512, tmp_path), from_rows([]) as database:
         settings = {row["name"]: row["value"] for row in database.rows("SELECT name, value FROM duckdb_settings()")}
@@ -177,6 +178,7 @@ def test_more_workers_may_take_more(tmp_path: Path) -> None:
     assert default_bytes(tmp_path, workers=10) - default_bytes(tmp_path, workers=2) == 8 * PER_WORKER_BYTES
 
 
+@pytest.mark.slow
 def test_eight_workers_verify_a_ledger_without_more_memory_than_is_theirs(ledger: Path, call: Call) -> None:
     called = call("verify", ledger, "--workers", 8)
     assert called.code == 0, called.err

@@ -34,11 +34,11 @@ def test_a_file_is_answered_like_its_text(
 @pytest.mark.parametrize(
     ("content", "part"),
     [
-        (b"", "found no statement"),
+        pytest.param(b"", "found no statement", marks=pytest.mark.slow),
         (b"-- only a comment", "found no statement"),
-        (b"SELECT '\xff'", "not UTF-8 at 8"),
+        pytest.param(b"SELECT '\xff'", "not UTF-8 at 8", marks=pytest.mark.slow),
         (b"SELECT '\0'", "NUL at character 9"),
-        (b"SELECT 1" + b" " * (1 << 20), "more than 1,048,576 bytes"),
+        pytest.param(b"SELECT 1" + b" " * (1 << 20), "more than 1,048,576 bytes", marks=pytest.mark.slow),
         (b"COPY (SELECT 1) TO 'out'", "found COPY"),
         (b"SELECT * FROM read_text('/etc/passwd')", "disabled by configuration"),
     ],
@@ -55,6 +55,7 @@ def test_a_file_that_cannot_be_read_is_named(call: Call, ledger: Path, tmp_path:
     one_message(call("query", "--file", tmp_path, ledger), 2, str(tmp_path), "Is a directory")
 
 
+@pytest.mark.slow
 def test_limits_are_kept_and_belong_to_questions_of_ones_own(call: Call, ledger: Path) -> None:
     one_message(
         call("sql", ledger, "SELECT sum(x % 7) FROM range(1000000000000) AS t(x)", "--seconds", "1"),

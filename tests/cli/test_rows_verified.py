@@ -12,6 +12,7 @@ from fsar_ledger.ledger.store.paths import segment_path
 from tests.ledger.damage import flips
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.metrics.conftest import record
+from tests.quick import few
 
 from .conftest import Call, one_message
 
@@ -57,10 +58,7 @@ def words(verb: str, ledger: Path, *options: str) -> list[object]:
 
 @pytest.mark.parametrize(
     "verb",
-    [
-        pytest.param(verb, marks=pytest.mark.slow if verb in ("statistics", "audit", "query runs") else ())
-        for verb in ANSWERS
-    ],
+    few(ANSWERS, ["info", "explain", "sql", "export"]),
 )
 def test_an_answer_says_whether_its_rows_were_compared_with_the_root(call: Call, small: Path, verb: str) -> None:
     options = ("--json",) if verb in WITH_JSON else ()

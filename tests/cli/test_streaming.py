@@ -17,6 +17,7 @@ from fsar_ledger.api import files
 from fsar_ledger.printable import field
 from tests.cli.conftest import Call, one_message
 from tests.ledger.bomb_trial import cost_of
+from tests.quick import few
 
 MOST = 1.5
 """How many times the bytes of DuckDB's file ours may take."""
@@ -65,9 +66,7 @@ def test_queries_are_listed_a_line_each(call: Call) -> None:
     one_message(call("query", "failures", "--show", "--ndjson"), 2, "--ndjson", "SQL is text")
 
 
-@pytest.mark.parametrize(
-    "suffix", [pytest.param(one, marks=pytest.mark.slow) if at else one for at, one in enumerate(files.LINES)]
-)
+@pytest.mark.parametrize("suffix", few(files.LINES, files.LINES[:1]))
 def test_an_export_of_lines_is_what_ndjson_shows(call: Call, ledger: Path, tmp_path: Path, suffix: str) -> None:
     answer, events = tmp_path / f"answer{suffix}", tmp_path / f"events{suffix}"
     assert call("export", ledger, "--query", "run_metrics", "--out", answer).code == 0
@@ -77,9 +76,7 @@ def test_an_export_of_lines_is_what_ndjson_shows(call: Call, ledger: Path, tmp_p
     assert in_order(lines_of(events.read_text())) == in_order(shown)
 
 
-@pytest.mark.parametrize(
-    "form", [form if form == "--csv" else pytest.param(form, marks=pytest.mark.slow) for form in FORMS]
-)
+@pytest.mark.parametrize("form", few(FORMS, ["--csv"]))
 def test_a_reader_that_has_enough_ends_a_long_answer(ledger: Path, form: str) -> None:
     command = [sys.executable, "-m", "fsar_ledger", "sql", str(ledger), MANY, form]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:

@@ -30,6 +30,8 @@ BY_MODULE = {
     module: list(layouts)
     for module, layouts in groupby(LAYOUT_LIST, key=lambda layout: layout.cls.__module__.rpartition(".")[2])
 }
+OFTEN = ("request", "execution", "fleet")
+"""Modules whose types are tried each time; those of the others with `make test-all`."""
 
 
 def through_parquet(table: pa.Table, path: Path) -> pa.Table:
@@ -37,7 +39,13 @@ def through_parquet(table: pa.Table, path: Path) -> pa.Table:
     return segment.read_table(path)
 
 
-@pytest.mark.parametrize("layouts", BY_MODULE.values(), ids=list(BY_MODULE))
+@pytest.mark.parametrize(
+    "layouts",
+    [
+        pytest.param(layouts, id=module, marks=[] if module in OFTEN else pytest.mark.slow)
+        for module, layouts in BY_MODULE.items()
+    ],
+)
 @settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_every_event_type_survives_arrow_and_parquet(

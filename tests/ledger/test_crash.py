@@ -22,6 +22,7 @@ from tests.ledger.crowd import NAMES, judge
 from tests.ledger.faults import KINDS, OF_WRITES, REFUSED, Fault, FaultyOs, calls_of, faults_at
 from tests.ledger.power import choices
 from tests.ledger.samples import ORIGIN, append_all, contents
+from tests.quick import few
 
 
 @pytest.fixture
@@ -81,10 +82,11 @@ def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory
     assert laboratory.tally.faults_in_recovery > 50
 
 
-def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[str]) -> None:
+@pytest.mark.parametrize("step", few([5, 16], [16]))
+def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[str], step: int) -> None:
     met = Counter[str]()
     for number, fault in enumerate(fault for fault in faults_at(calls) if not fault.ends_the_process):
-        if number % 5:
+        if number % step:
             continue
         root = tmp_path / str(number)
         root.mkdir()
@@ -131,10 +133,11 @@ def test_signals_interrupt_no_append(tmp_path: Path) -> None:
     assert contents(tmp_path / "interrupted") == contents(tmp_path / "calm")
 
 
+@pytest.mark.parametrize("step", few([7, 20], [20]))
 def test_a_process_really_killed_at_a_call_loses_nothing(
-    nursery: Nursery, laboratory: Laboratory, calls: list[str], tmp_path: Path
+    nursery: Nursery, laboratory: Laboratory, calls: list[str], tmp_path: Path, step: int
 ) -> None:
-    for at in range(0, len(calls), 7):
+    for at in range(0, len(calls), step):
         path = tmp_path / f"killed-{at}" / "out" / "ledger"
         path.parent.parent.mkdir()
         outcome = nursery(Order(str(path), fault_at=at))

@@ -108,10 +108,20 @@ TAMPERING: list[tuple[str, Callable[[Path], object], int, dict[int, str]]] = [
     ("a forged count of rows", lambda path: forge(path, 1, rows=23), 1, {1: FITS, 2: FITS, 3: FITS}),
     ("commits in a place that is no folder", lambda path: (path / "commits").rename(path / "elsewhere"), 0, {}),
 ]
+OFTEN = (
+    "a bit of a segment",
+    "a lost segment",
+    "a record that is no JSON",
+    "a lost newest record",
+    "a forged first run",
+    "commits in a place that is no folder",
+)
+"""What is tried each time; the others with `make test-all`."""
 
 
 @pytest.mark.parametrize(
-    ("damage", "commits", "later"), [case[1:] for case in TAMPERING], ids=[case[0] for case in TAMPERING]
+    ("damage", "commits", "later"),
+    [pytest.param(*case, id=name, marks=[] if name in OFTEN else pytest.mark.slow) for name, *case in TAMPERING],
 )
 def test_what_can_be_trusted_is_said_and_copied_and_the_damaged_ledger_stays(
     path: Path, tmp_path: Path, intact: Path, damage: Callable[[Path], object], commits: int, later: dict[int, str]

@@ -212,10 +212,10 @@ def test_every_event_type_has_a_concern_but_beginnings() -> None:
     ("concerns", "seq", "field", "expected"),
     [
         (("fleet",), 3, "type", "an event of a concern that its run observes"),
-        (("task",), 1, "type", "an event of a concern that its run observes"),
-        ((), 1, "type", "an event of a concern that its run observes"),
+        pytest.param(("task",), 1, "type", "an event of a concern that its run observes", marks=pytest.mark.slow),
+        pytest.param((), 1, "type", "an event of a concern that its run observes", marks=pytest.mark.slow),
         (("fleet", "task", "tasks"), 0, "observes", "some of "),
-        (("Fleet",), 0, "observes", "some of "),
+        pytest.param(("Fleet",), 0, "observes", "some of ", marks=pytest.mark.slow),
     ],
 )
 def test_an_event_of_a_concern_that_its_run_does_not_observe_is_refused_and_condemned(

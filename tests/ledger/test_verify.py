@@ -324,6 +324,7 @@ _JSON = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(CommitRecord.__struct_fields__), value=_JSON, number=st.integers(0, 2))
 def test_a_record_with_anything_in_a_field_is_found_and_never_raises(

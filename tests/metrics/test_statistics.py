@@ -241,6 +241,7 @@ def test_wilcoxon_ties_differences_that_only_the_last_bits_of_a_float_tell_apart
     assert (row.wilcoxon_w, row.wilcoxon_n) == (2.0, 4), "three ties of rank 2 and one of rank 4"
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
 def test_mcnemar_of_human_intervention_is_the_exact_binomial_test(pairs: list[tuple[bool, bool]]) -> None:
@@ -350,6 +351,7 @@ def test_undefined_values_count_by_the_published_convention_or_leave_the_pair_ou
     assert (defined.n, defined.first_mean, defined.second_mean) == (1, 0.25, 0.5)
 
 
+@pytest.mark.slow
 def test_the_answer_is_the_same_bits_on_any_number_of_threads() -> None:
     answers = set()
     for threads in (1, 2, 4):

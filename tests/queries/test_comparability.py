@@ -185,6 +185,7 @@ def test_ablations_are_adjusted_apart_from_architectures() -> None:
     assert {row.family for row in beside} == {"architectures", "ablations of fsar"}
 
 
+@pytest.mark.slow
 def test_what_cannot_be_compared_is_said_with_what_it_takes() -> None:
     cases: list[tuple[list[list[Row]], str]] = [
         ([], "found no runs; `fsar-ledger simulate` makes some"),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fsar_ledger.metrics.database import Database, from_rows
+from tests.quick import few
 
 Numbers = NDArray[np.float64]
 Drawn = Callable[[np.random.Generator, tuple[int, int]], tuple[Numbers, ...]]
@@ -104,15 +105,7 @@ LAWS: dict[str, tuple[str, float, Drawn]] = {
 }
 
 
-@pytest.mark.parametrize(
-    "law",
-    [
-        law
-        if law in ("one or two tasks a run", "failures contained", "latency of failures")
-        else pytest.param(law, marks=pytest.mark.slow)
-        for law in LAWS
-    ],
-)
+@pytest.mark.parametrize("law", few(LAWS, ["one or two tasks a run", "failures contained", "latency of failures"]))
 def test_an_interval_holds_the_truth_in_93_to_97_of_100_experiments(law: str) -> None:
     metric, truth, drawn = LAWS[law]
     low, high = intervals(metric, *drawn(np.random.default_rng(2026), (6_000, RUNS)))

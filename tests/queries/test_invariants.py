@@ -35,6 +35,7 @@ from tests.queries.defects import (
     where,
     without,
 )
+from tests.quick import few
 from tests.recycled import from_rows
 
 RUNS: tuple[tuple[Scenario, int], ...] = (
@@ -176,7 +177,11 @@ def test_all_ten_hold_on_the_untouched_history_which_has_what_they_judge() -> No
     assert len(invariants()) == 10
 
 
-@pytest.mark.parametrize("defect", DEFECTS, ids=lambda defect: f"{defect.invariant}: {defect.name}")
+OFTEN = {defect.invariant: defect for defect in DEFECTS}.values()
+"""A defect of each invariant, tried each time; the others with `make test-all`."""
+
+
+@pytest.mark.parametrize("defect", few(DEFECTS, OFTEN), ids=lambda defect: f"{defect.invariant}: {defect.name}")
 def test_a_seeded_defect_is_caught_at_its_event(defect: Defect) -> None:
     rows = [dict(row) for row in history()]
     (shows_at,) = defect.seed(rows)

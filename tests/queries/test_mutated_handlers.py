@@ -78,7 +78,7 @@ BROKEN_BY_DESIGN = {
 @pytest.mark.parametrize(
     ("architecture", "configuration"),
     [
-        pytest.param(*broken, marks=[] if broken == ("fsar", "without-policy-composition") else pytest.mark.slow)
+        broken if broken == ("fsar", "without-policy-composition") else pytest.param(*broken, marks=pytest.mark.slow)
         for broken in BROKEN_BY_DESIGN
     ],
 )

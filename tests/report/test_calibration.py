@@ -105,7 +105,7 @@ def test_a_fit_of_another_model_is_named_once_at_the_answer(tmp_path: Path, find
         assert "So no cell counts as fitted." in passage
 
 
-@pytest.mark.parametrize("record", [None, Record(model_version="1")])
+@pytest.mark.parametrize("record", [pytest.param(None, marks=pytest.mark.slow), Record(model_version="1")])
 def test_a_fit_of_these_runs_model_is_not_doubted(tmp_path: Path, findings: Findings, record: Record | None) -> None:
     assert said_of_the_fit(tmp_path, findings, record) == []
 

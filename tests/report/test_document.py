@@ -19,6 +19,7 @@ from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.report import document, run_shape, specs
 from fsar_ledger.report.findings import SCENARIOS, Findings, answer, significance_level, with_agreement
 from fsar_ledger.report.gather import gather
+from tests.quick import few
 
 Make = Callable[..., Path]
 
@@ -150,9 +151,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize(
-    "shape", ["workflows only", "uneven runs", pytest.param("some scenarios", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("shape", few(["workflows only", "uneven runs", "some scenarios"], ["workflows only"]))
 def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_that_is_said(
     make_ledger: Make, tmp_path: Path, shape: str
 ) -> None:

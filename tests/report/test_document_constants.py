@@ -18,6 +18,7 @@ from fsar_ledger.report.sensitivity import Section
 from tests.report.conftest import PARAMETERS
 
 
+@pytest.mark.slow
 def test_the_effects_of_constants_stand_where_they_were_given(findings: Findings) -> None:
     effects = Section("70 were varied.", b"<svg/>", printing.table("sensitivity", []))
     data, without = document.data(findings, None, effects), document.data(findings, None, Section("None were varied."))

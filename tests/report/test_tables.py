@@ -189,6 +189,7 @@ def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refus
         gather(ledger, make_ledger(runs=1, architectures=("cfc",)))
 
 
+@pytest.mark.slow
 def test_a_ledger_with_one_workflow_shows_what_it_has(ledger: Path, tmp_path: Path) -> None:
     simulate(tmp_path / "one", workflow_experiment(7, 1, ("workflow-layered-recovery",)), 1)
     found = gather(ledger, tmp_path / "one")

@@ -60,8 +60,8 @@ def counted(architecture: Architecture, name: str, length_us: int) -> Counted:
     ("architecture", "name", "often_us", "seldom_us"),
     [
         ("fsar", "poll_us", 100_000, 5_000_000),
-        ("cfc", "sync_period_us", 200_000, 5_850_000),
-        ("dhma", "back_off_us", 1_000_000, 7_000_000),
+        pytest.param("cfc", "sync_period_us", 200_000, 5_850_000, marks=pytest.mark.slow),
+        pytest.param("dhma", "back_off_us", 1_000_000, 7_000_000, marks=pytest.mark.slow),
     ],
 )
 def test_a_step_that_waits_is_denied_once_however_often_it_is_looked_at(

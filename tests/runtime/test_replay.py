@@ -33,6 +33,7 @@ from fsar_ledger.runtime.replay import ReplayReport, replay, replay_run
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
 from tests.ledger.hostile import stage_anything
+from tests.quick import few
 from tests.runtime import governed
 from tests.runtime.forgeries import FORGERIES, HONEST, added, changed, dropped, renamed, seq_of
 
@@ -66,7 +67,7 @@ EXPERIMENTS = {
 }
 
 
-@pytest.mark.parametrize("name", list(EXPERIMENTS))
+@pytest.mark.parametrize("name", few(EXPERIMENTS, ["every architecture", "another world"]))
 def test_an_honest_ledger_is_as_the_handlers_decide(tmp_path: Path, name: str) -> None:
     experiment = EXPERIMENTS[name]
     head = simulate(tmp_path / "ledger", experiment, workers=1)
@@ -98,7 +99,7 @@ def test_workers_find_the_same_in_the_same_order_and_progress_is_told(tmp_path: 
 # --- forged decisions ---
 
 
-@pytest.mark.parametrize("name", list(FORGERIES))
+@pytest.mark.parametrize("name", few(FORGERIES, [*FORGERIES][::4]))
 def test_a_forged_run_that_verifies_is_found_by_replay(tmp_path: Path, name: str) -> None:
     forgery = FORGERIES[name]
     [difference] = replay(committed(tmp_path / "ledger", forgery.run)).differences

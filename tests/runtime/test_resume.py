@@ -22,6 +22,7 @@ from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import DecideRoutine
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, kernel, simulate_run
+from tests.quick import few
 
 CONSTANTS = Constants()
 OUTAGES = Constants(outages=Outages(0.02, 8.0, 0.03, 6.0, 0.002))
@@ -62,13 +63,7 @@ def assert_resumes(spec: RunSpec, places: int, constants: Constants = CONSTANTS)
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
-@pytest.mark.parametrize(
-    "scenario",
-    [
-        one if one in ("door-relay", "fleet-contention") else pytest.param(one, marks=pytest.mark.slow)
-        for one in SCENARIOS
-    ],
-)
+@pytest.mark.parametrize("scenario", few(SCENARIOS, ["door-relay", "fleet-contention"]))
 def test_a_run_resumes_anywhere(scenario: Scenario, architecture: Architecture) -> None:
     for run in range(2):
         assert_resumes(RunSpec(5, architecture, "full", scenario, 4, run), 25)
@@ -80,15 +75,13 @@ def test_an_ablated_run_resumes_anywhere(configuration: Configuration) -> None:
         assert_resumes(RunSpec(5, "fsar", configuration, scenario, 4, 0), 8)
 
 
-@pytest.mark.parametrize(
-    "architecture", ["fsar", *(pytest.param(one, marks=pytest.mark.slow) for one in ARCHITECTURES if one != "fsar")]
-)
+@pytest.mark.parametrize("architecture", few(ARCHITECTURES, ["fsar"]))
 def test_a_run_resumes_at_every_single_position(architecture: Architecture) -> None:
     assert_resumes(RunSpec(6, architecture, "full", "failure-recovery-chain", 4, 3), 10_000)
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
-@pytest.mark.parametrize("run", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("run", few(range(2), [0]))
 def test_a_run_with_outages_resumes_anywhere(architecture: Architecture, run: int) -> None:
     """What is kept for a robot that is off, or for a link that is down, follows from the events as well."""
     spec = RunSpec(5, architecture, "full", "fleet-contention", 4, run)

@@ -127,6 +127,7 @@ def test_two_witnesses_follow_a_ledger_and_find_what_its_writer_does_to_it(place
     assert not (place.folder / "never").exists()
 
 
+@pytest.mark.slow
 def test_one_that_lies_and_one_that_is_behind_do_not_hide_what_the_third_saw(place: Place) -> None:
     lines = [place.first.line("ahead"), place.second.line("behind"), place.liar.line("liar", "/stale")]
     assert place.ask(place.ledger(1), place.policy(3, *lines[:2], place.liar.line("liar", "/forgets"))).code == 0
