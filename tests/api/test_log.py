@@ -33,8 +33,19 @@ def keep(told: list[Row], tables: Iterable[Table]) -> None:
         told += table.rows()
 
 
-def test_each_event_of_a_run_is_one_line_in_order(ledger: Ledger) -> None:
-    lines = ledger.log(RUN)
+@pytest.fixture(scope="module")
+def lines(ledger: Ledger) -> list[Row]:
+    """The timeline of the run; for reading only."""
+    return ledger.log(RUN).rows()
+
+
+@pytest.fixture(scope="module")
+def every_line(ledger: Ledger) -> list[Row]:
+    """The timelines of all runs; for reading only."""
+    return ledger.log("all").rows()
+
+
+def test_each_event_of_a_run_is_one_line_in_order(ledger: Ledger, lines: list[Row]) -> None:
     assert [row["seq"] for row in lines] == list(range(len(list(ledger.events(RUN)))))
     assert all(RUN in row["run_id"] for row in lines)
     times = [row["time_s"] for row in lines]
@@ -46,19 +57,18 @@ def test_without_a_run_it_is_the_first_as_in_explain(ledger: Ledger) -> None:
     assert ledger.log().rows()[0]["run_id"] == ledger.requests().rows()[0]["run_id"]
 
 
-def test_a_span_of_time_takes_its_beginning_and_not_its_end(ledger: Ledger) -> None:
-    whole = ledger.log(RUN).rows()
-    first, last = whole[60]["time_s"], whole[80]["time_s"]
-    assert ledger.log(RUN, since=first, until=last).rows() == [row for row in whole if first <= row["time_s"] < last]
+def test_a_span_of_time_takes_its_beginning_and_not_its_end(ledger: Ledger, lines: list[Row]) -> None:
+    first, last = lines[60]["time_s"], lines[80]["time_s"]
+    assert ledger.log(RUN, since=first, until=last).rows() == [row for row in lines if first <= row["time_s"] < last]
     assert ledger.log(RUN, "10s", "20000ms").rows() == ledger.log(RUN, 10, "20").rows() != []
 
 
-def test_a_robot_and_concerns_narrow_the_lines(ledger: Ledger) -> None:
+def test_a_robot_and_concerns_narrow_the_lines(ledger: Ledger, lines: list[Row]) -> None:
     about_b1 = ledger.log(RUN, robot="B1")
     assert {row["seq"] for row in about_b1} == {one.seq for one in ledger.events(RUN, robot="B1")}
     both = ledger.log(RUN, about=["requests,policies", "trust"])
     assert {row["concern"] for row in both} == {"request", "policy", "trust"}
-    assert len(both) == sum(CONCERNED.get(row["type"]) in {"request", "policy", "trust"} for row in ledger.log(RUN))
+    assert len(both) == sum(CONCERNED.get(row["type"]) in {"request", "policy", "trust"} for row in lines)
 
 
 @pytest.mark.parametrize("concern", few(CONCERNS, ["request", "trust", "world"]))
@@ -66,12 +76,11 @@ def test_every_concern_can_be_asked_for(ledger: Ledger, concern: str) -> None:
     assert {row["concern"] for row in ledger.log("all", about=concern)} <= {concern}
 
 
-def test_all_runs_are_told_in_the_order_of_the_ledger(ledger: Ledger) -> None:
+def test_all_runs_are_told_in_the_order_of_the_ledger(ledger: Ledger, every_line: list[Row]) -> None:
     runs = list(dict.fromkeys(one.run for one in ledger.events()))
-    told = ledger.log("all").rows()
-    assert list(dict.fromkeys(row["run_id"] for row in told)) == runs
-    assert [row for table in ledger.stream_log() for row in table] == told
-    assert len(told) == ledger.head.size
+    assert list(dict.fromkeys(row["run_id"] for row in every_line)) == runs
+    assert [row for table in ledger.stream_log() for row in table] == every_line
+    assert len(every_line) == ledger.head.size
 
 
 def test_what_does_not_exist_is_an_error_with_the_nearest(ledger: Ledger) -> None:
@@ -110,7 +119,7 @@ def test_what_the_run_does_not_observe_is_said_where_it_is_asked_for() -> None:
     assert about == {(): sorted({*CONCERNS} - {"request", "trust"}), ("policy", "request"): ["policy"], ("trust",): []}
 
 
-def test_a_stream_goes_on_with_the_commits_that_come(ledger: Ledger, copy: Path) -> None:
+def test_a_stream_goes_on_with_the_commits_that_come(ledger: Ledger, every_line: list[Row], copy: Path) -> None:
     before, pauses = ledger.head.size, 0
 
     def pause() -> None:
@@ -124,7 +133,7 @@ def test_a_stream_goes_on_with_the_commits_that_come(ledger: Ledger, copy: Path)
     told: list[Row] = []
     with pytest.raises(Waited):
         keep(told, Ledger(copy).stream_log(pause=pause))
-    assert told[:before] == ledger.log("all").rows()
+    assert told[:before] == every_line
     assert len(told) == Ledger(copy).head.size > before
     assert told == Ledger(copy).log("all").rows()
 

@@ -32,6 +32,7 @@ def test_a_broken_invariant_is_exit_code_1_and_names_the_first_event(call: Call,
     assert (row["events"], (row["first_run"], row["first_seq"])) == (len(set(events)), events[0])
 
 
+@pytest.mark.slow
 def test_the_footer_counts_for_each_architecture_and_names_the_ledger(call: Call, ledger: Path) -> None:
     rows = json.loads(call("audit", ledger, "--json").out)["rows"]
     held = {

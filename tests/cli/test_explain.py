@@ -132,6 +132,7 @@ def test_requests_of_every_architecture_can_be_told(call: Call, ledger: Path, ar
         assert (row["failures"] > 0) == bool(told["recovery"])
 
 
+@pytest.mark.slow
 def test_records_that_only_a_cause_ties_are_marked_and_unknown_parties_said(call: Call, ledger: Path) -> None:
     listed = json.loads(call("explain", ledger, "--run", "cfc.full.failure-recovery-chain.n4.s7.r0000", "--json").out)
     request = next(row["action_id"] for row in listed["requests"] if row["allowed_by"])
@@ -140,6 +141,7 @@ def test_records_that_only_a_cause_ties_are_marked_and_unknown_parties_said(call
     assert "* the record names no action; its cause does" in said
 
 
+@pytest.mark.slow
 def test_a_request_is_drawn_beside_the_text(call: Call, workflows: Path, tmp_path: Path) -> None:
     svg, pdf = tmp_path / "new" / "door.svg", tmp_path / "door.pdf"
     said = call("explain", workflows, "--run", DOOR, "--request", "A1-1/2.1", "--svg", svg, "--pdf", pdf)

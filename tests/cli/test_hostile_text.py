@@ -195,6 +195,13 @@ def drive(all_calls: Iterator[tuple[object, ...]], call: Call) -> tuple[set[str]
     return seen, codes
 
 
+def test_tables_and_mistakes_paint_nothing(ledger: Path, call: Call) -> None:
+    """A few of the calls below."""
+    named = f'SELECT run_id, robot AS "{EVIL}" FROM events WHERE robot IS NOT NULL LIMIT 3'
+    few = (("info", ledger), ("query", "failures", ledger), ("sql", ledger, named), (EVIL,))
+    assert drive(iter(few), call)[1] == {0, 2}
+
+
 @pytest.mark.slow
 def test_no_verb_paints_the_screen(ledger: Path, call: Call, tmp_path: Path) -> None:
     (tmp_path / FOLDER).mkdir()

@@ -389,6 +389,7 @@ def test_a_report_tells_each_step_of_its_work(call: Call, tmp_path: Path) -> Non
     assert after == f"{tmp_path / 'report.pdf'}\n"
 
 
+@pytest.mark.slow
 def test_progress_is_for_terminals_that_can_erase_it() -> None:
     assert on_a_terminal(100, "-c", WORK, surroundings={"TERM": "dumb"}) == ("False\n", "False\n")
     piped = subprocess.run([sys.executable, "-c", WORK], capture_output=True, text=True, check=True)

@@ -127,6 +127,7 @@ def test_sql_meets_only_the_newest_version_and_null_in_columns_that_came_later(
     ]
 
 
+@pytest.mark.slow
 def test_every_event_is_there_once_in_the_views_and_in_sql(later: LaterRelease, mixed: Path) -> None:
     views = later.answer("query", "staging/step_began", mixed)["rows"]
     assert len(views) == stored("StepBegan.v1") + 2

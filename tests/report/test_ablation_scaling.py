@@ -114,6 +114,7 @@ def test_numbers_of_the_text_are_of_their_scenario(ablations: Database, ablation
     ]
 
 
+@pytest.mark.slow
 def test_larger_fleets_stand_at_both_ends_of_the_load_and_have_no_answer(fleets: Scaling) -> None:
     assert len(fleets.cells) == 45
     larger = [cell for cell in fleets.cells if cell["fleet_size"] == 8]

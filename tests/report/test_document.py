@@ -189,6 +189,7 @@ def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_t
     assert (said["unjudged"], said["misses"], said["answer"]["judged"]) == (found.unjudged, [], 0)
 
 
+@pytest.mark.slow
 def test_only_the_architecture_of_another_shape_is_not_judged(
     make_ledger: Make, findings: Findings, tmp_path: Path
 ) -> None:
@@ -217,6 +218,7 @@ def test_pairs_of_another_shape_than_the_papers_are_not_judged() -> None:
     assert run_shape.why_unjudged(held, {"fsar-cfc": even}) is None
 
 
+@pytest.mark.slow
 def test_single_run_has_values_and_no_verdict(make_ledger: Make) -> None:
     said = answer(gather(make_ledger(scenarios=("fleet-contention",), runs=1)))
     assert said["valued"] > 20

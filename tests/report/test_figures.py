@@ -32,6 +32,7 @@ def test_evaluation_figure_has_a_panel_for_every_metric(plain: bytes) -> None:
     assert [words(plain).count(name) for name in ("FSAR", "CFC", "DHMA")] == [8, 8, 8]
 
 
+@pytest.mark.slow
 def test_missing_value_is_said_in_its_panel_and_the_papers_stays(cells: tuple[Row, ...]) -> None:
     whole = [row | {"mean": 1.0, "ci_low": None, "ci_high": None} for row in cells]
     missing = [row | ({"mean": None} if row["architecture"] == "cfc" else {}) for row in whole]
@@ -68,11 +69,13 @@ def test_effects_are_drawn_beside_the_papers_and_what_has_none_leaves_the_papers
     assert bare.count(b"<use") == drawn.count(b"<use") - len(rows), "one mark less for each effect"
 
 
+@pytest.mark.slow
 def test_interval_that_misses_its_mean_by_a_rounding_error_is_drawn(cells: tuple[Row, ...]) -> None:
     close = [row | {"mean": 0.0, "ci_low": 1e-18, "ci_high": 0.04} for row in cells]
     assert b"<svg" in figures.evaluation_results(close)
 
 
+@pytest.mark.slow
 def test_figures_do_not_depend_on_the_users_matplotlib_settings(cells: tuple[Row, ...], plain: bytes) -> None:
     import matplotlib as mpl
 

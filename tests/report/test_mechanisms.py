@@ -249,6 +249,7 @@ def test_a_ledger_without_such_runs_has_no_section_and_the_report_says_how_to_ma
     assert "reproduce --only results --only ablation" in specs.text("templates", "report.typ")
 
 
+@pytest.mark.slow
 def test_the_section_has_both_tables_with_what_is_marked_in_bold(findings: Findings, found: Mechanisms) -> None:
     given = msgspec.structs.replace(findings, mechanisms=found)
     data: dict[str, Any] = json.loads(document.encoded(document.data(given, None)))

@@ -169,6 +169,7 @@ def test_fewer_runs_than_there_are_change_nothing(enlarged: tuple[Path, Head]) -
     assert (made.asked, made.made, made.held, made.head) == (8, 0, 10, head)
 
 
+@pytest.mark.slow
 def test_a_small_plan_that_a_larger_one_overtook_is_not_made_again(tmp_path: Path) -> None:
     interrupted(tmp_path / "ledger", SMALL, 1)
     interrupted(tmp_path / "ledger", LARGE, 1)
