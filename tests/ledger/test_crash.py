@@ -82,7 +82,7 @@ def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory
     assert laboratory.tally.faults_in_recovery > 50
 
 
-@pytest.mark.parametrize("step", few([5, 16], [16]))
+@pytest.mark.parametrize("step", few([5, 11], [11]))
 def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[str], step: int) -> None:
     met = Counter[str]()
     for number, fault in enumerate(fault for fault in faults_at(calls) if not fault.ends_the_process):
