@@ -2,8 +2,8 @@
 [PART OF A NAME ...]`.
 
 Every mutant is tried in a process of its own, forked after the libraries were imported and before the package is: first
-with the quick tests, then, if it survives those, with the slow ones. Exits with 1 if a survivor is not listed in
-`EQUIVALENT`, or if an entry there no longer stands for a survivor.
+with the quick tests, then, if it survives those, with the slow ones, last with those that only `make test-all` runs.
+Exits with 1 if a survivor is not listed in `EQUIVALENT`, or if an entry there no longer stands for a survivor.
 """
 
 import ast
@@ -12,6 +12,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
@@ -126,15 +127,15 @@ def _sources() -> dict[str, tuple[Path, ast.Module]]:
 
 def _survives(mutant: tuple[Path, ast.Module] | None) -> bool:
     """Return whether no test fails with this module in place of the package's own; None: with the package as it is."""
-    return _passes(mutant, f"not ({SLOW})") and _passes(mutant, SLOW)
+    return _passes(mutant, "-k", f"not ({SLOW})") and _passes(mutant, "-k", SLOW) and _passes(mutant, "-m", "slow")
 
 
-def _passes(mutant: tuple[Path, ast.Module] | None, which: str) -> bool:
+def _passes(mutant: tuple[Path, ast.Module] | None, *which: str) -> bool:
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         return _pass_in(folder, mutant, which)
 
 
-def _pass_in(folder: str, mutant: tuple[Path, ast.Module] | None, which: str) -> bool:
+def _pass_in(folder: str, mutant: tuple[Path, ast.Module] | None, which: Sequence[str]) -> bool:
     child = os.fork()
     if not child:
         try:
@@ -156,7 +157,7 @@ def _pass_in(folder: str, mutant: tuple[Path, ast.Module] | None, which: str) ->
         time.sleep(0.05)
 
 
-def _run_tests(folder: str, mutant: tuple[Path, ast.Module] | None, which: str) -> None:
+def _run_tests(folder: str, mutant: tuple[Path, ast.Module] | None, which: Sequence[str]) -> None:
     """Run the tests and end the process with the exit code of pytest. Never returns."""
     import pyarrow
     import pytest
@@ -187,8 +188,7 @@ def _run_tests(folder: str, mutant: tuple[Path, ast.Module] | None, which: str) 
                     "-p",
                     "no:cacheprovider",
                     "--assert=plain",
-                    "-k",
-                    which,
+                    *which,
                     f"--basetemp={folder}/tests",
                     *files,
                 ]
