@@ -18,6 +18,12 @@ Fact: TypeAlias = tuple[int, Event]
 """What happens by itself: when (microseconds of run time), and what."""
 
 
+AS_USUAL, DISAPPROVES, PREFERS_OTHER = range(3)
+"""What a supervisor can answer to a call (`verdict`): as the model's supervisors do (approve the review, put first whom
+the order of the fleet puts first, resolve the failure); no to a review; the other of two actions first.
+"""
+
+
 class Ask(msgspec.Struct, frozen=True, gc=False):
     """A question at a port: what it is about, what it serves, and the share of the answer that counts, in ppm.
 
@@ -48,4 +54,4 @@ class Environment(Protocol):
         """The time by which the run has ended; None if it may take any time. Units: microseconds."""
 
     def answer(self, ask: Ask) -> int:
-        """Return a length in microseconds; to whether a degraded actuator holds (`reliability`), 1 or 0."""
+        """Return a length in microseconds, or whether a degraded actuator holds (1 or 0), or a verdict."""

@@ -12,13 +12,16 @@ from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorCall
 from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.supervision import SetSupervisionDensity
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.ports import Ask, Environment, Fact, Port
+from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Environment, Fact, Port
 from fsar_ledger.runtime.simulation import RunSpec, environment_of, founding_of, kernel
 from tests.runtime.live import of
 
 S = 1_000_000
 SPEC = RunSpec(42, "fsar", "full", "door-relay", 4, 1)
 H_F, B = Supervisor("supervisor/fleet"), Robot("robot/B1")
+
+
+NO_LENGTH = ("reliability", "verdict")
 
 
 class Altered:
@@ -33,7 +36,7 @@ class Altered:
 
     def answer(self, ask: Ask) -> int:
         self.asked.add(ask)
-        return self._length_us if ask.port == self._port and ask.what != "reliability" else self._world.answer(ask)
+        return self._length_us if ask.port == self._port and ask.what not in NO_LENGTH else self._world.answer(ask)
 
 
 def played(spec: RunSpec, environment: Environment) -> Kernel:
@@ -67,8 +70,10 @@ def test_every_port_is_asked_and_each_question_names_its_port() -> None:
             asked |= environment.asked
     ports = {what: {ask.port for ask in asked if ask.what == what} for what in {ask.what for ask in asked}}
     assert ports["message"] == {"network"}
-    assert ports["response"] == {"human"}
-    assert {port for what, found in ports.items() if what not in ("message", "response") for port in found} == {"body"}
+    assert ports["response"] == ports["verdict"] == {"human"}
+    assert {
+        port for what, found in ports.items() if what not in ("message", "response", "verdict") for port in found
+    } == {"body"}
     assert {ask.port for ask in asked} == set(get_args(Port))
 
 
@@ -87,6 +92,42 @@ def test_a_human_who_answers_otherwise_is_on_record_with_that() -> None:
     answered = {event.subject.action_id: time_us for time_us, event in of(one, SupervisorResponded)}  # type: ignore[attr-defined]
     assert answered
     assert {time_us - asked[action_id] for action_id, time_us in answered.items()} == {3 * S}
+
+
+class Humans(Altered):
+    """The simulated world, with supervisors who answer every call like this."""
+
+    def __init__(self, spec: RunSpec, verdict: int) -> None:
+        super().__init__(spec)
+        self._verdict = verdict
+
+    def answer(self, ask: Ask) -> int:
+        return self._verdict if ask.what == "verdict" else super().answer(ask)
+
+
+@pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma"])
+def test_a_supervisor_who_says_no_to_reviews_is_on_record_with_that(architecture: str) -> None:
+    for verdict, approves in ((AS_USUAL, {True}), (DISAPPROVES, {False}), (PREFERS_OTHER, {True})):
+        found: list[SupervisorResponded] = []
+        for scenario in PAPER_SCENARIOS:
+            spec = RunSpec(42, architecture, "full", scenario, 4, 1)
+            one = Kernel(handler_table_of(architecture), Humans(spec, verdict), *founding_of(spec, Constants()))
+            one.submit(S, SetSupervisionDensity(H_F, None, 1, "every admission is put before a supervisor"))
+            one.run()
+            found += [event for _, event in of(one, SupervisorResponded) if isinstance(event, SupervisorResponded)]
+        assert {event.approves for event in found if event.purpose == "review"} == approves
+        assert all(event.approves for event in found if event.purpose != "review")
+
+
+def test_a_supervisor_who_puts_the_other_action_first_turns_the_order_round() -> None:
+    spec = RunSpec(42, "fsar", "full", "workflow-human-supervision", 4, 0)
+    usual, other = (played(spec, Humans(spec, verdict)) for verdict in (AS_USUAL, PREFERS_OTHER))
+    (one,), (turned,) = ([event for _, event in of(run, SupervisorResponded)] for run in (usual, other))
+    assert isinstance(one, SupervisorResponded)
+    assert isinstance(turned, SupervisorResponded)
+    assert (one.purpose, turned.purpose) == ("ordering", "ordering")
+    assert None not in (one.preferred, turned.preferred)
+    assert one.preferred != turned.preferred
 
 
 def test_a_run_that_is_stopped_at_any_time_and_goes_on_is_the_same_run() -> None:

@@ -19,7 +19,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import Supervision, density
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.ports import Ask
+from fsar_ledger.runtime.ports import DISAPPROVES, PREFERS_OTHER, Ask
 
 from .actors import nobody
 from .commands import Actors, Decides, PublicCommand, Reacts, Respond, Scheduled, at_once
@@ -78,11 +78,18 @@ NameRequester = Callable[[Request], Principal | None]
 
 
 def respond(state: State, command: Respond, name_requester: NameRequester = requester_of) -> tuple[Event, ...]:
-    """Approve the review, order the commands or resolve the failure as called; nothing if that is settled."""
+    """Approve the review or not, order the commands or resolve the failure, as the human answers.
+
+    Nothing if what the call was about is settled.
+    """
     call = state.supervision.calls.get(command.call)
     if call is None or _is_settled(state, call):
         return ()
-    return _responded(state, call, True, first_in_order(state.request, state.task, call), name_requester)
+    approves = not (call.purpose == "review" and command.answer == DISAPPROVES)
+    preferred = first_in_order(state.request, state.task, call)
+    if call.purpose == "ordering" and command.answer == PREFERS_OTHER:
+        preferred = call.competing if preferred == call.subject.action_id else call.subject.action_id
+    return _responded(state, call, approves, preferred, name_requester)
 
 
 def respond_to_call(
@@ -184,8 +191,9 @@ def awaiting(state: State, event: SupervisorCalled, caller: str | None) -> tuple
     action = state.execution.actions.get(event.subject.action_id)
     ordinal = action.failures if action is not None else 0
     share = state.fleet.structure.ordering_response_ppm if event.purpose == "ordering" else 1_000_000
-    response = Ask("human", "response", f"{event.subject.action_id}/{event.purpose}/{ordinal}", share)
-    return (Scheduled(Respond(state.supervision.called), 0, (response, at_once(caller))),)
+    key = f"{event.subject.action_id}/{event.purpose}/{ordinal}"
+    response, verdict = Ask("human", "response", key, share), Ask("human", "verdict", key)
+    return (Scheduled(Respond(state.supervision.called), 0, (response, at_once(caller)), verdict),)
 
 
 DECIDES: Decides = {Respond: respond, RespondToCall: respond_to_call, SetSupervisionDensity: set_supervision_density}

@@ -9,7 +9,7 @@ from hashlib import blake2b
 from math import log
 
 from fsar_ledger.constants import Range, WorldConstants
-from fsar_ledger.runtime.ports import Ask
+from fsar_ledger.runtime.ports import AS_USUAL, Ask
 
 FOREVER_US = (
     10**15
@@ -73,6 +73,8 @@ class Draws:
     def answer(self, ask: Ask) -> int:
         """Draw the answer: a length in microseconds; to `reliability`, 1 if a degraded actuator holds, else 0."""
         stream, share_ppm = ask.what, ask.share_ppm
+        if stream == "verdict":  # the model's supervisors answer alike; only when they do is drawn
+            return AS_USUAL
         digest = self._hash.copy()
         digest.update(f"{stream}|{ask.key}".encode())
         word: int = _ONE.unpack(digest.digest())[0] >> 11
