@@ -11,6 +11,7 @@ from fsar_ledger.ledger.store.opening import open_for_answers
 from .integrity import Integrity
 from .lookup import parameters_of, robot_of, run_of, time_of
 from .names import By, Place, Pool, Run, Time, by_scenario, names_of, pools_seeds
+from .replays import Replays
 from .timelines import Timelines
 from .workload import Progress, readers_of
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.progress import Showing
     from fsar_ledger.metrics.sandbox import Limits
-    from fsar_ledger.projections.fold import State
 
     from .audit import Audit
     from .compare import Comparison
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from .table import Table
 
 
-class Ledger(Timelines, Integrity):
+class Ledger(Timelines, Replays, Integrity):
     """A ledger to query. Each answer holds for the newest commit at that moment, and names its head.
 
     A run is given by its name, its number (`numbers()`), or a part of its name that no other run has; a robot as `B1`
@@ -94,20 +94,6 @@ class Ledger(Timelines, Integrity):
                 robot = None if robot is None else robot_of(database, robot, name)
                 time_of(database, "since", since, name)
         return Events(self.path, Filter(name, since_us, until_us, robot), self._demanded)
-
-    def state(self, run: Run, at: Time = None) -> "State":
-        """Return the state of a run at a time, or at its end: tasks, queues, trust, policies.
-
-        Raises:
-            UsageError: There is no such run, or `at` is no time of it.
-        """
-        from fsar_ledger.projections.fold import fold
-
-        with self.database() as database:
-            name = run_of(database, run, self.path)
-            until_us = time_of(database, "at", at, name)
-        found = self.events(name)
-        return fold(logged.event for logged in found if until_us is None or logged.time_us <= until_us)
 
     # --- questions ---
 

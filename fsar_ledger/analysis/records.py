@@ -1,0 +1,26 @@
+"""The record of one run, read from its ledger."""
+
+from pathlib import Path
+
+import pyarrow.compute as pc
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.rows import codec, segment
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.read import LedgerView
+
+
+def record_of(view: LedgerView, run: str) -> LedgerRun:
+    """Return all events of the run of this name; only the segment that holds it is decoded.
+
+    Raises:
+        UsageError: The ledger has no such run.
+        LedgerCorrupted: A segment cannot be read.
+    """
+    for number, names in enumerate(view.tables(["run_id"])):
+        is_its = pc.equal(names.column("run_id"), run)
+        if pc.any(is_its).as_py():
+            (found,) = codec.decode(segment.read_table(Path(view.segment(number))).filter(is_its))
+            return found
+    raise UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
