@@ -13,6 +13,9 @@ class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
     events of any other concern means nothing. Architecture, configuration and scenario (or workflow) are open text,
     checked before a run is simulated; None: the run has none. `parameters` is JSON, an object of groups of constants; a
     group that the run does not have is left out.
+
+    A fork repeats the run `forked_from_run` of a ledger with the root `forked_from_root` (hex) up to the event
+    `forked_from_seq`, and says in `changes` what is otherwise (`runtime/changes.py`). Its other fields are its own.
     """
 
     kind: Literal["simulated", "live", "foreign"]
@@ -26,6 +29,10 @@ class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
     model_version: str | None = None
     parameters: str | None = None
     source: str | None = None
+    forked_from_root: str | None = None
+    forked_from_run: str | None = None
+    forked_from_seq: int | None = None
+    changes: tuple[str, ...] | None = None
 
 
 class RobotJoined(Event, frozen=True, kw_only=True):

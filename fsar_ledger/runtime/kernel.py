@@ -87,6 +87,14 @@ class Kernel:
             setattr(self.state, slot, getattr(founded, slot))
         apply(self.state, founding[0])
 
+    def decides(self, command: type[Command]) -> bool:
+        """Return whether the run's architecture decides such commands."""
+        return command in self._decides
+
+    def answered_by(self, environment: Environment) -> None:
+        """From now on, let this environment answer; what happens by itself stays that of the first one."""
+        self._answer = environment.answer
+
     def submit(self, time_us: int, command: Command) -> int:
         """Give the run a command from outside, and return when it is due: then, or as soon as no other is.
 

@@ -12,10 +12,11 @@
 
 So a simulated run has only one possible record, and nothing in it is taken on trust but its first event, whose digest
 is in the run's name. The schedule is made to its horizon and a run ends when nothing is left to happen, so the whole
-schedule is in the record. The facts of the paper's workflows follow from their scenario, and are also made again. Any
-other kind of run (scripted, forked, live) would have to declare in its first event how it differs from the world of its
-seed: `_Replay` takes the schedule with what is declared there, and `_parameters` refuses the kinds that declare
-nothing.
+schedule is in the record. The facts of the paper's workflows follow from their scenario, and are also made again.
+
+The first event of a fork says what is otherwise than in its base (`recipes.py`). The fork is made again with that, the
+base without, and how far the one repeats the other is compared with what the first event says. Live and foreign runs
+declare nothing from which they could be made: they are refused.
 
 The record also holds the length of an execution, as `ends_us`. It is drawn again all the same: taking it from the
 record would be to believe the decision in question.
@@ -24,15 +25,12 @@ record would be to believe the decision in question.
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from functools import lru_cache
 from itertools import repeat
 from pathlib import Path
 from typing import get_args
 
 import msgspec
 
-from fsar_ledger.constants import Constants, read_constants
-from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
@@ -41,29 +39,22 @@ from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify.verify import MAX_PROBLEMS
-from fsar_ledger.parameters import BadParameters
 from fsar_ledger.projections.fold import State
 from fsar_ledger.workers import WorkerPool
 
-from .experiment import Experiment
+from .forks import command, edited_environment, last_shared, play
 from .handler_tables import handler_table_of
 from .handlers.commands import Command, Decide
 from .kernel import Kernel
 from .plan import misnamed
-from .simulation import MODEL_VERSION, RunSpec, environment_of, founding_of, run_id, run_started
+from .recipes import Recipe, Unmade, recorded_recipe, started_of
+from .simulation import founding_of, run_id
 from .world.founding import founding
-from .world.schedule import arrivals_expected, schedule
+from .world.schedule import schedule
 from .worlds import Played, played, remarks_on
 
 _FACTS = frozenset(get_args(WorldEvent))
 _END = "the end of the run"
-
-FACTS_PER_ROBOT = 1_000
-"""The most facts of the world that recorded rates may make, for each robot, in addition to the number of events.
-
-The model's rates make 37 to 373. Recorded rates may come from an adversary: a world of a billion facts cannot be that
-of a record of a few events, and is not made to find that out.
-"""
 
 MAX_SILENT = 100_000
 """The most consecutive decisions that make no event; no run of the model needs a hundred."""
@@ -210,7 +201,7 @@ def replay_run(record: LedgerRun) -> Difference | None:
         if type(record.events[0]) in ALONE:
             return _replay_plan(record)
         one = _begun(record)
-        one.run()
+        one.play()
         one.require_end()
     except _Differs as stopped:
         return stopped.difference
@@ -236,18 +227,25 @@ class _Differs(Exception):
 class _Replay(Kernel):
     """A run in progress that stops at the first event that differs from the record."""
 
-    def __init__(self, record: LedgerRun, spec: RunSpec, constants: Constants) -> None:
+    def __init__(self, record: LedgerRun, started: RunStarted, recipe: Recipe) -> None:
         """Make the run up to its founding. Raises: _Differs if the record has another one."""
-        events, founded = founding_of(spec, constants)
+        spec, (founding_events, founded) = recipe.spec, founding_of(recipe.spec, recipe.constants)
+        events = (started_of(recipe, started), *founding_events[1:])
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
-        environment = environment_of(spec, constants)
-        self._facts = environment.facts
+        self._recipe, self._edited = recipe, edited_environment(recipe)
+        self._forked_from_seq = started.forked_from_seq
+        self._facts = self._edited.facts
         self._silent: list[tuple[int, Decide]] = []  # decisions since the last event, which made none
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
-        super().__init__(handler_table_of(spec.architecture, spec.configuration), environment, events, founded)
+        super().__init__(handler_table_of(spec.architecture, spec.configuration), self._edited, events, founded)
+        command(self, recipe)
         self._decides = {command: self._noted(decide) for command, decide in self._decides.items()}
+
+    def play(self) -> None:
+        """Run to the end. Raises: _Differs."""
+        play(self, self._edited, self._recipe)
 
     def handler(self) -> str:
         """Return the function that makes the next event, by module and name."""
@@ -258,6 +256,11 @@ class _Replay(Kernel):
         seq = len(self.events)
         if seq < self._count:
             raise self._unasked(seq) or _Differs(self._stored.run_id, seq, "type", None, _END, self._actual(seq))
+        if self._forked_from_seq is not None:
+            expected = last_shared(self._recipe, self._stored)
+            if expected != self._forked_from_seq:
+                pair = f"{expected}", f"{self._forked_from_seq}"
+                raise _Differs(self._stored.run_id, 0, "forked_from_seq", "forks.last_shared", *pair)
 
     def _noted(self, decide: Decide) -> Decide:
         """Return the decision wrapped so that it is noted when it is taken."""
@@ -277,7 +280,7 @@ class _Replay(Kernel):
         return noted
 
     def _record(self, event: Event, time_us: int, cause: int | None) -> None:
-        if cause == 0:
+        if cause == 0 and type(event) in _FACTS:
             self._deciding = schedule
         self._require(len(self.events), event, time_us, cause)
         self._silent.clear()
@@ -338,55 +341,11 @@ def _begun(record: LedgerRun) -> _Replay:
     started = record.events[0]
     if not isinstance(started, RunStarted):
         raise _Differs(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
-    spec, constants = _parameters(record.run_id, started, len(record.events))
+    try:
+        recipe = recorded_recipe(started, len(record.events))
+    except Unmade as found:
+        actual = f"{found.actual}, so the run cannot be replayed"
+        raise _Differs(record.run_id, 0, found.field, None, found.expected, actual) from found
     if run_id(started) != record.run_id:
         raise _Differs(record.run_id, 0, "run_id", None, repr(run_id(started)), repr(record.run_id))
-    return _Replay(record, spec, constants)
-
-
-def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpec, Constants]:
-    """Return the parameters of the run. Raises: _Differs if this version cannot make such a run."""
-
-    def refused(field: str | None, expected: str, actual: str) -> _Differs:
-        return _Differs(run, 0, field, None, expected, f"{actual}, so the run cannot be replayed")
-
-    if started.kind != "simulated":
-        raise refused("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
-    if started.model_version != MODEL_VERSION:
-        raise refused(
-            "model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version)
-        )
-    try:
-        spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
-        constants = _constants(started.parameters or "")
-        most = FACTS_PER_ROBOT * spec.fleet_size + event_count
-        if not arrivals_expected(constants, spec.fleet_size) <= most:
-            raise refused("parameters", f"rates of the world that make at most {most} facts", "rates that make more")
-        Experiment(
-            (spec.architecture,),
-            (spec.scenario,),
-            spec.run + 1,
-            spec.seed,
-            spec.fleet_size,
-            (spec.configuration,),
-            constants,
-        )
-    except BadParameters as error:
-        raise refused("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
-    except (InvalidExperiment, msgspec.ValidationError) as error:
-        raise refused(None, "a run that can be simulated", str(error)) from error
-    own = run_started(spec, constants)
-    if started.observes != own.observes:
-        raise refused("observes", repr(own.observes), repr(started.observes))
-    if own != started:
-        raise refused(
-            "parameters",
-            "all constants of the model, in the form in which it writes them",
-            f"{started.parameters!r:.300}",
-        )
-    return spec, constants
-
-
-@lru_cache(maxsize=8)
-def _constants(parameters: str) -> Constants:
-    return read_constants(parameters)
+    return _Replay(record, started, recipe)

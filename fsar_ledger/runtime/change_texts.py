@@ -1,0 +1,327 @@
+"""Read changes from their texts, and from TOML files. The inverse of `str` of a change (`changes.py`)."""
+
+from collections.abc import Callable, Sequence
+from decimal import Decimal
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.designs.files import read_design
+from fsar_ledger.errors import UsageError
+from fsar_ledger.events import Event
+from fsar_ledger.events.world import (
+    ActuatorDegraded,
+    ContextChanged,
+    LinkCameUp,
+    LinkWentDown,
+    ObstructionAppeared,
+    ObstructionCleared,
+    PeersMet,
+    PolicyWindowClosed,
+    PolicyWindowOpened,
+    RobotCameBack,
+    RobotWentOff,
+    RoutineDue,
+    SupervisorLeft,
+    SupervisorReturned,
+    WorldEvent,
+)
+
+from .changes import (
+    Add,
+    Answer,
+    AnyChange,
+    Architecture,
+    Budget,
+    Changes,
+    Density,
+    Drop,
+    Move,
+    Rule,
+    Set,
+    Trust,
+    Verb,
+    Without,
+    seconds_text,
+)
+
+MAX_TEXT = 10_000
+"""Characters of a change; the longest, a task with its steps, has some hundreds."""
+MAX_SECONDS = 9_007_199_254
+FORMS = {
+    "drop": "drop FACT, as in `drop window:fleet/B1/0`",
+    "move": "move FACT +TIME or -TIME, as in `move context:A1/3 +5s`",
+    "add": "add KIND:WHO TIME [for TIME] [WORD], as in `add obstruction:B1 20s for 5s`, or add TIME and the JSON of a "
+    "fact of the world",
+    "answer": "answer QUESTION ANSWER, as in `answer call:2 deny`",
+    "rule": "rule fleet|local OUTCOME [robot=R] [capability=C] [task=T] [from TIME], as in `rule fleet deny robot=B1`",
+    "trust": "trust ROBOT PEER SCOPE [capability=C] [task=T] [from TIME], as in `trust A1 B1 none from 20s`",
+    "budget": "budget ROBOT LEVEL TIME ATTEMPTS [from TIME], as in `budget A1 local 5s 1`",
+    "density": "density ROBOT|all N [from TIME], as in `density all 2 from 30s`",
+    "set": "set NAME=VALUE [from TIME], as in `set world.review_share=0.5`",
+    "architecture": "architecture NAME, as in `architecture cfc`",
+    "without": "without MECHANISM, as in `without shared-registry`",
+}
+"""How each change is written."""
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    """A TOML file of changes: `[[changes]]` tables with the fields of `changes.py`, or a list of their texts."""
+
+    changes: list[AnyChange] | list[str]
+
+
+def read_changes(path: Path) -> Changes:
+    """Return the changes in a TOML file, whose `changes` is a list of texts or of tables.
+
+    Raises:
+        UsageError: The file cannot be read, or a change is not one; with the line.
+    """
+    found, _ = read_design(path, _File)
+    return parsed([one if isinstance(one, str) else str(one) for one in found.changes])
+
+
+def parsed(texts: Sequence[str]) -> Changes:
+    """Return the changes of these texts; one text may give two. Raises: UsageError, with the form it should have."""
+    return tuple(change for text in texts for change in _parsed(text))
+
+
+def _parsed(text: str) -> Changes:
+    whole, _, before = text.strip().partition(" instead of ")
+    verb, _, rest = whole.partition(" ")
+    if verb not in _PARSERS or len(text) > MAX_TEXT:
+        hint = printable.did_you_mean(verb, FORMS) or ";"
+        raise UsageError(
+            f"change {printable.value(text)}: found {printable.value(verb) or 'nothing'}{hint} expected one of "
+            f"{', '.join(FORMS)}"
+        )
+    try:
+        found = _PARSERS[verb](rest.strip())
+        changes = found if isinstance(found, tuple) else (found,)
+        if before:
+            changes = (msgspec.structs.replace(changes[0], before=before),)
+        return tuple(msgspec.convert(msgspec.to_builtins(one), AnyChange) for one in changes)  # checks every field
+    except (ValueError, TypeError, msgspec.MsgspecError) as error:
+        found_text = _told(error)
+        raise UsageError(f"change {printable.value(text)}: {found_text}expected {FORMS[verb]}") from error
+
+
+def _told(error: Exception) -> str:
+    if isinstance(error, msgspec.MsgspecError):
+        return f"{printable.value(str(error).partition(' - at ')[0])}; "
+    return f"{error}; " if isinstance(error, _Unfit) else ""
+
+
+class _Unfit(ValueError):
+    """What was found in the text of a change."""
+
+
+def seconds_of(text: str) -> float:
+    """Return the seconds of `46.6`, `46.6s` or `46600ms`. Raises: ValueError."""
+    number = text.removesuffix("s").removesuffix("m")
+    try:
+        found = Decimal(number) / (1_000 if text.endswith("ms") else 1)
+    except ArithmeticError as error:
+        raise _Unfit(f"found {printable.value(text)} where a time belongs") from error
+    if not 0 <= found <= MAX_SECONDS or "e" in number.lower():
+        raise _Unfit(f"found {printable.value(text)} where a time of 0 s or more belongs")
+    return float(found)
+
+
+def _robot(text: str) -> str:
+    return text if "/" in text else f"robot/{text}"
+
+
+def _words(text: str, least: int, most: int) -> list[str]:
+    words = text.split()
+    if not least <= len(words) <= most:
+        raise _Unfit(f"found {printable.counted(len(words), 'word')} after the verb")
+    return words
+
+
+def _with_from(text: str) -> tuple[str, float | None]:
+    """Return the text without the time from which it holds, and that time."""
+    rest, marker, when = text.rpartition(" from ")
+    return (rest, seconds_of(when.strip())) if marker else (text, None)
+
+
+def _with_options(text: str, plain: int, names: Sequence[str]) -> tuple[list[str], dict[str, str], float]:
+    """Return the plain words, the options NAME=VALUE, and the time from which it holds."""
+    rest, from_s = _with_from(text)
+    words = rest.split()
+    options = dict(word.split("=", 1) for word in words[plain:] if "=" in word)
+    unknown = [word for word in words[plain:] if word.partition("=")[0] not in names or "=" not in word]
+    if len(words) < plain or unknown or len(options) < len(words) - plain:
+        raise _Unfit(f"found {printable.value(unknown[0]) if unknown else 'too few words, or an option twice'}")
+    return words[:plain], options, from_s or 0.0
+
+
+def _drop(text: str) -> Drop:
+    (fact,) = _words(text, 1, 1)
+    return Drop(fact)
+
+
+def _move(text: str) -> Move:
+    fact, by = _words(text, 2, 2)
+    if by[0] not in "+-":
+        raise _Unfit(f"found {printable.value(by)} without + or -")
+    return Move(fact, seconds_of(by[1:]) * (1 if by[0] == "+" else -1))
+
+
+def _answer(text: str) -> Answer:
+    question, answer = _words(text, 2, 2)
+    return Answer(question, seconds_text(seconds_of(answer)) if answer[0].isdigit() else answer)
+
+
+def _rule(text: str) -> Rule:
+    (scope, outcome), options, from_s = _with_options(text, 2, ("robot", "capability", "task"))
+    if "robot" in options:
+        options["robot"] = _robot(options["robot"])
+    return Rule(scope=scope, outcome=outcome, from_s=from_s, **options)  # type: ignore[arg-type]
+
+
+def _trust(text: str) -> Trust:
+    (robot, peer, scope), options, from_s = _with_options(text, 3, ("capability", "task"))
+    return Trust(robot=_robot(robot), peer=_robot(peer), scope=scope, from_s=from_s, **options)  # type: ignore[arg-type]
+
+
+def _budget(text: str) -> Budget:
+    (robot, level, time, attempts), _, from_s = _with_options(text, 4, ())
+    return Budget(
+        robot=_robot(robot),
+        level=level,  # type: ignore[arg-type]
+        time_s=seconds_of(time),
+        attempts=int(attempts),
+        from_s=from_s,
+    )
+
+
+def _density(text: str) -> Density:
+    (robot, review_every), _, from_s = _with_options(text, 2, ())
+    return Density(robot=None if robot == "all" else _robot(robot), review_every=int(review_every), from_s=from_s)
+
+
+def _set(text: str) -> Set:
+    rest, from_s = _with_from(text)
+    name, equals, value = rest.partition("=")
+    number = msgspec.json.decode(value) if equals else None
+    if isinstance(number, bool) or not isinstance(number, int | float):
+        raise _Unfit(f"found {printable.value(value) or 'no value'} where a number belongs")
+    return Set(constant=name.strip(), value=number, from_s=from_s)
+
+
+def _architecture(text: str) -> Architecture:
+    (name,) = _words(text, 1, 1)
+    return Architecture(name)
+
+
+def _without(text: str) -> Without:
+    (names,) = _words(text, 1, 1)
+    return Without(names)
+
+
+def _add(text: str) -> Add | tuple[Add, ...]:
+    first, _, rest = text.partition(" ")
+    if ":" in first:
+        return _added(first, rest.split())
+    event = msgspec.json.decode(_newest(rest), type=WorldEvent)
+    return Add(seconds_of(first), fact_text(event))
+
+
+def fact_text(event: Event) -> str:
+    """Write a fact of the world as `add` takes it."""
+    return msgspec.json.encode(event).decode()
+
+
+def fact_of(text: str) -> Event:
+    """Return the fact of the world that `fact_text` wrote. Raises: msgspec.MsgspecError."""
+    found: Event = msgspec.json.decode(text, type=WorldEvent)
+    return found
+
+
+def _newest(text: str) -> str:
+    """Return the JSON with the newest version of its type where it names none."""
+    found = msgspec.json.decode(text)
+    tags = {kind.__name__: kind.__struct_config__.tag for kind in get_args(WorldEvent)}
+    if not isinstance(found, dict):
+        raise _Unfit("found JSON that is no object")
+    name = found.get("type")
+    return msgspec.json.encode({**found, "type": tags.get(name, name)}).decode()
+
+
+def _added(named: str, words: list[str]) -> tuple[Add, ...]:
+    """Return the facts that `add KIND:WHO TIME [for TIME] [WORD]` is short for: a beginning and an end, or one."""
+    kind, _, who = named.partition(":")
+    if kind not in SHORT or not words:
+        hint = printable.did_you_mean(kind, SHORT) or ";"
+        raise _Unfit(f"found {printable.value(kind)}{hint} known are {', '.join(SHORT)}")
+    at_s, rest = seconds_of(words[0]), words[1:]
+    for_s = seconds_of(rest[1]) if rest[:1] == ["for"] and len(rest) > 1 else None
+    word = [*rest[2:]] if for_s is not None else rest
+    is_spell, make = SHORT[kind]
+    if (for_s is None) == is_spell or len(word) > 1:
+        raise _Unfit(f"{kind} takes {'a length: for TIME' if is_spell else 'no length'}, and at most one more word")
+    events = make(who, seconds_text(at_s), *word)
+    times = (at_s,) if for_s is None else (at_s, at_s + for_s)
+    return tuple(Add(time_s, fact_text(event)) for time_s, event in zip(times, events, strict=True))
+
+
+def _window(who: str, at: str, outcome: str = "deny") -> tuple[Event, ...]:
+    scope, _, robot = who.partition("/")
+    about = {"robot": _robot(robot), "scope": scope, "window": f"{who}/at-{at}"}
+    return (
+        PolicyWindowOpened(outcome=outcome, **about),  # type: ignore[arg-type]
+        PolicyWindowClosed(**about),  # type: ignore[arg-type]
+    )
+
+
+def _in_the_way(kind: str, who: str, at: str) -> tuple[Event, ...]:
+    about = {"robot": _robot(who), "obstruction": f"{kind}/{who}/at-{at}"}
+    return ObstructionAppeared(**about), ObstructionCleared(**about)  # type: ignore[arg-type]
+
+
+def _of_robot(kinds: tuple[Callable[..., Event], ...], who: str, _at: str, *word: str) -> tuple[Event, ...]:
+    return tuple(kind(_robot(who), *word) for kind in kinds)
+
+
+def _absence(who: str, _at: str) -> tuple[Event, ...]:
+    supervisor = who if "/" in who else f"supervisor/{who}"
+    return SupervisorLeft(supervisor), SupervisorReturned(supervisor)  # type: ignore[arg-type]
+
+
+def _encounter(who: str, _at: str) -> tuple[Event, ...]:
+    one, _, other = who.partition("/")
+    return (PeersMet(_robot(one), _robot(other)),)  # type: ignore[arg-type]
+
+
+SHORT: dict[str, tuple[bool, Callable[..., tuple[Event, ...]]]] = {
+    "window": (True, _window),
+    "obstruction": (True, partial(_in_the_way, "obstruction")),
+    "crowding": (True, partial(_in_the_way, "crowding")),
+    "off": (True, partial(_of_robot, (RobotWentOff, RobotCameBack))),
+    "link": (True, partial(_of_robot, (LinkWentDown, LinkCameUp))),
+    "absence": (True, _absence),
+    "context": (False, partial(_of_robot, (ContextChanged,))),
+    "degradation": (False, partial(_of_robot, (ActuatorDegraded,))),
+    "routine": (False, partial(_of_robot, (RoutineDue,))),
+    "encounter": (False, _encounter),
+}
+"""By the kind of a fact that has a short form: whether it lasts, and what makes it."""
+
+_PARSERS: dict[str, Callable[[str], AnyChange | tuple[Add, ...]]] = {
+    "drop": _drop,
+    "move": _move,
+    "add": _add,
+    "answer": _answer,
+    "rule": _rule,
+    "trust": _trust,
+    "budget": _budget,
+    "density": _density,
+    "set": _set,
+    "architecture": _architecture,
+    "without": _without,
+}
+assert set(_PARSERS) == set(get_args(Verb)) == set(FORMS)

@@ -1,0 +1,214 @@
+"""Forks: a run that repeats another one up to a change, and plays on under the same draws."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import msgspec
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Robot
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.rows.codec import LedgerRun
+
+from .changes import Add, Answer, Budget, Changes, Commanded, Density, Drop, Move, Rule, Trust, microseconds_of
+from .edited import Edited, edited_facts
+from .handler_tables import handler_table_of
+from .handlers.commands import PublicCommand
+from .handlers.policy import SetPolicyRule
+from .handlers.recovery import SetRecoveryBudget
+from .handlers.supervision import SetSupervisionDensity
+from .handlers.trust import SetTrust
+from .happenings import happenings
+from .kernel import NEVER_US, Kernel
+from .ports import Environment, Fact
+from .recipes import Recipe, base_of, changed, started_of, worlds_from_times_on
+from .simulation import environment_of, founding_of, run_id, run_started
+
+
+class Forked(NamedTuple):
+    """A fork: its record, the first seq at which it differs from its base, and the questions it answered otherwise.
+
+    `parts_at` does not count event 0, which is never the same; None: the runs are the same.
+    """
+
+    record: LedgerRun
+    parts_at: int | None
+    used: frozenset[str]
+
+
+def kernel_of(recipe: Recipe) -> tuple[Kernel, Edited]:
+    """Return the run at its founding with all that is to come, and its environment."""
+    table = handler_table_of(recipe.spec.architecture, recipe.spec.configuration)
+    edited = edited_environment(recipe)
+    founding, founded = founding_of(recipe.spec, recipe.constants)
+    kernel = Kernel(table, edited, founding, founded)
+    command(kernel, recipe)
+    return kernel, edited
+
+
+def edited_environment(recipe: Recipe) -> Edited:
+    """Return the world of the recipe: with other constants from some times on, other facts, and other answers."""
+    usual = environment_of(recipe.spec, recipe.constants)
+    facts: tuple[Fact, ...] = tuple(usual.facts)
+    for from_us, era in eras(recipe):
+        facts = _continued(facts, tuple(era.facts), from_us)
+    facts = edited_facts(facts, [one for one in recipe.changes if isinstance(one, Drop | Move | Add)])
+    return Edited(usual, facts, [one for one in recipe.changes if isinstance(one, Answer)])
+
+
+def eras(recipe: Recipe) -> list[tuple[int, Environment]]:
+    """Return from when on the world has other constants, and that world, in order of time. Units: microseconds."""
+    return [
+        (from_us, environment_of(recipe.spec, constants)) for from_us, constants in worlds_from_times_on(recipe).items()
+    ]
+
+
+def _continued(before: tuple[Fact, ...], after: tuple[Fact, ...], from_us: int) -> tuple[Fact, ...]:
+    """Return the happenings of one world that begin before this time, and then those of the other, each whole."""
+    firsts, seconds = happenings(before), happenings(after)
+    kept = {name: places for name, places in firsts.items() if before[places[0]][0] < from_us}
+    facts = [before[at] for places in kept.values() for at in places]
+    facts += [
+        after[at]
+        for name, places in seconds.items()
+        if name not in kept and after[places[0]][0] >= from_us
+        for at in places
+    ]
+    apart: list[Fact] = []
+    last_us = 0
+    for time_us, fact in sorted(facts, key=lambda one: one[0]):
+        last_us = max(time_us, last_us + 1)
+        apart.append((last_us, fact))
+    return tuple(apart)
+
+
+def command(kernel: Kernel, recipe: Recipe) -> None:
+    """Submit what supervisors command in this recipe. Raises: UsageError if the architecture takes no such command."""
+    for change in recipe.changes:
+        if isinstance(change, Rule | Trust | Budget | Density):
+            asked = _commanded(kernel, change)
+            if not kernel.decides(type(asked)):
+                raise UsageError(
+                    f"change {change}: {recipe.spec.architecture} decides no such command, expected a run of fsar"
+                )
+            kernel.submit(max(1, microseconds_of(change.from_s)), asked)
+
+
+def _commanded(kernel: Kernel, change: Commanded) -> PublicCommand:
+    """Return the command of a change, as who is in charge issues it."""
+    match change:
+        case Rule():
+            own = None
+            if change.scope == "local" and change.robot in kernel.state.fleet.robots:
+                own = kernel.state.fleet.robots[Robot(change.robot)].supervisor
+            return SetPolicyRule(
+                issued_by=own or FLEET_SUPERVISOR,
+                scope=change.scope,
+                robot=None if change.robot is None else Robot(change.robot),
+                capability=change.capability,
+                context=change.task,
+                outcome=change.outcome,
+            )
+        case Trust():
+            return SetTrust(
+                issued_by=FLEET_SUPERVISOR,
+                robot=Robot(change.robot),
+                peer=Robot(change.peer),
+                scope=change.scope,
+                capability=change.capability,
+                context=change.task,
+                reason="changed",
+            )
+        case Budget():
+            return SetRecoveryBudget(
+                issued_by=FLEET_SUPERVISOR,
+                robot=Robot(change.robot),
+                level=change.level,
+                t_max_us=microseconds_of(change.time_s),
+                n_max=change.attempts,
+            )
+        case Density():
+            robot = None if change.robot is None else Robot(change.robot)
+            return SetSupervisionDensity(
+                issued_by=FLEET_SUPERVISOR, robot=robot, review_every=change.review_every, reason="changed"
+            )
+
+
+def play(kernel: Kernel, edited: Edited, recipe: Recipe) -> None:
+    """Run to the end, with the world of each era from its time on."""
+    for from_us, environment in eras(recipe):
+        kernel.run(from_us - 1)
+        edited.answers_of(environment)
+        kernel.answered_by(edited)
+    kernel.run(NEVER_US)
+
+
+def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Forked:
+    """Return the fork of a run: the base with these changes.
+
+    Args:
+        base: What the base is made from.
+        record: The base as recorded, and as it is made.
+        root: The root of the ledger that holds the base.
+        changes: What is otherwise; none gives a null fork.
+
+    Raises:
+        UsageError: A change names what there is not, or is impossible.
+    """
+    recipe = changed(base, changes)
+    kernel, edited = kernel_of(recipe)
+    play(kernel, edited, recipe)
+    first = parts_at(record, _record_of(kernel))
+    origin = msgspec.structs.replace(
+        run_started(base.spec, base.constants),
+        forked_from_root=root,
+        forked_from_run=record.run_id,
+        forked_from_seq=_last_shared(record, first),
+        changes=(),
+    )
+    kernel.events[0] = started_of(recipe, origin)
+    return Forked(_record_of(kernel), first, frozenset(edited.used))
+
+
+def base_record(recipe: Recipe) -> LedgerRun:
+    """Return the run that a fork repeats, made again."""
+    base = base_of(recipe)
+    kernel, edited = kernel_of(base)
+    play(kernel, edited, base)
+    return _record_of(kernel)
+
+
+def last_shared(recipe: Recipe, record: LedgerRun) -> int:
+    """Return the last seq up to which a fork repeats its base, which is made again."""
+    base = base_record(recipe)
+    return _last_shared(base, parts_at(base, record))
+
+
+def _last_shared(base: LedgerRun, first: int | None) -> int:
+    return (len(base.events) if first is None else first) - 1
+
+
+def _record_of(kernel: Kernel) -> LedgerRun:
+    started = kernel.events[0]
+    assert isinstance(started, RunStarted)
+    return LedgerRun(run_id(started), kernel.times_us, kernel.caused_by, kernel.events)
+
+
+def parts_at(first: LedgerRun, second: LedgerRun) -> int | None:
+    """Return the first seq after 0 at which two records differ in event, time or cause; None if there is none."""
+    events: Sequence[Event] = first.events
+    least = min(len(events), len(second.events))
+    if (
+        events[1:least] == second.events[1:least]
+        and first.times_us[1:least] == second.times_us[1:least]
+        and first.caused_by[1:least] == second.caused_by[1:least]
+    ):
+        return None if len(events) == len(second.events) else least
+    return next(
+        seq
+        for seq in range(1, least)
+        if first.times_us[seq] != second.times_us[seq]
+        or first.caused_by[seq] != second.caused_by[seq]
+        or events[seq] != second.events[seq]
+    )

@@ -1,0 +1,261 @@
+"""Recipes: what a run is made from, its parameters and the changes of a fork, and how event 0 records them.
+
+The recipe of a fork holds enough to make its base again, so replay needs no other ledger to check how far the fork
+repeats it.
+"""
+
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.constants import Constants, read_constants
+from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.events.configuration import EVERY_MECHANISM, lacks, without
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.metrics.constant_names import constants_of, names_of_constants
+from fsar_ledger.parameters import BadParameters
+
+from .change_texts import parsed
+from .changes import AnyChange, Architecture, Changes, Set, Without, microseconds_of
+from .experiment import Experiment
+from .own import with_settings, with_values
+from .simulation import MODEL_VERSION, RunSpec, run_id, run_started
+from .world.schedule import arrivals_expected
+
+NOTHING = "nothing"
+"""What an architecture in full lacks."""
+ABSENT = "absent"
+"""What a constant of a group is that the base does not have."""
+LATER = ("world", "outages")
+FROM_THE_START = ("world.floor_teams", "outages.answer_s")
+"""Of the constants of the world, those that the fleet is founded with."""
+
+
+FACTS_PER_ROBOT = 1_000
+"""The most facts of the world that recorded rates may make, for each robot, in addition to the number of events.
+
+The model's rates make 37 to 373. Recorded rates may come from an adversary: a world of a billion facts cannot be that
+of a record of a few events, and is not made to find that out.
+"""
+_ROOT = re.compile(r"[0-9a-f]{64}")
+
+
+class Recipe(msgspec.Struct, frozen=True):
+    """What a run is made from. The changes of the start are already in `spec` and `constants`."""
+
+    spec: RunSpec
+    constants: Constants
+    changes: Changes = ()
+
+
+class Unmade(Exception):
+    """A run that this version cannot make: the field of event 0 that says so, what was expected, and what was found."""
+
+    def __init__(self, field: str | None, expected: str, actual: str) -> None:
+        super().__init__(f"found {actual}, expected {expected}")
+        self.field, self.expected, self.actual = field, expected, actual
+
+
+def changed(base: Recipe, changes: Changes) -> Recipe:
+    """Return the recipe of the base with these changes, each with what held before.
+
+    Raises:
+        UsageError: There is no such constant, architecture or mechanism, or a change of the start is none.
+    """
+    spec, constants = base.spec, base.constants
+    whole: list[AnyChange] = []
+    for change in changes:
+        match change:
+            case Set():
+                whole.append(_with_before(base.constants, change))
+                if change.from_s is None:
+                    constants = with_values(constants, {change.constant: change.value})
+            case Architecture():
+                whole.append(msgspec.structs.replace(change, before=_differs(change, base.spec.architecture)))
+                spec = msgspec.structs.replace(spec, architecture=change.architecture)
+            case Without():
+                lacking = "+".join(one for one in EVERY_MECHANISM if one in lacks(base.spec.configuration)) or NOTHING
+                whole.append(msgspec.structs.replace(change, before=_differs(change, lacking)))
+                spec = msgspec.structs.replace(spec, configuration=_configuration(change.mechanisms))
+            case _:
+                whole.append(change)
+    _require_once(whole)
+    return Recipe(spec, constants, tuple(whole))
+
+
+def base_of(recipe: Recipe) -> Recipe:
+    """Return the recipe of the run that a fork repeats."""
+    spec = recipe.spec
+    values: dict[str, float | int | None] = {}
+    for change in recipe.changes:
+        match change:
+            case Set(before=str(before)) if change.from_s is None:
+                values[change.constant] = None if before == ABSENT else msgspec.json.decode(before)
+            case Architecture(before=str(before)):
+                spec = msgspec.structs.replace(spec, architecture=before)
+            case Without(before=str(before)):
+                spec = msgspec.structs.replace(spec, configuration=_configuration(before))
+            case _:
+                pass
+    absent = {name.partition(".")[0]: None for name, value in values.items() if value is None}
+    held = {name: value for name, value in values.items() if value is not None}
+    constants = with_values(recipe.constants, held)
+    return Recipe(spec, msgspec.structs.replace(constants, **absent))
+
+
+def _configuration(mechanisms: str) -> str:
+    names = [] if mechanisms == NOTHING else mechanisms.split("+")
+    for name in names:
+        if name not in EVERY_MECHANISM:
+            hint = printable.did_you_mean(name, EVERY_MECHANISM) or ";"
+            raise UsageError(f"without {printable.value(mechanisms)}: there is no such mechanism{hint} see simulate -h")
+    return without(names)
+
+
+def _with_before(constants: Constants, change: Set) -> Set:
+    """Return the change of a constant with its value in the base. Raises: UsageError."""
+    name = change.constant
+    if name not in names_of_constants():
+        hint = printable.did_you_mean(name, names_of_constants()) or "; `fsar-ledger info LEDGER --json` prints all"
+        raise UsageError(f"change {change}: unknown constant {printable.value(name)}{hint}")
+    group = name.partition(".")[0]
+    if change.from_s is not None and (group not in LATER or name in FROM_THE_START):
+        raise UsageError(
+            f"change {change}: found a time for {name}, expected none: a fleet is built with it, so it holds from the "
+            "start"
+        )
+    with_settings(constants, [f"{name}={change.value!r}"])  # the checks of `--set`
+    text = msgspec.json.encode(msgspec.to_builtins(constants)).decode()
+    found = {one["name"]: one["value"] for one in constants_of(text) or ()}
+    before = found.get(name, "null" if getattr(constants, group) is not None else ABSENT)
+    if change.from_s is None and before not in (ABSENT, "null") and msgspec.json.decode(before) == change.value:
+        raise UsageError(f"change {change}: {name} is {before} already, expected another value")
+    return msgspec.structs.replace(change, before=before)
+
+
+def _differs(change: Architecture | Without, before: str) -> str:
+    asked = change.architecture if isinstance(change, Architecture) else change.mechanisms
+    if asked == before:
+        raise UsageError(f"change {change}: the run has that already, expected another one")
+    return before
+
+
+def _require_once(changes: Sequence[AnyChange]) -> None:
+    """Check that nothing is changed twice from the start. Raises: UsageError."""
+    seen: set[str] = set()
+    for change in changes:
+        match change:
+            case Set(from_s=None) | Architecture() | Without():
+                name = change.constant if isinstance(change, Set) else type(change).__name__.lower()
+                if name in seen:
+                    raise UsageError(f"change {change}: {name} is changed twice, expected one change of it")
+                seen.add(name)
+            case _:
+                pass
+
+
+def started_of(recipe: Recipe, origin: RunStarted | None = None) -> RunStarted:
+    """Return event 0 of the recipe's run, which forks from where `origin` says; None: it is no fork."""
+    plain = run_started(recipe.spec, recipe.constants)
+    if origin is None or origin.changes is None:
+        return plain
+    return msgspec.structs.replace(
+        plain,
+        forked_from_root=origin.forked_from_root,
+        forked_from_run=origin.forked_from_run,
+        forked_from_seq=origin.forked_from_seq,
+        changes=tuple(map(str, recipe.changes)),
+    )
+
+
+def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
+    """Return what the run with this event 0 was made from. Raises: Unmade."""
+    if started.kind != "simulated":
+        raise Unmade("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
+    if started.model_version != MODEL_VERSION:
+        raise Unmade(
+            "model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version)
+        )
+    try:
+        spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
+        recipe = Recipe(spec, _constants(started.parameters or ""), parsed(started.changes or ()))
+        for constants in (recipe.constants, *worlds_from_times_on(recipe).values()):
+            _require_few_facts(constants, spec.fleet_size, event_count)
+        require_possible(recipe)
+    except BadParameters as error:
+        raise Unmade("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
+    except (InvalidExperiment, msgspec.ValidationError) as error:
+        raise Unmade(None, "a run that can be simulated", str(error)) from error
+    except UsageError as error:
+        raise Unmade("changes", "the changes of a fork, as they are written", str(error)) from error
+    _require_own_words(started, recipe)
+    return recipe
+
+
+def require_possible(recipe: Recipe) -> None:
+    """Check that such a run can be simulated. Raises: InvalidExperiment."""
+    spec = recipe.spec
+    Experiment(
+        (spec.architecture,),
+        (spec.scenario,),
+        spec.run + 1,
+        spec.seed,
+        spec.fleet_size,
+        (spec.configuration,),
+        recipe.constants,
+    )
+
+
+def _require_few_facts(constants: Constants, fleet_size: int, event_count: int) -> None:
+    most = FACTS_PER_ROBOT * fleet_size + event_count
+    if not arrivals_expected(constants, fleet_size) <= most:
+        raise Unmade("parameters", f"rates of the world that make at most {most} facts", "rates that make more")
+
+
+def _require_own_words(started: RunStarted, recipe: Recipe) -> None:
+    """Check that event 0 says what this version says of such a run. Raises: Unmade."""
+    own = started_of(recipe, started)
+    if started.observes != own.observes:
+        raise Unmade("observes", repr(own.observes), repr(started.observes))
+    if started.parameters != own.parameters:
+        raise Unmade(
+            "parameters",
+            "all constants of the model, in the form in which it writes them",
+            f"{started.parameters!r:.300}",
+        )
+    if started.changes is not None:
+        base = base_of(recipe)
+        _require_same("forked_from_run", run_id(run_started(base.spec, base.constants)), started.forked_from_run)
+        if not _ROOT.fullmatch(started.forked_from_root or ""):
+            raise Unmade("forked_from_root", "a root of 64 hexadecimal digits", repr(started.forked_from_root))
+        try:
+            whole = changed(base, recipe.changes)
+        except UsageError as error:
+            raise Unmade("changes", "changes of its base", str(error)) from error
+        _require_same("changes", tuple(map(str, whole.changes)), started.changes)
+    if own != started:
+        raise Unmade(None, f"{own!r:.300}", f"{started!r:.300}")
+
+
+def _require_same(field: str, expected: object, actual: object) -> None:
+    if expected != actual:
+        raise Unmade(field, f"{expected!r:.300}", f"{actual!r:.300}")
+
+
+def worlds_from_times_on(recipe: Recipe) -> dict[int, Constants]:
+    """Return the constants by the times from which on they hold for the world, in order, in microseconds."""
+    constants = recipe.constants
+    found: dict[int, Constants] = {}
+    later = [one for one in recipe.changes if isinstance(one, Set) and one.from_s is not None]
+    for one in sorted(later, key=lambda one: one.from_s or 0.0):
+        constants = with_values(constants, {one.constant: one.value})
+        found[microseconds_of(one.from_s or 0.0)] = constants
+    return found
+
+
+@lru_cache(maxsize=8)
+def _constants(parameters: str) -> Constants:
+    return read_constants(parameters)
