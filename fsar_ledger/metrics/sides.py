@@ -5,7 +5,8 @@ of two sides are paired by seed, scenario and number. What is compared is read f
 database of its own (`paired`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import msgspec
 import pyarrow as pa
@@ -117,8 +118,8 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def _end(self) -> str:
-        """Return the suffix that tells workflows from runs of scenarios under the same constants."""
-        return "+workflow" if self.made_as == "workflow" else ""
+        """Return the suffix that tells workflows and forks from runs of scenarios under the same constants."""
+        return f"+{self.made_as}" if self.made_as in ("workflow", "fork") else ""
 
     def __str__(self) -> str:
         return f"{printable.value(self.name)} ({counted(self.run_count, 'run')})"
@@ -319,10 +320,12 @@ def _listed(held: Sequence[Side]) -> str:
     return printable.some(map(str, held), "more, which `fsar-ledger info` lists") or "no runs"
 
 
-def paired(
-    held: Sequence[Database], both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False
-) -> Paired:
-    """Compare the runs of the two sides, each from its ledger, in pairs. Raises: as `Database.rows`."""
+@contextmanager
+def beside(held: Sequence[Database], both: tuple[Side, Side]) -> Iterator[Database]:
+    """Yield a database of the runs of the two sides, `first` and `second`, each from its ledger.
+
+    Raises: as `Database.rows`.
+    """
     tables = [
         _runs(database, side, name)
         for database, side, name in zip((held[0], held[-1]), both, ("first", "second"), strict=True)
@@ -338,6 +341,14 @@ def paired(
     with Database(None, ()) as database:
         database.hold("side_runs", pa.concat_tables(tables))
         database.hold("side_comparisons", pa.Table.from_pylist([comparison]))
+        yield database
+
+
+def paired(
+    held: Sequence[Database], both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False
+) -> Paired:
+    """Compare the runs of the two sides, each from its ledger, in pairs. Raises: as `Database.rows`."""
+    with beside(held, both) as database:
         for name, of, side in zip(("first_constants", "second_constants"), (held[0], held[-1]), both, strict=True):
             database.hold(
                 name,

@@ -10,13 +10,14 @@ from .change_texts import fact_of
 from .changes import Add, Answer, Drop, Move, OfFacts, microseconds_of, seconds_text
 from .happenings import happenings, meant
 from .ports import Ask, Environment, Fact
-from .questions import answer_of, name_of
+from .questions import CALL, RESPONSE, answer_of, name_of
 
 
 class Edited:
     """An environment with other facts, and with these answers to the questions that they name.
 
-    `used` are the questions that were answered otherwise so far.
+    `used` are the questions that were answered otherwise so far, as the changes name them. `call:2` is the second call
+    that the run puts before a supervisor, counted when it asks how long the answer takes.
     """
 
     def __init__(self, environment: Environment, facts: Sequence[Fact], answers: Sequence[Answer]) -> None:
@@ -25,7 +26,9 @@ class Edited:
         self.used: set[str] = set()
         self._environment = environment
         self._exact = {one.question: one.answer for one in answers if "*" not in one.question}
-        self._patterns = [(_plain(one.question), one.answer) for one in answers if "*" in one.question]
+        self._patterns = [(_plain(one.question), one) for one in answers if "*" in one.question]
+        self._calls = 0
+        self._asked_as: dict[str, str] = {}
         self.answer = self._edited if answers else environment.answer
 
     def answers_of(self, environment: Environment) -> None:
@@ -39,14 +42,23 @@ class Edited:
         name = name_of(ask)
         if name is None:
             return usual
-        text = self._exact.get(name)
+        kind = name.partition(":")[0]
+        if kind == RESPONSE:
+            self._calls += 1
+            for numbered in (RESPONSE, CALL):
+                if (text := self._exact.get(f"{numbered}:{self._calls}")) is not None:
+                    self._exact[f"{numbered}:{ask.key}"] = text
+                    self._asked_as[f"{numbered}:{ask.key}"] = f"{numbered}:{self._calls}"
+        asked_as, text = self._asked_as.get(name, name), self._exact.get(name)
         if text is None:
-            text = next((answer for pattern, answer in self._patterns if fnmatchcase(name, pattern)), None)
-        answer = None if text is None else answer_of(name.partition(":")[0], text)
+            pattern = next((one for pattern, one in self._patterns if fnmatchcase(name, pattern)), None)
+            if pattern is not None:
+                asked_as, text = pattern.question, pattern.answer
+        answer = None if text is None else answer_of(kind, text)
         if answer is None:
             return usual
         if answer != usual:
-            self.used.add(name)
+            self.used.add(asked_as)
         return answer
 
 

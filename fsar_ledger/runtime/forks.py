@@ -22,7 +22,8 @@ from .handlers.trust import SetTrust
 from .happenings import happenings
 from .kernel import NEVER_US, Kernel
 from .ports import Environment, Fact
-from .recipes import Recipe, base_of, changed, started_of, worlds_from_times_on
+from .questions import Asked, Noting
+from .recipes import Recipe, base_of, changed, require_possible, started_of, worlds_from_times_on
 from .simulation import environment_of, founding_of, run_id, run_started
 
 
@@ -37,14 +38,13 @@ class Forked(NamedTuple):
     used: frozenset[str]
 
 
-def kernel_of(recipe: Recipe) -> tuple[Kernel, Edited]:
-    """Return the run at its founding with all that is to come, and its environment."""
+def kernel_of(recipe: Recipe, edited: Environment) -> Kernel:
+    """Return the run at its founding in this environment, with all commands that are to come."""
     table = handler_table_of(recipe.spec.architecture, recipe.spec.configuration)
-    edited = edited_environment(recipe)
     founding, founded = founding_of(recipe.spec, recipe.constants)
     kernel = Kernel(table, edited, founding, founded)
     command(kernel, recipe)
-    return kernel, edited
+    return kernel
 
 
 def edited_environment(recipe: Recipe) -> Edited:
@@ -157,9 +157,11 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Forked
         UsageError: A change names what there is not, or is impossible.
     """
     recipe = changed(base, changes)
-    kernel, edited = kernel_of(recipe)
+    require_possible(recipe)
+    edited = edited_environment(recipe)
+    kernel = kernel_of(recipe, edited)
     play(kernel, edited, recipe)
-    first = parts_at(record, _record_of(kernel))
+    first = parts_at(record, record_of(kernel))
     origin = msgspec.structs.replace(
         run_started(base.spec, base.constants),
         forked_from_root=root,
@@ -168,20 +170,20 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Forked
         changes=(),
     )
     kernel.events[0] = started_of(recipe, origin)
-    return Forked(_record_of(kernel), first, frozenset(edited.used))
+    return Forked(record_of(kernel), first, frozenset(edited.used))
 
 
-def base_record(recipe: Recipe) -> LedgerRun:
-    """Return the run that a fork repeats, made again."""
-    base = base_of(recipe)
-    kernel, edited = kernel_of(base)
-    play(kernel, edited, base)
-    return _record_of(kernel)
+def made_again(base: Recipe) -> tuple[LedgerRun, list[Asked]]:
+    """Return the run without changes that this is the recipe of, and what it asked at its ports."""
+    environment = Noting(environment_of(base.spec, base.constants))
+    kernel = kernel_of(base, environment)
+    kernel.run()
+    return record_of(kernel), environment.asked
 
 
 def last_shared(recipe: Recipe, record: LedgerRun) -> int:
     """Return the last seq up to which a fork repeats its base, which is made again."""
-    base = base_record(recipe)
+    base, _ = made_again(base_of(recipe))
     return _last_shared(base, parts_at(base, record))
 
 
@@ -189,7 +191,8 @@ def _last_shared(base: LedgerRun, first: int | None) -> int:
     return (len(base.events) if first is None else first) - 1
 
 
-def _record_of(kernel: Kernel) -> LedgerRun:
+def record_of(kernel: Kernel) -> LedgerRun:
+    """Return the record of what the run has done so far."""
     started = kernel.events[0]
     assert isinstance(started, RunStarted)
     return LedgerRun(run_id(started), kernel.times_us, kernel.caused_by, kernel.events)

@@ -11,6 +11,7 @@
 `deny` is no to a review; `other` puts the other of two competing actions first. To any other call they mean nothing.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from .changes import NEVER, seconds_text
@@ -89,6 +90,7 @@ class Noting:
         return answer
 
 
-def numbered_calls(asked: list[Asked]) -> list[str]:
-    """Return the names of the run's calls in order: the first is `call:1`."""
-    return [CALL + one.name.removeprefix(RESPONSE) for one in asked if one.kind == RESPONSE]
+def numbers_of_calls(asked: Sequence[Asked]) -> dict[str, int]:
+    """Return the number of each call by its name, from 1: the call of that number is `call:1` for short."""
+    names = [CALL + one.name.removeprefix(RESPONSE) for one in asked if one.kind == RESPONSE]
+    return {name: number for number, name in reversed([*enumerate(names, start=1)])}

@@ -6,7 +6,8 @@
 -- Units: contribution in the metric's unit: first minus second, and of a pooled metric the pseudo-value of the
 --   jackknife, n * difference - (n - 1) * difference without the pair; direction 1 where the first side is higher, -1
 --   where the second is, 0 where neither, for a pooled metric beside the ratio of both together; differs whether the
---   pair's runs count the same; first_ratio, second_ratio the pooled values of the sides
+--   pair's runs count the same; first_ratio, second_ratio the pooled values of the sides; first_contribution,
+--   second_contribution what each run alone contributes to the mean of its side
 -- NULL: seed for all seeds, scenario for all scenarios; contribution where a side counts nothing without the pair;
 --   ratios of what is not pooled, or counts nothing. Pairs in which a run has no value, of a pooled metric one that
 --   does not observe it, are left out
@@ -50,6 +51,8 @@ totals AS (
         nullif(sum(d2) OVER cell, 0) AS t2,
         s1::DOUBLE / t1::DOUBLE / numerator_units AS r1,
         s2::DOUBLE / t2::DOUBLE / numerator_units AS r2,
+        (s1 - n1)::DOUBLE / nullif(t1 - d1, 0)::DOUBLE / numerator_units AS r1_without_it,
+        (s2 - n2)::DOUBLE / nullif(t2 - d2, 0)::DOUBLE / numerator_units AS r2_without_it,
         ((s1 - n1)::DOUBLE / nullif(t1 - d1, 0)::DOUBLE - (s2 - n2)::DOUBLE / nullif(t2 - d2, 0)::DOUBLE)
         / numerator_units AS without_it
     FROM measured
@@ -63,6 +66,8 @@ SELECT
     CASE WHEN is_pooled THEN r2 END AS second_ratio,
     if(is_pooled, n1 <> n2 OR d1 <> d2, round((first_value - second_value) * 1e9) <> 0) AS differs,
     if(is_pooled, n * (r1 - r2) - (n - 1) * without_it, first_value - second_value) AS contribution,
+    if(is_pooled, n * r1 - (n - 1) * r1_without_it, first_value) AS first_contribution,
+    if(is_pooled, n * r2 - (n - 1) * r2_without_it, second_value) AS second_contribution,
     CASE
         WHEN is_pooled THEN sign((n1 - n2)::HUGEINT * (t1 + t2)::HUGEINT - (s1 + s2)::HUGEINT * (d1 - d2)::HUGEINT)
         ELSE sign(round((first_value - second_value) * 1e9))
