@@ -1,0 +1,226 @@
+"""Bases: recorded runs from which others can fork."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.runtime.change_texts import fact_of, fact_text
+from fsar_ledger.runtime.changes import Add, Answer, AnyChange, Changes, Commanded, Drop, Move, Set, seconds_text
+from fsar_ledger.runtime.forks import Forked, edited_environment, fork, made_again, parts_at
+from fsar_ledger.runtime.happenings import Happenings, happenings, meant
+from fsar_ledger.runtime.questions import CALL, KINDS, RESPONSE, Asked, answer_of, numbers_of_calls
+from fsar_ledger.runtime.recipes import Recipe, Unmade, recorded_recipe
+from fsar_ledger.runtime.simulation import founding_of
+
+LIST = "`whatif LEDGER --run RUN --list` lists all"
+
+
+class Base(NamedTuple):
+    """A recorded run, what it was made from, and the root of the ledger that holds it."""
+
+    record: LedgerRun
+    recipe: Recipe
+    root: str
+
+    @property
+    def happenings(self) -> Happenings:
+        """Return the places of the facts of its world, by name."""
+        return happenings(tuple(edited_environment(self.recipe).facts))
+
+
+class Changeable(msgspec.Struct, frozen=True):
+    """A fact or a question of a run that a change can name.
+
+    `begins_s`, `ends_s`: when the fact happens, seconds of run time; None for a question and what has no end. `is_now`:
+    what happens, or the answer. `short`: a shorter name.
+    """
+
+    name: str
+    short: str | None
+    begins_s: float | None
+    ends_s: float | None
+    is_now: str
+
+
+class Repeated(NamedTuple):
+    """A base that was made again as recorded, and what it asked at its ports, in order."""
+
+    base: Base
+    asked: list[Asked]
+
+    def changeable(self) -> list[Changeable]:
+        """Return the facts of the world in order of time, and then the questions in the order of asking, each once."""
+        facts = edited_environment(self.base.recipe).facts
+        found = []
+        for name, places in self.base.happenings.items():
+            (begins_us, fact), (ends_us, _) = facts[places[0]], facts[places[-1]]
+            ends_s = ends_us / 1_000_000 if len(places) > 1 else None
+            found.append(Changeable(name, None, begins_us / 1_000_000, ends_s, fact_text(fact)))
+        numbers = numbers_of_calls(self.asked)
+        for one in dict.fromkeys(self.asked):
+            number = numbers.get(CALL + one.name.partition(":")[2]) if one.kind in _SHORT else None
+            found.append(Changeable(one.name, None if number is None else f"{one.kind}:{number}", None, None, one.text))
+        return found
+
+    def fork(self, changes: Changes) -> Forked:
+        """Return the fork with these changes; what a name does not mean here changes nothing. Raises: UsageError."""
+        return fork(self.base.recipe, self.base.record, self.base.root, changes)
+
+    def fork_with_effect(self, changes: Changes) -> Forked:
+        """Return the fork with these changes. Raises: UsageError if one of them does nothing."""
+        for change in changes:
+            _require_meant(self, change)
+        forked = _played(self, changes)
+        for change in changes:
+            if isinstance(change, Answer):
+                _require_used(self, change, forked)
+        rejected = _rejected(self.base, forked)
+        if rejected is not None:
+            raise UsageError(f"{rejected.command} about {rejected.subject} is rejected: {rejected.reason}")
+        if changes and forked.parts_at is None:
+            said = printable.some(map(str, changes))
+            raise UsageError(f"change {said}: it has no effect, the run does the same; expected one that changes it")
+        return forked
+
+
+def base_of_record(record: LedgerRun, root: str) -> Base:
+    """Return the base that a record is. Raises: UsageError if this version cannot make the run, or it is a fork."""
+    run, started = printable.value(record.run_id), record.events[0]
+    if not isinstance(started, RunStarted):
+        raise UsageError(f"{run}: found a plan, expected a run, which the plan's own query `planned_runs` lists")
+    if started.changes is not None:
+        raise UsageError(
+            f"run {run}: found a fork, expected the run that it forks from, "
+            f"{printable.value(started.forked_from_run or '?')}; give all changes at once"
+        )
+    try:
+        return Base(record, recorded_recipe(started, len(record.events)), root)
+    except Unmade as found:
+        raise UsageError(f"run {run}: {found}; only such a run can be made again with a change") from found
+
+
+def repeated(base: Base) -> Repeated:
+    """Return the base, made again. Raises: UsageError naming the first event that the record has otherwise."""
+    try:
+        made, asked = made_again(base.recipe)
+    except (LookupError, ValueError, RuntimeError, TypeError) as error:
+        raise UsageError(
+            f"run {printable.value(base.record.run_id)}: it cannot be made again ({error!s:.300}); run "
+            "`fsar-ledger verify --replay`"
+        ) from error
+    at = parts_at(base.record, made)
+    if at is not None or made.events[0] != base.record.events[0]:
+        raise UsageError(
+            f"run {printable.value(base.record.run_id)}, event {at or 0}: the record is not what its world and its "
+            "handlers make, so nothing forks from it; run `fsar-ledger verify --replay`, which says what differs"
+        )
+    return Repeated(base, asked)
+
+
+def _played(repeated: Repeated, changes: Changes) -> Forked:
+    try:
+        return repeated.fork(changes)
+    except (LookupError, ValueError, RuntimeError, TypeError) as error:
+        added = [one for one in changes if isinstance(one, Add)]
+        if isinstance(error, UsageError) or not added:
+            raise
+        raise UsageError(
+            f"change {added[0]}: the run cannot be played with it ({type(error).__name__}: {error!s:.200}), expected a "
+            "fact that this fleet can meet"
+        ) from error
+
+
+def _require_meant(repeated: Repeated, change: AnyChange) -> None:
+    """Check that a change means something in the run. Raises: UsageError, with the nearest name."""
+    base = repeated.base
+    last_us = base.record.times_us[-1]
+    match change:
+        case Drop() | Move():
+            names = base.happenings
+            if not meant(change.fact, names):
+                raise _unknown("fact", change, change.fact, list(names))
+        case Add():
+            _require_members(base, change)
+        case Answer():
+            _require_answer(change)
+        case _:
+            pass
+    from_s = getattr(change, "at_s", None) if isinstance(change, Add) else getattr(change, "from_s", None)
+    if isinstance(change, Add | Set | Commanded) and from_s is not None and from_s * 1_000_000 > last_us:
+        raise UsageError(
+            f"change {change}: the run has ended by then, at {seconds_text(last_us / 1_000_000)}; expected an earlier "
+            "time"
+        )
+
+
+def _require_members(base: Base, change: Add) -> None:
+    """Check that an added fact is about robots and supervisors of this fleet. Raises: UsageError."""
+    fleet = founding_of(base.recipe.spec, base.recipe.constants)[1].fleet
+    known = {*fleet.robots, *(one.supervisor for one in fleet.robots.values() if one.supervisor is not None)}
+    fact = fact_of(change.event)
+    for name in ("robot", "peer", "supervisor"):
+        found = getattr(fact, name, None)
+        if found is not None and found not in known:
+            of_kind = sorted(one for one in known if one.partition("/")[0] == found.partition("/")[0]) or sorted(known)
+            hint = printable.did_you_mean(found, of_kind) or ";"
+            raise UsageError(
+                f"change {change}: there is no {printable.value(found)} in the fleet{hint} expected one of "
+                f"{printable.some(of_kind)}"
+            )
+
+
+def _require_answer(change: Answer) -> None:
+    """Check that the question is of a known kind and can be answered so. Raises: UsageError."""
+    kind = change.question.partition(":")[0]
+    if kind not in KINDS:
+        raise _unknown("question", change, change.question, [f"{one}:" for one in KINDS])
+    if answer_of(kind, change.answer) is None:
+        expected = {CALL: "approve, deny or other", "attempt": "hold or fail"}.get(kind, "a length, as 2.5s, or never")
+        raise UsageError(f"change {change}: found {printable.value(change.answer)}, expected {expected}")
+
+
+def _require_used(repeated: Repeated, change: Answer, forked: Forked) -> None:
+    """Check that a question was answered otherwise. Raises: UsageError, saying why it was not."""
+    if change.question in forked.used:
+        return
+    names = {one.name: one for one in repeated.asked}
+    calls = numbers_of_calls(repeated.asked)
+    short = {
+        f"{kind}:{number}": f"{kind}{name.removeprefix(CALL)}" for name, number in calls.items() for kind in _SHORT
+    }
+    full = short.get(change.question, change.question)
+    found = [names[name] for name in meant(full, list(names))]
+    if not found and full not in short.values():
+        raise _unknown("question", change, change.question, [*short, *names])
+    if not found:
+        raise UsageError(f"change {change}: it has no effect, the call is settled before it is answered")
+    raise UsageError(
+        f"change {change}: it has no effect, the answer is {found[0].text} already; expected another answer"
+    )
+
+
+_SHORT = (CALL, RESPONSE)
+"""The kinds of question that a number can stand for."""
+
+
+def _unknown(what: str, change: AnyChange, asked: str, names: Sequence[str]) -> UsageError:
+    kind = asked.partition(":")[0]
+    of_kind = [name for name in names if name.partition(":")[0] == kind] or list(names)
+    hint = printable.did_you_mean(asked, of_kind) or ";"
+    shown = printable.some(map(printable.value, of_kind)) or f"none: the run has no {what}"
+    return UsageError(
+        f"change {change}: the run has no {what} {printable.value(asked)}{hint} expected one of {shown}; {LIST}"
+    )
+
+
+def _rejected(base: Base, forked: Forked) -> CommandRejected | None:
+    """Return the first rejection in a fork that its base does not have."""
+    known = {event for event in base.record.events if isinstance(event, CommandRejected)}
+    found = (event for event in forked.record.events if isinstance(event, CommandRejected) and event not in known)
+    return next(found, None)
