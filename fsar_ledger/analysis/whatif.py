@@ -107,7 +107,7 @@ def forked(bases: Iterable[Base], changes: Changes, count: int, progress: Progre
         UsageError: A base cannot be made again, or a change is impossible there.
     """
     found: list[Pair] = []
-    with _without_collection():
+    with without_collection():
         for base in bases:
             found.append(Pair(base, repeated(base).fork(changes)))
             if progress is not None:
@@ -116,7 +116,7 @@ def forked(bases: Iterable[Base], changes: Changes, count: int, progress: Progre
 
 
 @contextmanager
-def _without_collection() -> Iterator[None]:
+def without_collection() -> Iterator[None]:
     """Collect no garbage inside: a run makes no cycles."""
     was_enabled = gc.isenabled()
     gc.disable()

@@ -83,3 +83,8 @@ class Draws:
         low_us, scale = self._laws[stream]
         length_us = round(min(low_us + scale * word, FOREVER_US))
         return length_us if share_ppm == 1_000_000 else length_us * share_ppm // 1_000_000
+
+    def middle(self, ask: Ask) -> int:
+        """Return the middle of the law by which a length is drawn. Units: microseconds."""
+        low_us, scale = self._laws[ask.what]
+        return round(min(low_us + scale / (2 * _SHARE), FOREVER_US)) * ask.share_ppm // 1_000_000

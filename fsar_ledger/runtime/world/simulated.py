@@ -11,9 +11,10 @@ from .draws import Draws
 class Simulated:
     """A world in which these facts happen and these draws answer."""
 
-    __slots__ = ("answer", "facts", "latest_us")
+    __slots__ = ("answer", "facts", "latest_us", "middle")
 
     def __init__(self, facts: Sequence[Fact], draws: Draws) -> None:
         self.facts = facts
         self.latest_us: int | None = 2 * END_US  # no simulated run is longer: one that is still busy then is a bug
         self.answer = draws.answer
+        self.middle = draws.middle

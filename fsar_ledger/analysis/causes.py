@@ -1,0 +1,213 @@
+"""Causes: the smallest set of facts and answers with which an outcome still comes about, found over forks.
+
+All that a run takes from outside is its world's facts and the answers at its ports. Without a fact, it does not happen;
+without an answer, an attempt holds, a supervisor answers as usual, and with `lengths`, what lasts takes the middle of
+its law. A set suffices if the outcome stands with it alone, and is 1-minimal if the outcome falls without any one of
+it. But-for tests alone would miss causes of which either suffices.
+
+Zeller, Hildebrandt: Simplifying and Isolating Failure-Inducing Input (2002), whose delta debugging this is, with many
+forks judged by one query.
+"""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.runtime.forks import kernel_of
+from fsar_ledger.runtime.happenings import happenings
+from fsar_ledger.runtime.ports import Ask, Fact
+from fsar_ledger.runtime.questions import ATTEMPT, CALL, name_of
+from fsar_ledger.runtime.simulation import environment_of
+
+from .bases import Repeated
+from .outcomes import Outcome
+from .whatif import without_collection
+
+Progress = Callable[[int], None]
+USUAL = {ATTEMPT: 1, CALL: 0}
+"""The answers that are nobody's doing: what is tried holds, and the supervisor answers as the model's do."""
+MOST_AT_ONCE = 200
+"""Forks that are judged together; more take more memory and no less time."""
+
+
+class Element(msgspec.Struct, frozen=True):
+    """A fact or an answer that a run took from outside: its name, and what it is, as `changeable` has it.
+
+    `is_necessary`: without it alone the outcome falls. `change` is the text that takes it away.
+    """
+
+    name: str
+    what: str
+    begins_s: float | None
+    is_necessary: bool
+    change: str
+
+
+class Cause(msgspec.Struct, frozen=True):
+    """A smallest set that suffices for an outcome, of `candidates` facts and answers; `forks` were played to find it.
+
+    `also_necessary` are those outside of the set without any one of which the outcome falls, because it would be
+    prevented or come otherwise; a set can suffice without them.
+    """
+
+    outcome: str
+    elements: tuple[Element, ...]
+    also_necessary: tuple[Element, ...]
+    candidates: int
+    forks: int
+
+
+class _Left(NamedTuple):
+    """An environment in which some facts do not happen and some answers are as usual."""
+
+    facts: Sequence[Fact]
+    latest_us: int | None
+    answer: Callable[[Ask], int]
+
+
+class Search:
+    """The forks of one run in which some of what it took from outside is taken away, with their outcomes."""
+
+    def __init__(
+        self, repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None
+    ) -> None:
+        """Find out what the run took from outside.
+
+        Args:
+            repeated: The run, made again.
+            outcome: What is asked about.
+            lengths: Whether the lengths of messages, ways, executions and responses count, too.
+            progress: Called with the number of forks played.
+        """
+        self.played = 0
+        self._recipe = repeated.base.recipe
+        self._world = environment_of(self._recipe.spec, self._recipe.constants)
+        self._facts = tuple(self._world.facts)
+        self._places = happenings(self._facts)
+        self._lengths = lengths
+        self._outcome = outcome
+        self._progress = progress
+        self._known: dict[frozenset[str], bool] = {}
+        answers = [one.name for one in dict.fromkeys(repeated.asked) if one.answer != USUAL.get(one.kind)]
+        if not lengths:
+            answers = [name for name in answers if name.partition(":")[0] in USUAL]
+        self.candidates: tuple[str, ...] = (*self._places, *dict.fromkeys(answers))
+
+    def hold(self, sets: Sequence[frozenset[str]]) -> list[bool]:
+        """Return for each set whether the outcome stands with it alone. Raises: QueryFailed."""
+        new = [one for one in dict.fromkeys(sets) if one not in self._known]
+        for begin in range(0, len(new), MOST_AT_ONCE):
+            batch = new[begin : begin + MOST_AT_ONCE]
+            with without_collection():
+                runs = [self._play(one) for one in batch]
+            self._known |= dict(zip(batch, self._outcome.of(runs), strict=True))
+            self.played += len(batch)
+            if self._progress is not None:
+                self._progress(self.played)
+        return [self._known[one] for one in sets]
+
+    def holds(self, one: frozenset[str]) -> bool:
+        """Return whether the outcome stands with this set alone. Raises: QueryFailed."""
+        return self.hold([one])[0]
+
+    def _play(self, kept: frozenset[str]) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
+        places = {at for name, its in self._places.items() if name not in kept for at in its}
+        facts = [fact for at, fact in enumerate(self._facts) if at not in places]
+        usual = self._world.answer
+
+        def answer(ask: Ask) -> int:
+            drawn = usual(ask)
+            name = name_of(ask)
+            if name is None or name in kept:
+                return drawn
+            kind = name.partition(":")[0]
+            if kind in USUAL:
+                return USUAL[kind]
+            return self._world.middle(ask) if self._lengths else drawn
+
+        kernel = kernel_of(self._recipe, _Left(facts, self._world.latest_us, answer))
+        kernel.run()
+        return kernel.times_us, kernel.caused_by, kernel.events
+
+
+def smallest(search: Search) -> frozenset[str]:
+    """Return a 1-minimal set of candidates with which alone the outcome stands. Raises: UsageError, QueryFailed."""
+    whole = frozenset(search.candidates)
+    if not search.holds(whole):
+        raise UsageError("outcome: the run does not have it, expected one that it has; `metrics` shows what it has")
+    if search.holds(frozenset()):
+        raise UsageError(
+            "outcome: it stands even if nothing happens in the world, so no fact and no answer causes it; expected one "
+            "that needs a cause"
+        )
+    kept = list(search.candidates)
+    parts = 8
+    while True:
+        parts = min(parts, len(kept))
+        chunks = _chunks(kept, parts)
+        left = [frozenset(kept) - frozenset(chunk) for chunk in chunks]
+        removable = [chunk for chunk, stands in zip(chunks, search.hold(left), strict=True) if stands]
+        if removable:
+            kept = _without(search, kept, removable)
+            parts = max(2, min(parts, len(kept)))
+        elif parts >= len(kept):
+            return frozenset(kept)
+        else:
+            parts = min(2 * parts, len(kept))
+
+
+def _without(search: Search, kept: list[str], removable: list[list[str]]) -> list[str]:
+    """Return what is left without as many of these parts as the outcome stands without, at least one.
+
+    Each can go alone; half of them together may still be too many.
+    """
+    together = removable
+    while len(together) > 1:
+        left = frozenset(kept) - frozenset(name for chunk in together for name in chunk)
+        if search.holds(left):
+            break
+        together = together[: (len(together) + 1) // 2]
+    gone = {name for chunk in together for name in chunk}
+    return [name for name in kept if name not in gone]
+
+
+def _chunks(names: list[str], count: int) -> list[list[str]]:
+    bounds = [len(names) * number // count for number in range(count + 1)]
+    return [names[begin:end] for begin, end in pairwise(bounds)]
+
+
+def cause(repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None) -> Cause:
+    """Return a smallest cause of the outcome of a run.
+
+    Raises:
+        UsageError: The run does not have the outcome, or it needs no cause.
+        QueryFailed: The SELECT of the outcome fails.
+    """
+    search = Search(repeated, outcome, lengths=lengths, progress=progress)
+    found = smallest(search)
+    whole = frozenset(search.candidates)
+    singles = search.hold([whole - {name} for name in search.candidates])
+    necessary = {name for name, stands in zip(search.candidates, singles, strict=True) if not stands}
+    told = {one.name: one for one in repeated.changeable()}
+
+    def element(name: str) -> Element:
+        kind = name.partition(":")[0]
+        change = {ATTEMPT: f"answer {name} hold", CALL: f"answer {name} approve"}.get(kind, f"drop {name}")
+        return Element(name, told[name].is_now, told[name].begins_s, name in necessary, change)
+
+    return Cause(
+        outcome.text,
+        tuple(element(name) for name in search.candidates if name in found),
+        tuple(element(name) for name in search.candidates if name in necessary - found),
+        len(search.candidates),
+        search.played,
+    )
+
+
+def names_in(cause: Cause) -> str:
+    """Return the names of the elements in one line."""
+    return printable.some([printable.value(one.name) for one in cause.elements])

@@ -1,0 +1,185 @@
+"""Futures: how likely an outcome still can be avoided from each moment of a run on, and from when on it cannot.
+
+From a moment on the world goes on as it might have: what has begun keeps its end, and what begins or is asked later is
+drawn again, for another seed each time. Tasks keep their times, since they are the work and not the world's doing.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import msgspec
+
+from fsar_ledger.constants import END_US
+from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
+from fsar_ledger.runtime.forks import kernel_of
+from fsar_ledger.runtime.happenings import happenings
+from fsar_ledger.runtime.ports import Ask, Environment, Fact
+from fsar_ledger.runtime.simulation import environment_of
+
+from .bases import Repeated
+from .outcomes import Outcome
+from .whatif import without_collection
+
+Progress = Callable[[int, int], None]
+MOMENTS = 24
+"""Moments of the curve at even distances."""
+STEPS = 8
+"""About how many more it takes to find the event after which the outcome was not avoided any more."""
+FUTURES = 50
+MOST_AT_ONCE = 250
+Z = 1.959963984540054
+"""The 97.5 % quantile of the standard normal distribution."""
+
+
+class Chance(msgspec.Struct, frozen=True):
+    """In `avoided` of `futures` from this moment on the outcome did not come about; 95 % interval after Wilson."""
+
+    at_s: float
+    futures: int
+    avoided: int
+    share: float
+    low: float
+    high: float
+
+
+class Curve(msgspec.Struct, frozen=True):
+    """The chances by moment, in order, and the point of no return: the event from which on no future avoided it.
+
+    `last_open_s`: the last moment found from which some future did. `closing_seq`: the first event after which none
+    did; the moments of both are among `chances`.
+    None: none did from any moment on (`last_open_s`), or some did to the end (`closing_seq`).
+    """
+
+    chances: tuple[Chance, ...]
+    last_open_s: float | None
+    closing_seq: int | None
+
+
+class _Changing(NamedTuple):
+    """An environment with these facts."""
+
+    facts: Sequence[Fact]
+    latest_us: int | None
+    answer: Callable[[Ask], int]
+
+
+def curve(
+    repeated: Repeated,
+    outcome: Outcome,
+    futures: int = FUTURES,
+    moments: int = MOMENTS,
+    progress: Progress | None = None,
+) -> Curve:
+    """Return the chances to avoid the outcome from moments of the run on, in order of time.
+
+    The moments are `moments` times at even distances, and events between the last two around the point of no return.
+    `progress` is called with the futures that were played, and their number.
+
+    Raises: QueryFailed as `Outcome.of`.
+    """
+    times_us = repeated.base.record.times_us
+    chances = _Chances(repeated, outcome, futures, moments, progress)
+    chances.add([times_us[-1] * number // (moments - 1) for number in range(moments)])
+    is_open = [at_us for at_us, found in chances.found.items() if found.avoided]
+    closed = [at_us for at_us in chances.found if is_open and at_us > max(is_open)]
+    if not is_open:
+        return Curve(chances.in_order, None, 0)
+    if not closed:
+        return Curve(chances.in_order, max(is_open) / 1_000_000, None)
+    between = sorted({at_us for at_us in times_us if max(is_open) < at_us <= min(closed)})
+    low, high = 0, len(between) - 1
+    while low < high:  # the first event from which on none avoids it
+        middle = (low + high) // 2
+        chances.add([between[middle]])
+        low, high = (middle + 1, high) if chances.found[between[middle]].avoided else (low, middle)
+    if between:
+        chances.add([between[low]])
+    last_us = max(at_us for at_us, found in chances.found.items() if found.avoided)
+    after = [at_us for at_us in between if at_us > last_us]
+    return Curve(chances.in_order, last_us / 1_000_000, times_us.index(after[0]) if after else None)
+
+
+class _Chances:
+    """The chances from moments on, each found once over the same other worlds."""
+
+    def __init__(
+        self, repeated: Repeated, outcome: Outcome, futures: int, moments: int, progress: Progress | None
+    ) -> None:
+        self.found: dict[int, Chance] = {}
+        self._repeated, self._outcome, self._progress = repeated, outcome, progress
+        self._worlds = [_other(repeated, number) for number in range(futures)]
+        self._played, self._total = 0, (moments + STEPS) * futures
+
+    @property
+    def in_order(self) -> tuple[Chance, ...]:
+        """Return the chances in order of time."""
+        return tuple(self.found[at_us] for at_us in sorted(self.found))
+
+    def add(self, times_us: Sequence[int]) -> None:
+        """Play the futures from these moments on. Raises: QueryFailed."""
+        asked = [(at_us, world) for at_us in times_us for world in self._worlds if at_us not in self.found]
+        avoided: dict[int, list[bool]] = {}
+        for begin in range(0, len(asked), MOST_AT_ONCE):
+            part = asked[begin : begin + MOST_AT_ONCE]
+            with without_collection():
+                runs = [_played(self._repeated, at_us, world) for at_us, world in part]
+            for (at_us, _), has_it in zip(part, self._outcome.of(runs), strict=True):
+                avoided.setdefault(at_us, []).append(not has_it)
+            self._played += len(part)
+            if self._progress is not None:
+                self._progress(min(self._played, self._total), self._total)
+        self.found |= {at_us: _chance(at_us, one) for at_us, one in avoided.items()}
+
+
+def _other(repeated: Repeated, number: int) -> Environment:
+    """Return the world of another seed, under the same constants."""
+    recipe = repeated.base.recipe
+    return environment_of(msgspec.structs.replace(recipe.spec, seed=recipe.spec.seed + 1 + number), recipe.constants)
+
+
+def _played(
+    repeated: Repeated, at_us: int, world: Environment
+) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
+    """Play one future from this moment on."""
+    recipe = repeated.base.recipe
+    own = environment_of(recipe.spec, recipe.constants)
+    kernel = kernel_of(recipe, _Changing(_facts(own.facts, world.facts, at_us), own.latest_us, own.answer))
+    kernel.run(at_us)
+    kernel.answered_by(world)
+    kernel.run()
+    return kernel.times_us, kernel.caused_by, kernel.events
+
+
+def _facts(own: Sequence[Fact], other: Sequence[Fact], at_us: int) -> tuple[Fact, ...]:
+    """Return what has begun by then, each with its end, the tasks at their times, and the other world's later facts."""
+    places = happenings(tuple(own))
+    is_kept = {
+        at
+        for its in places.values()
+        if own[its[0]][0] <= at_us or isinstance(own[its[0]][1], TaskArrived | OutsiderRequestInjected)
+        for at in its
+    }
+    kept = [fact for at, fact in enumerate(own) if at in is_kept]
+    names = {name for name, its in places.items() if its[0] in is_kept}
+    later = [
+        other[at]
+        for name, its in happenings(tuple(other)).items()
+        if other[its[0]][0] > at_us and name not in names
+        for at in its
+    ]
+    apart: list[Fact] = []
+    last_us = 0
+    for time_us, fact in sorted((*kept, *later), key=lambda one: one[0]):
+        last_us = max(time_us, last_us + 1)
+        if last_us <= END_US:
+            apart.append((last_us, fact))
+    return tuple(apart)
+
+
+def _chance(at_us: int, avoided: Sequence[bool]) -> Chance:
+    """Return the share with its interval. Wilson, Probable Inference (1927)."""
+    n, found = len(avoided), sum(avoided)
+    share = found / n
+    centre = (share + Z * Z / (2 * n)) / (1 + Z * Z / n)
+    half = Z * ((share * (1 - share) / n + Z * Z / (4 * n * n)) ** 0.5) / (1 + Z * Z / n)
+    return Chance(at_us / 1_000_000, n, found, share, max(0.0, centre - half), min(1.0, centre + half))
