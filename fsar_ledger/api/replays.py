@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.store.read import LedgerView
     from fsar_ledger.projections.fold import State
 
+    from .causes import Caused
     from .provenance import Provenance
     from .table import Table
     from .whatif import Asked, Fork, WhatIf
@@ -130,3 +131,34 @@ class Replays:
         view, provenance = self._view()
         found = repeated(base_of_record(record_of(view, self._name(run)), view.head.root)).changeable()
         return Table(of_structs(found, Changeable), provenance)
+
+    def cause(
+        self,
+        run: Run,
+        outcome: str,
+        *,
+        lengths: bool = False,
+        futures: int = 50,
+        progress: "Progress | None" = None,
+    ) -> "Caused":
+        """Find a smallest set of facts and answers that suffices for an outcome, and when it became unavoidable.
+
+        Args:
+            run: A simulated run of this model version.
+            outcome: A condition on a metric (`policy_violations > 0`) or on the number of violations of an invariant
+                (`i3 > 0`), or a SELECT of the `run_id` of each run that has it.
+            lengths: Whether the lengths of messages, ways, executions and responses count as causes, too.
+            futures: How many futures to draw from each moment; 0: none.
+            progress: Called with the runs that were played, and their number, where it is known.
+
+        Raises:
+            UsageError: The run does not have the outcome, or it cannot be made again.
+            QueryFailed: The SELECT fails.
+        """
+        from fsar_ledger.analysis.records import record_of
+
+        from .causes import cause_of
+
+        view, provenance = self._view()
+        record = record_of(view, self._name(run))
+        return cause_of(record, provenance, outcome, lengths=lengths, futures=futures, progress=progress)

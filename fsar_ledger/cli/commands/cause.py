@@ -1,0 +1,136 @@
+"""The command `cause`: what an outcome of a run came from, and when it could no longer be avoided."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fsar_ledger import printable
+from fsar_ledger.cli import completing
+from fsar_ledger.cli.options import JsonOption, LedgerArgument, VerifiedOption, WideOption, examples
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
+from fsar_ledger.printable import Shown, counted
+
+if TYPE_CHECKING:
+    from fsar_ledger.analysis.causes import Element
+    from fsar_ledger.analysis.futures import Chance
+    from fsar_ledger.api.causes import Caused
+    from fsar_ledger.api.ledger import Ledger
+
+EXAMPLES = examples(
+    'fsar-ledger cause out/ledger --run 1 --outcome "policy_violations > 0"',
+    'fsar-ledger cause out/ledger --run 2 --outcome "a3 > 0" --futures 0',
+    'fsar-ledger cause out/ledger --run 5 --outcome "SELECT run_id FROM task_abandoned" --json',
+)
+BAR = 40
+"""Characters of the bar of a chance of 1."""
+
+
+def cause(
+    ledger: LedgerArgument,
+    run: Annotated[
+        str,
+        typer.Option(
+            "--run",
+            metavar="RUN",
+            help="A run: its number, its name, or a unique part of it.",
+            autocompletion=completing.runs,
+        ),
+    ],
+    outcome: Annotated[
+        str,
+        typer.Option(
+            "--outcome",
+            metavar="CONDITION",
+            help="What to explain: METRIC > NUMBER, INVARIANT > NUMBER, or a SELECT of run_id.",
+        ),
+    ],
+    lengths: Annotated[
+        bool, typer.Option("--lengths", help="Also ask whether the lengths of messages, ways and work mattered.")
+    ] = False,
+    futures: Annotated[
+        int, typer.Option("--futures", metavar="N", help="Futures to draw from each moment; 0: no curve.")
+    ] = 50,
+    verified: VerifiedOption = False,
+    as_json: JsonOption = False,
+    wide: WideOption = False,
+) -> None:
+    """Find the smallest cause of an outcome of a run, and when it could no longer be avoided.
+
+    A cause is a set of facts of the world and answers at ports with which alone the outcome stands, and without any one
+    of which it falls. It is found over forks of the run, so it is a cause and no mere correlation; others may suffice,
+    too. Then the curve: from moments of the run on, the share of futures, drawn anew, that avoid the outcome, up to the
+    event after which none does.
+    """
+    from fsar_ledger.cli.answering import opened, warn
+
+    asked = opened(ledger, verified=verified)
+    with Progress("played", "runs") as progress:
+        found = asked.cause(run, outcome, lengths=lengths, futures=futures, progress=progress)
+    warn(ledger, found.provenance)
+    show(_json(found) if as_json else _text(ledger, asked, found, wide=wide))
+
+
+def _json(found: "Caused") -> Shown:
+    from msgspec import structs
+
+    from fsar_ledger.cli.output import answer_json
+
+    answer = {name: value for name, value in structs.asdict(found).items() if name != "provenance"}
+    return answer_json(found.provenance, answer)
+
+
+def _text(ledger: Path, asked: "Ledger", found: "Caused", *, wide: bool) -> Shown:
+    from fsar_ledger.cli.output import run_text, run_word
+    from fsar_ledger.cli.tables import table
+
+    number = asked.numbers().get(found.run)
+    head = [
+        run_text(found.run, number),
+        f"outcome: {found.outcome}",
+        f"{counted(len(found.elements), 'cause')} of {found.candidates:,} facts and answers suffice together; without "
+        "any one of them the outcome falls",
+        "",
+    ]
+    rows = [{"begins_s": one.begins_s, "name": one.name, "what": one.what} for one in found.elements]
+    tail = [f"{_named(one for one in found.elements if one.is_necessary)} necessary in the whole run, too"]
+    if found.also_necessary:
+        tail.append(f"also necessary there: {_listed(found.also_necessary)}")
+    call = f"fsar-ledger whatif {printable.word(ledger)} --run {run_word(found.run, number)}"
+    tail.append(f"`{call} --change {printable.word(found.elements[0].change)}` shows the run without the first")
+    parts = [printable.lines(*head), table(rows, list(rows[0]), wide=wide), printable.lines("", *tail)]
+    if found.chances:
+        parts.append(printable.lines("", *_curve(found)))
+    return printable.joined(*parts)
+
+
+def _named(elements: "Iterator[Element]") -> str:
+    names = [printable.value(one.name) for one in elements]
+    return f"{printable.some(names)} {'is' if len(names) == 1 else 'are'}" if names else "none of them is"
+
+
+def _listed(elements: "Sequence[Element]") -> str:
+    return printable.some([printable.value(one.name) for one in elements])
+
+
+def _curve(found: "Caused") -> Iterator[str]:
+    """Yield the curve: a line for each moment, and the point of no return."""
+    yield f"futures that avoid it, of {found.chances[0].futures:,} drawn from each moment on"
+    for one in found.chances:
+        yield _bar(one)
+    yield ""
+    if found.closing_seq is None:
+        yield "some futures avoid it to the end"
+    elif found.last_open_s is None:
+        yield "no future avoids it, from the beginning on"
+    else:
+        yield (
+            f"point of no return: event {found.closing_seq}, at {found.closing_s:.3f} s; before it, at "
+            f"{found.last_open_s:.3f} s, some futures still avoid it"
+        )
+
+
+def _bar(one: "Chance") -> str:
+    return f"{one.at_s:>10.3f} s  {one.share:>4.0%}  {'#' * round(one.share * BAR)}".rstrip()
