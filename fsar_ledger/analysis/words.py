@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
-from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.results import typed
 
 LINES = """
@@ -41,7 +41,11 @@ class Line(msgspec.Struct, frozen=True):
 
 def lines_of(records: Sequence[LedgerRun], seqs: Iterable[tuple[str, int]]) -> dict[tuple[str, int], Line]:
     """Return these events of the records in words, by run and seq. Raises: as `Database.rows`."""
-    places = [f"{run} {seq}" for run, seq in seqs]
     with from_table(encode(records)) as database:
-        found = typed(database.rows(LINES, {"places": places}), Line)
+        return lines_from(database, seqs)
+
+
+def lines_from(database: Database, seqs: Iterable[tuple[str, int]]) -> dict[tuple[str, int], Line]:
+    """Return these events in words, by run and seq. Raises: as `Database.rows`."""
+    found = typed(database.rows(LINES, {"places": [f"{run} {seq}" for run, seq in seqs]}), Line)
     return {(line.run_id, line.seq): line for line in found}

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fsar_ledger.errors import UsageError
+
 from .lookup import run_of, time_of
 from .names import Place, Run, Time, names_of
 
@@ -12,7 +14,10 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.store.read import LedgerView
     from fsar_ledger.projections.fold import State
 
+    from .bisect import Bisected
     from .causes import Caused
+    from .difference import Diff
+    from .ledger import Ledger
     from .provenance import Provenance
     from .table import Table
     from .whatif import Asked, Fork, WhatIf
@@ -24,6 +29,10 @@ class Replays:
 
     path: Path
     _demanded: str | None
+
+    if TYPE_CHECKING:
+
+        def __init__(self, path: Place, *, demanded: str | None = None) -> None: ...
 
     def record(self, run: Run) -> "LedgerRun":
         """Return the record of a run: its events, each with its time and the seq of its cause.
@@ -65,6 +74,24 @@ class Replays:
             until_us = time_of(database, "at", at, record.run_id)
         timed = zip(record.times_us, record.events, strict=True)
         return fold(event for time_us, event in timed if until_us is None or time_us <= until_us)
+
+    def diff(self, first: Run, second: Run, other: "Replays | Place | None" = None) -> "Diff":
+        """Say in what two runs differ, where they part and why, and what they came to.
+
+        Args:
+            first: A run of this ledger.
+            second: A run of this ledger, or of `other`.
+            other: Another ledger.
+
+        Raises:
+            UsageError: There is no such run.
+        """
+        from .difference import difference_of
+
+        theirs = self if other is None else other if isinstance(other, Replays) else type(self)(other)
+        (_, own), (_, its) = self._view(), theirs._view()
+        provenances = (own,) if other is None else (own, its)
+        return difference_of(self.record(first), theirs.record(second), provenances)
 
     def fork(self, run: Run, changes: "Asked") -> "Fork":
         """Fork a run: repeat it up to the first change, and play on under the same draws. Nothing is stored.
@@ -162,3 +189,45 @@ class Replays:
         view, provenance = self._view()
         record = record_of(view, self._name(run))
         return cause_of(record, provenance, outcome, lengths=lengths, futures=futures, progress=progress)
+
+    def bisect(
+        self,
+        outcome: str,
+        first: str | None = None,
+        second: str | None = None,
+        other: "Ledger | Place | None" = None,
+        *,
+        changes: "Asked | None" = None,
+        architecture: str | Sequence[str] | None = None,
+    ) -> "Bisected":
+        """Find the first run in which two sides disagree on an outcome, and where the two part there.
+
+        The sides are configurations, parameter sets or models, as in `compare`; or the runs as recorded and their forks
+        with `changes`. Another ledger can be what another release made of the same experiment.
+
+        Args:
+            outcome: As in `cause`.
+            first: As in `compare`.
+            second: As in `compare`.
+            other: Another ledger, which holds the second side.
+            changes: As in `fork`, instead of two sides.
+            architecture: With `changes`, only the runs of this one, or of these.
+
+        Raises:
+            UsageError: There is no such side or outcome, or nothing to pair.
+            QueryFailed: The SELECT of the outcome fails.
+        """
+        from .bisect import bisect_changes, bisect_sides
+        from .ledger import Ledger
+
+        assert isinstance(self, Ledger)
+        view, provenance = self._view()
+        if changes is not None:
+            if first is not None or second is not None or other is not None:
+                raise UsageError("bisect: found changes and two sides, expected one or the other")
+            return bisect_changes(view, provenance, changes, names_of(architecture) or (), outcome)
+        if architecture is not None:
+            raise UsageError("bisect: found an architecture without changes; sides name theirs")
+        ledgers = [self] if other is None else [self, other if isinstance(other, Ledger) else Ledger(other)]
+        provenances = tuple(one._view()[1] for one in ledgers)
+        return bisect_sides(ledgers, provenances, (first, second), outcome)

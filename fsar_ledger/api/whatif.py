@@ -16,6 +16,7 @@ from fsar_ledger.printable import did_you_mean, value
 from fsar_ledger.runtime.change_texts import parsed, read_changes
 from fsar_ledger.runtime.changes import Changes
 
+from .difference import Diff, difference_of
 from .provenance import Provenance
 from .workload import Progress
 
@@ -48,12 +49,14 @@ class Fork(msgspec.Struct, frozen=True):
 class WhatIf(msgspec.Struct, frozen=True):
     """Forks with the same changes, and the effects on every metric.
 
-    `kept` is the head of the ledger in which they were stored, each beside its base; None: nowhere.
+    `story` says where base and fork of a single run part, and why; None: there are several. `kept` is the head of the
+    ledger in which they were stored, each beside its base; None: nowhere.
     """
 
     changes: tuple[str, ...]
     forks: tuple[Fork, ...]
     effects: list[Effects]
+    story: Diff | None
     provenance: Provenance
     kept: Head | None
 
@@ -99,15 +102,28 @@ def what_if(
     if records is not None:
         pairs = [_one(base_of_record(record, root), changes) for record in records]
     else:
-        bases = [base_of_record(record, root) for record in _of(simulated(view.runs()), architectures)]
-        pairs = forked(bases, changes, len(bases), progress)
-        if changes and not any(pair.fork.parts_at for pair in pairs):
-            repeated(bases[0]).fork_with_effect(changes)
-            raise UsageError(f"none of {len(bases):,} runs does anything else with these changes; expected some effect")
+        pairs = fork_pairs(view, changes, architectures, progress)
     judged = effects(pairs)
     kept = None if out is None else keep(out, pairs)
     found = tuple(_fork(pair) for pair in pairs)
-    return WhatIf(found[0].changes if found else (), found, judged, provenance, kept)
+    story = None if records is None else difference_of(found[0].base, found[0].record, (provenance,))
+    return WhatIf(found[0].changes if found else (), found, judged, story, provenance, kept)
+
+
+def fork_pairs(
+    view: LedgerView, changes: Changes, architectures: Sequence[str], progress: Progress | None = None
+) -> list[Pair]:
+    """Return each simulated run of a ledger, or of these architectures, with its fork.
+
+    Raises:
+        UsageError: There is no such run, one cannot be made again, or no fork does anything else.
+    """
+    bases = [base_of_record(record, view.head.root) for record in _of(simulated(view.runs()), architectures)]
+    pairs = forked(bases, changes, len(bases), progress)
+    if changes and not any(pair.fork.parts_at for pair in pairs):
+        repeated(bases[0]).fork_with_effect(changes)
+        raise UsageError(f"none of {len(bases):,} runs does anything else with these changes; expected some effect")
+    return pairs
 
 
 def _one(base: Base, changes: Changes) -> Pair:

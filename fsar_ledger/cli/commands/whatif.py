@@ -22,7 +22,7 @@ from fsar_ledger.printable import Shown, counted
 if TYPE_CHECKING:
     from fsar_ledger.analysis.whatif import Effects
     from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.api.whatif import Fork, WhatIf
+    from fsar_ledger.api.whatif import WhatIf
 
 EXAMPLES = examples(
     'fsar-ledger whatif out/ledger --run 1 --change "drop window:fleet/B1/0"',
@@ -32,10 +32,11 @@ EXAMPLES = examples(
 )
 AFTER_INTERRUPTION = "what is committed stays; the same call again makes what is missing"
 
-SINGLE = ("metric", "base_mean", "fork_mean", "difference")
 NAMES = {"base_mean": "base", "fork_mean": "fork"}
-PAIRED = (*SINGLE[:1], "n", "differing_pairs", *SINGLE[1:], "low", "high", "interval", "test", "p", "gain")
-DULL = ("n",)
+COLUMNS = (
+    *("metric", "differing_pairs", "base_mean", "fork_mean", "difference"),
+    *("low", "high", "interval", "test", "p", "gain"),
+)
 
 
 def whatif(
@@ -127,19 +128,26 @@ def _json(answer: "WhatIf") -> Shown:
     ]
     kept = None if answer.kept is None else {"size": answer.kept.size, "root": answer.kept.root}
     effects = [structs.asdict(one) for one in answer.effects]
-    document = {"changes": answer.changes, "forks": forks, "effects": effects, "kept": kept}
+    told = None if answer.story is None else structs.asdict(answer.story)
+    story = told and {name: value for name, value in told.items() if name != "provenances"}
+    document = {"changes": answer.changes, "story": story, "forks": forks, "effects": effects, "kept": kept}
     return answer_json(answer.provenance, document)
 
 
 def _text(asked: "Ledger", answer: "WhatIf", out: Path | None, *, wide: bool) -> Shown:
     from fsar_ledger.cli.output import run_text
+    from fsar_ledger.cli.stories import story
 
-    parts = [printable.lines(*(f"change: {one}" for one in answer.changes), "")]
-    if len(answer.forks) == 1 and not answer.effects[0].pairs > 1:
-        (fork,) = answer.forks
-        name = fork.base.run_id
-        parts.append(printable.lines(run_text(name, asked.numbers().get(name)), _parting(fork), ""))
-    parts += [_effects(one, wide=wide) for one in answer.effects]
+    parts = [printable.lines(*(f"change: {one}" for one in answer.changes))]
+    if answer.story is not None:
+        name = answer.story.first
+        parts += [
+            printable.lines(run_text(name, asked.numbers().get(name)), ""),
+            story(answer.story, ("base", "fork"), wide=wide),
+            printable.lines(""),
+        ]
+    else:
+        parts += [_effects(one, wide=wide) for one in answer.effects]
     if answer.kept is not None and out is not None:
         place = printable.word(out)
         parts.append(
@@ -150,21 +158,13 @@ def _text(asked: "Ledger", answer: "WhatIf", out: Path | None, *, wide: bool) ->
     return printable.joined(*parts)
 
 
-def _parting(fork: "Fork") -> str:
-    if fork.parts_at is None:
-        return "base and fork do the same"
-    return f"base and fork part at {fork.parted_s:.3f} s, event {fork.parts_at}"
-
-
 def _effects(found: "Effects", *, wide: bool) -> Shown:
     from fsar_ledger.api.fields import plain
     from fsar_ledger.cli.tables import table
 
-    is_single = found.pairs == 1
-    columns = SINGLE if is_single else PAIRED
-    rows = [{NAMES.get(name, name): row[name] for name in columns if name not in DULL} for row in plain(found.rows)]
+    rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(found.rows)]
     who = found.architecture or "-"
     if found.configuration not in (None, "full"):
         who += f" {found.configuration}"
-    head = [] if is_single else [f"{who}: {counted(found.pairs, 'pair')}, {found.diverging:,} of them part"]
-    return printable.joined(printable.lines(*head), table(rows, list(rows[0]), wide=wide), printable.lines(""))
+    head = f"{who}: {counted(found.pairs, 'pair')}, {found.diverging:,} of them part"
+    return printable.joined(printable.lines("", head), table(rows, list(rows[0]), wide=wide), printable.lines(""))
