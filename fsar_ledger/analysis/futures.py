@@ -182,4 +182,5 @@ def _chance(at_us: int, avoided: Sequence[bool]) -> Chance:
     share = found / n
     centre = (share + Z * Z / (2 * n)) / (1 + Z * Z / n)
     half = Z * ((share * (1 - share) / n + Z * Z / (4 * n * n)) ** 0.5) / (1 + Z * Z / n)
-    return Chance(at_us / 1_000_000, n, found, share, max(0.0, centre - half), min(1.0, centre + half))
+    low, high = 0.0 if not found else centre - half, 1.0 if found == n else centre + half
+    return Chance(at_us / 1_000_000, n, found, share, low, high)

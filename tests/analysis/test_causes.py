@@ -1,0 +1,184 @@
+"""A cause suffices for its outcome, and nothing of it can be left out; futures say from when on nothing helps."""
+
+from random import Random
+
+import pytest
+
+from fsar_ledger.analysis.bases import Repeated, base_of_record, repeated
+from fsar_ledger.analysis.causes import Cause, Search, cause
+from fsar_ledger.analysis.futures import curve
+from fsar_ledger.analysis.outcomes import Outcome, outcome_of
+from fsar_ledger.designs.registered import PAPER_SCENARIOS
+from fsar_ledger.errors import QueryFailed, UnknownQuery, UsageError
+from fsar_ledger.events.world import PolicyWindowOpened
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
+from fsar_ledger.metrics.database import from_table
+from fsar_ledger.runtime.change_texts import parsed
+from fsar_ledger.runtime.changes import Drop
+from tests.analysis.conftest import simulated
+
+ROOT = "0" * 64
+VIOLATED = outcome_of("policy_violations > 0")
+
+
+def again(record: LedgerRun) -> Repeated:
+    return repeated(base_of_record(record, ROOT))
+
+
+def metric(record: LedgerRun, name: str) -> float | None:
+    """A metric of one run, by the query of that name."""
+    with from_table(encode([record])) as database:
+        (row,) = database.rows(f"SELECT value FROM {name}")
+    value: float | None = row["value"]
+    return value
+
+
+def require_smallest(base: Repeated, outcome: Outcome, found: Cause, *, lengths: bool = False) -> None:
+    search = Search(base, outcome, lengths=lengths)
+    names = frozenset(one.name for one in found.elements)
+    assert search.holds(names), "it suffices"
+    assert not any(search.hold([names - {name} for name in names])), "nothing can be left out"
+    whole = frozenset(search.candidates)
+    necessary = {name for name in names if not search.holds(whole - {name})}
+    assert {one.name for one in found.elements if one.is_necessary} == necessary
+
+
+def test_a_violated_policy_comes_from_a_task_and_a_window() -> None:
+    base = again(simulated("fsar"))
+    found = cause(base, VIOLATED)
+    require_smallest(base, VIOLATED, found)
+    assert sorted(one.name.partition(":")[0] for one in found.elements) == ["task", "window"]
+    assert found.candidates == len(Search(base, VIOLATED).candidates)
+
+
+def test_without_a_necessary_cause_the_forked_run_does_not_have_the_outcome() -> None:
+    base = again(simulated("fsar"))
+    found = cause(base, VIOLATED)
+    assert any(one.is_necessary for one in found.elements)
+    for one in found.elements:
+        forked = base.fork_with_effect(parsed([one.change]))
+        assert (metric(forked.record, "policy_violations") == 0) == one.is_necessary
+
+
+def test_with_a_cause_alone_the_forked_run_has_the_outcome() -> None:
+    base = again(simulated("fsar"))
+    kept = {one.name for one in cause(base, VIOLATED).elements}
+    others = tuple(Drop(name) for name in base.base.happenings if name not in kept)
+    assert metric(base.fork(others).record, "policy_violations") == 1
+
+
+def outcomes_of(record: LedgerRun, draw: Random) -> list[str]:
+    """Conditions that the run meets, on some metrics."""
+    found = []
+    for name, worse in (
+        ("policy_violations", ">"),
+        ("authority_conflicts", ">"),
+        ("human_intervention", ">"),
+        ("coordination_success", "<"),
+        ("recovery_containment", "<"),
+        ("reassignment_latency_s", ">"),
+    ):
+        value = metric(record, name)
+        if value is not None and ((worse == ">" and value > 0) or (worse == "<" and value < 1)):
+            bound = value * draw.uniform(0.2, 0.9) if worse == ">" else value + (1 - value) * draw.uniform(0.1, 0.8)
+            found.append(f"{name} {worse} {bound:.6f}")
+    return found
+
+
+@pytest.mark.slow
+def test_causes_of_fifty_random_outcomes_suffice_and_are_smallest() -> None:
+    draw = Random(15)
+    judged = 0
+    while judged < 50:
+        record = simulated(
+            draw.choice(("fsar", "cfc", "dhma")), draw.randrange(20), scenario=draw.choice(PAPER_SCENARIOS)
+        )
+        asked = outcomes_of(record, draw)
+        if not asked:
+            continue
+        base, outcome = again(record), outcome_of(draw.choice(asked))
+        try:
+            found = cause(base, outcome)
+        except UsageError:  # it stands even if nothing happens
+            assert Search(base, outcome).holds(frozenset())
+            continue
+        require_smallest(base, outcome, found)
+        judged += 1
+
+
+@pytest.mark.slow
+def test_lengths_can_be_causes_too() -> None:
+    base = again(simulated("fsar"))
+    found = cause(base, VIOLATED, lengths=True)
+    require_smallest(base, VIOLATED, found, lengths=True)
+    assert found.candidates > len(Search(base, VIOLATED).candidates)
+
+
+def test_an_outcome_that_the_run_does_not_have_has_no_cause() -> None:
+    with pytest.raises(UsageError, match="the run does not have it"):
+        cause(again(simulated("fsar")), outcome_of("policy_violations > 1"))
+
+
+def test_an_outcome_that_needs_nothing_has_no_cause() -> None:
+    with pytest.raises(UsageError, match="stands even if nothing happens"):
+        cause(again(simulated("fsar")), outcome_of("policy_violations < 5"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("policy_violatons > 0", "did you mean policy_violations"),
+        ("i9 > 0", "there is no metric or invariant i9"),
+        ("policy_violations", "expected a metric or an invariant and a number"),
+        ("policy_violations > much", "expected a metric or an invariant and a number"),
+        ("", "expected a metric or an invariant and a number"),
+    ],
+)
+def test_an_outcome_that_cannot_be_read_is_an_error(text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        outcome_of(text)
+
+
+def test_an_outcome_can_be_an_invariant_or_a_select() -> None:
+    violated, quiet = simulated("cfc"), simulated("fsar", 1)
+    runs = [(run.times_us, run.caused_by, run.events) for run in (violated, quiet)]
+    assert outcome_of("policy_violations > 0").of(runs) == [True, False]
+    assert outcome_of("i2 = 0").of(runs) == [False, True]
+    assert outcome_of("I2 > 0").of(runs) == [True, False]
+    assert outcome_of("SELECT run_id FROM run_started WHERE architecture = 'fsar'").of(runs) == [False, True]
+
+
+@pytest.mark.parametrize(
+    "select",
+    [
+        "SELECT 1 AS one",
+        "SELECT run_id FROM nothing",
+        "SELECT run_id FROM '/etc/passwd'",
+        "SELECT 1; DROP TABLE events",
+    ],
+)
+def test_a_select_that_gives_no_runs_is_an_error(select: str) -> None:
+    run = simulated("fsar", 1)
+    with pytest.raises((QueryFailed, UnknownQuery)):
+        outcome_of(select).of([(run.times_us, run.caused_by, run.events)])
+
+
+def test_before_its_window_opens_a_violation_can_be_avoided_and_after_it_cannot() -> None:
+    base = again(simulated("fsar"))
+    found = curve(base, VIOLATED, futures=12, moments=8)
+    (name,) = [one.name for one in cause(base, VIOLATED).elements if one.name.startswith("window:")]
+    assert found.closing_seq is not None
+    closing = base.base.record.events[found.closing_seq]
+    assert isinstance(closing, PolicyWindowOpened)
+    assert f"window:{closing.window}" == name
+    assert found.last_open_s is not None
+    for one in found.chances:
+        assert one.low <= one.share <= one.high
+        assert (one.avoided > 0) or one.at_s > found.last_open_s
+    assert [one.at_s for one in found.chances] == sorted(one.at_s for one in found.chances)
+
+
+def test_an_outcome_that_never_comes_is_avoided_to_the_end() -> None:
+    found = curve(again(simulated("fsar")), outcome_of("policy_violations > 99"), futures=3, moments=3)
+    assert [one.avoided for one in found.chances] == [3, 3, 3]
+    assert found.closing_seq is None

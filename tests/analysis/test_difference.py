@@ -1,0 +1,84 @@
+"""Two runs are aligned by cause and content: exactly what was edited differs."""
+
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+
+from fsar_ledger.analysis.difference import align, chain
+from fsar_ledger.events.world import TaskArrived
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from tests.analysis.planted import planted
+
+MIRROR = {"only first": "only second", "only second": "only first"}
+
+
+def found(first: LedgerRun, second: LedgerRun) -> list[tuple[str, int | None]]:
+    return [(one.kind, one.first_seq) for one in align(first, second).differences]
+
+
+def test_a_run_does_not_differ_from_itself(runs: list[LedgerRun]) -> None:
+    for run in runs:
+        alignment = align(run, run)
+        assert alignment.differences == []
+        assert alignment.pairs == {seq: seq for seq in range(len(run.events))}
+        assert alignment.same == len(run.events)
+
+
+def require_planted(runs: list[LedgerRun], cases: int) -> None:
+    kinds: Counter[str] = Counter()
+    for case in range(cases):
+        run = runs[case % len(runs)]
+        edited = planted(run, 1 + case % 6, case)
+        assert Counter(found(run, edited.run)) == Counter(edited.edits), case
+        kinds.update(kind for kind, _ in edited.edits)
+    assert min(kinds[kind] for kind in ("only first", "only second", "changed", "moved")) > cases // 4
+
+
+def test_exactly_the_planted_edits_are_found(runs: list[LedgerRun]) -> None:
+    require_planted(runs, 60)
+
+
+@pytest.mark.slow
+def test_exactly_the_planted_edits_are_found_in_a_thousand_cases(runs: list[LedgerRun]) -> None:
+    require_planted(runs, 1_000)
+
+
+def test_the_other_way_round_the_same_differs(runs: list[LedgerRun]) -> None:
+    for case, run in enumerate(runs):
+        other = planted(run, 5, case).run
+        there = [(one.kind, one.first_seq, one.second_seq) for one in align(run, other).differences]
+        back = [
+            (MIRROR.get(one.kind, one.kind), one.second_seq, one.first_seq) for one in align(other, run).differences
+        ]
+        assert sorted(there, key=str) == sorted(back, key=str)
+
+
+def test_what_follows_from_what_is_missing_is_its_consequence(runs: list[LedgerRun]) -> None:
+    run = runs[0]
+    task = next(seq for seq, event in enumerate(run.events) if isinstance(event, TaskArrived))
+    gone = {task}
+    for seq, cause in enumerate(run.caused_by):
+        if cause in gone:
+            gone.add(seq)
+    left = [seq for seq in range(len(run.events)) if seq not in gone]
+    place = {seq: at for at, seq in enumerate(left)}
+    without = LedgerRun(
+        run.run_id,
+        [run.times_us[seq] for seq in left],
+        [None if run.caused_by[seq] is None else place[run.caused_by[seq]] for seq in left],  # type: ignore[index]
+        [run.events[seq] for seq in left],
+    )
+    alone = [one for one in align(run, without).differences if one.kind == "only first"]
+    assert {one.first_seq for one in alone} == gone
+    assert [one.first_seq for one in alone if not one.is_consequence] == [task]
+
+
+def test_a_chain_leads_from_an_event_to_a_fact_of_the_world(runs: list[LedgerRun]) -> None:
+    run = runs[0]
+    last = max(seq for seq, cause in enumerate(run.caused_by) if cause)
+    seqs = chain(run, last)
+    assert seqs[0] == last
+    assert all(run.caused_by[one] == other for one, other in pairwise(seqs))
+    assert run.caused_by[seqs[-1]] == 0
+    assert chain(run, 0) == [0]
