@@ -23,4 +23,16 @@ def record_of(view: LedgerView, run: str) -> LedgerRun:
         if pc.any(is_its).as_py():
             (found,) = codec.decode(segment.read_table(Path(view.segment(number))).filter(is_its))
             return found
-    raise UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")
+    raise _missing(view, run)
+
+
+def commit_of(view: LedgerView, run: str) -> int:
+    """Return the number of the commit, from 0, that recorded the run of this name. Raises: as `record_of`."""
+    for number, names in enumerate(view.tables(["run_id"])):
+        if pc.any(pc.equal(names.column("run_id"), run)).as_py():
+            return number
+    raise _missing(view, run)
+
+
+def _missing(view: LedgerView, run: str) -> UsageError:
+    return UsageError(f"{view.path}: run {printable.value(run)}: there is no such run")

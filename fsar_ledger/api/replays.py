@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING
 
 from fsar_ledger.errors import UsageError
 
-from .lookup import run_of, time_of
+from .lookup import robot_of, run_of, time_of
 from .names import Place, Run, Time, names_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.read import LedgerView
-    from fsar_ledger.projections.fold import State
 
     from .bisect import Bisected
     from .causes import Caused
     from .difference import Diff
     from .ledger import Ledger
+    from .moment import Moment
     from .provenance import Provenance
     from .table import Table
     from .whatif import Asked, Fork, WhatIf
@@ -60,20 +60,37 @@ class Replays:
         with connect(self.path, demanded=self._demanded) as database:
             return run_of(database, run, self.path)
 
-    def state(self, run: Run, at: Time = None) -> "State":
-        """Return the state of a run at a time, or at its end: tasks, queues, trust, policies.
+    def state(
+        self,
+        run: Run,
+        at: Time = None,
+        *,
+        robot: str | None = None,
+        as_known_by: str | None = None,
+        by_commit: int | None = None,
+    ) -> "Moment":
+        """Return how things stood in a run at a time: robots, requests, claims, recoveries, calls, tasks and the rest.
+
+        Args:
+            run: The run.
+            at: The time within the run; None: its end.
+            robot: Only what this robot has a part in.
+            as_known_by: A decider, such as `coordinator` or `robot/A1`: also what it had been told by then.
+            by_commit: Only from what the ledger had recorded after so many commits.
 
         Raises:
-            UsageError: There is no such run, or `at` is no time of it.
+            UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
         """
         from fsar_ledger.metrics.database import connect
-        from fsar_ledger.projections.fold import fold
 
-        record = self.record(run)
+        from .moment import moment
+
+        view, provenance = self._view()
         with connect(self.path, demanded=self._demanded) as database:
-            until_us = time_of(database, "at", at, record.run_id)
-        timed = zip(record.times_us, record.events, strict=True)
-        return fold(event for time_us, event in timed if until_us is None or time_us <= until_us)
+            name = run_of(database, run, self.path)
+            at_us = time_of(database, "at", at, name)
+            whose = None if robot is None else robot_of(database, robot, name)
+        return moment(view, provenance, name, at_us, whose, as_known_by, by_commit)
 
     def diff(self, first: Run, second: Run, other: "Replays | Place | None" = None) -> "Diff":
         """Say in what two runs differ, where they part and why, and what they came to.

@@ -97,9 +97,9 @@ def test_since_is_included_and_until_is_not(ledger: fsar_ledger.Ledger) -> None:
 def test_the_state_at_a_time_is_what_the_events_until_then_make(ledger: fsar_ledger.Ledger) -> None:
     every = list(ledger.events(run=RUN))
     at = every[len(every) // 2].time_s
-    assert ledger.state(RUN, at) == fold(one.event for one in every if one.time_s <= at)
-    assert ledger.state(RUN) == fold(one.event for one in every)
-    assert ledger.state(RUN, at) != ledger.state(RUN)
+    assert ledger.state(RUN, at).state == fold(one.event for one in every if one.time_s <= at)
+    assert ledger.state(RUN).state == fold(one.event for one in every)
+    assert ledger.state(RUN, at).state != ledger.state(RUN).state
 
 
 def test_a_time_of_a_question_is_in_seconds(ledger: fsar_ledger.Ledger) -> None:

@@ -1,0 +1,155 @@
+"""Beliefs: what a decider had been told by a moment, how old that is, and what held."""
+
+from collections.abc import Iterator
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import COORDINATOR, REGISTRY, Robot
+from fsar_ledger.events.knowledge import CopySynced, SnapshotTaken
+from fsar_ledger.events.registry import AvailabilityChanged
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import surface
+from fsar_ledger.projections.world import in_force
+
+
+class Belief(msgspec.Struct, frozen=True):
+    """What a decider believes about a robot, when it was so, how old that is, and what holds now.
+
+    Units: `as_of_s` run time, `age_s` seconds. None: it was never told.
+    """
+
+    about: str
+    what: str
+    believed: str | None
+    as_of_s: float | None
+    age_s: float | None
+    holds: str
+
+    @property
+    def is_stale(self) -> bool:
+        """Return whether something else holds."""
+        return self.believed != self.holds
+
+
+def deciders(state: State) -> list[str]:
+    """Return the principals that can be told something in this run, in order."""
+    robots = list(state.fleet.robots)
+    agents = [
+        f"agent/{robot[6:]}/{kind}"
+        for robot in robots
+        for kind in ("planning", "execution", "communication", "recovery")
+    ]
+    supervisors = dict.fromkeys(one.supervisor for one in state.fleet.robots.values() if one.supervisor is not None)
+    return [COORDINATOR, REGISTRY, *robots, *supervisors, "supervisor/fleet", *agents]
+
+
+def beliefs(record: LedgerRun, seq: int, state: State, decider: str) -> list[Belief]:
+    """Return what a decider had been told after this event, about each robot in order.
+
+    Raises:
+        UsageError: There is no such principal, or it decides on the present state and keeps no copies.
+    """
+    known = deciders(state)
+    if decider not in known:
+        hint = printable.did_you_mean(decider, known) or ";"
+        raise UsageError(
+            f"{printable.value(decider)}: there is no such principal{hint} expected one of {printable.some(known)}"
+        )
+    last = _Last(record, seq)
+    if decider == COORDINATOR:
+        found = list(_of_coordinator(state, last))
+    elif decider == REGISTRY:
+        found = list(_of_registry(state, last))
+    elif decider in state.fleet.robots:
+        found = list(_of_robot(state, Robot(decider), last))
+    elif decider.startswith("agent/") and decider.endswith("/planning"):
+        found = list(_of_planner(state, Robot(f"robot/{decider.split('/')[1]}"), last))
+    else:
+        raise UsageError(
+            f"{decider}: it keeps no copies and decides on what it is asked; expected the coordinator, a robot, "
+            f"{REGISTRY}, or the planning agent of a robot"
+        )
+    return found
+
+
+class _Last:
+    """The times of the last events of a type up to one."""
+
+    def __init__(self, record: LedgerRun, seq: int) -> None:
+        self._record, self._seq = record, seq
+        self.now_us = record.times_us[seq]
+
+    def time_us(self, kind: type[Event], robot: str | None = None) -> int | None:
+        """Return when the last event of this type (about this robot) happened; None: there is none."""
+        for at in range(self._seq, -1, -1):
+            event = self._record.events[at]
+            if isinstance(event, kind) and (robot is None or getattr(event, "robot", None) == robot):
+                return self._record.times_us[at]
+        return None
+
+    def belief(self, about: str, what: str, believed: str | None, as_of_us: int | None, holds: str) -> Belief:
+        """Return a belief of that age."""
+        if as_of_us is None:
+            return Belief(about, what, believed, None, None, holds)
+        return Belief(about, what, believed, as_of_us / 1e6, (self.now_us - as_of_us) / 1e6, holds)
+
+
+def _of_coordinator(state: State, last: _Last) -> Iterator[Belief]:
+    """Yield what the coordinator's last copy says. A robot that it does not list allows, is idle and not degraded."""
+    copy, as_of_us, world = state.knowledge.copy, last.time_us(CopySynced), state.world
+    for robot in state.fleet.robots:
+        told: tuple[tuple[str, str, str], ...] = (
+            ("own policy", _outcome(robot, copy.local_deny, copy.local_review), in_force(world.local, robot)),
+            ("fleet's rule", _outcome(robot, copy.fleet_deny, copy.fleet_review), in_force(world.fleet, robot)),
+            ("busy", _yes(robot in copy.busy), _yes(robot in state.execution.current)),
+            ("degraded", _yes(robot in copy.degraded), _yes(robot in world.degraded)),
+        )
+        for what, believed, holds in told:
+            yield last.belief(robot, what, None if as_of_us is None else believed, as_of_us, holds)
+
+
+def _of_robot(state: State, robot: Robot, last: _Last) -> Iterator[Belief]:
+    """Yield what a robot knows of itself, and what it was told of the fleet's rule, its peers and the registry."""
+    holds = in_force(state.world.local, robot)
+    yield last.belief(robot, "own policy", holds, last.now_us, holds)
+    as_of_us = state.knowledge.fleet_rule_as_of_us.get(robot)
+    believed = state.knowledge.fleet_rule.get(robot)
+    yield last.belief(robot, "fleet's rule", believed, as_of_us, in_force(state.world.fleet, robot))
+    for (one, peer), until_us in state.knowledge.met.items():
+        if one == robot:
+            is_known = until_us > last.now_us
+            yield last.belief(peer, "a peer it met", _yes(is_known), None, "yes")
+    cache = state.registry.caches.get(robot)
+    if cache is not None:
+        yield last.belief("registry", "its copy", "kept", cache.as_of_us, "kept")
+
+
+def _of_planner(state: State, robot: Robot, last: _Last) -> Iterator[Belief]:
+    """Yield what the snapshot of a robot's planning agent says."""
+    believed = state.knowledge.snapshot.get(robot)
+    as_of_us = last.time_us(SnapshotTaken, robot)
+    yield last.belief(robot, "own policy", believed, as_of_us, in_force(state.world.local, robot))
+
+
+def _of_registry(state: State, last: _Last) -> Iterator[Belief]:
+    """Yield the availability that the registry shows of each robot, and how the robot is."""
+    for robot in state.fleet.robots:
+        shown = sorted({one.availability for one in surface(state.registry, robot)})
+        is_busy = "busy" in shown and robot in state.execution.current  # most architectures do not advertise that
+        holds = "degraded" if robot in state.world.degraded else "busy" if is_busy else "ready"
+        holds = "offline" if robot in state.world.off else holds
+        yield last.belief(
+            robot, "availability", ", ".join(shown) or "nothing", last.time_us(AvailabilityChanged, robot), holds
+        )
+
+
+def _outcome(robot: Robot, deny: tuple[Robot, ...], review: tuple[Robot, ...]) -> str:
+    return "deny" if robot in deny else "review" if robot in review else "allow"
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"
