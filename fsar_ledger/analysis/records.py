@@ -1,11 +1,13 @@
 """The record of one run, read from its ledger."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pyarrow.compute as pc
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.read import LedgerView
@@ -32,6 +34,14 @@ def commit_of(view: LedgerView, run: str) -> int:
         if pc.any(pc.equal(names.column("run_id"), run)).as_py():
             return number
     raise _missing(view, run)
+
+
+def starts_of(view: LedgerView) -> Iterator[tuple[str, RunStarted]]:
+    """Yield the name and event 0 of each run, in order; plans are no runs. Raises: LedgerCorrupted as `record_of`."""
+    for table in view.tables():
+        for run in codec.decode(table.filter(pc.equal(table.column("seq"), 0))):
+            if isinstance(run.events[0], RunStarted):
+                yield run.run_id, run.events[0]
 
 
 def _missing(view: LedgerView, run: str) -> UsageError:

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
+import pyarrow as pa
+import pyarrow.compute as pc
 
-from fsar_ledger.errors import UsageError
-from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import Head
-from fsar_ledger.metrics.database import Database, from_table
+from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import typed
 from fsar_ledger.metrics.sides import Side, beside, sides
 from fsar_ledger.runtime.changes import Changes
@@ -22,7 +22,8 @@ from fsar_ledger.runtime.forks import Forked
 
 from .bases import Base, repeated
 
-Progress = Callable[[int, int], None]
+EVENTS_AT_ONCE = 200_000
+"""Events of pairs that are judged together."""
 
 EFFECTS = """
     SELECT
@@ -41,7 +42,6 @@ EFFECTS = """
     WHERE measured.pools_seeds AND measured.scenario IS NULL
     ORDER BY measured.position
 """
-SIDE_OF = "SELECT DISTINCT run_id, side FROM side_runs"
 VALUES = """
     SELECT firsts.metric, seconds.value AS base_mean, firsts.value AS fork_mean,
         firsts.value - seconds.value AS difference
@@ -58,6 +58,18 @@ class Pair(NamedTuple):
 
     base: Base
     fork: Forked
+
+
+class Parted(msgspec.Struct, frozen=True):
+    """A base and its fork by name, and the first seq and time at which they part; None: they do the same.
+
+    Units: seconds of run time.
+    """
+
+    base: str
+    fork: str
+    parts_at: int | None
+    parted_s: float | None
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True):
@@ -94,25 +106,16 @@ class Effects(msgspec.Struct, frozen=True, kw_only=True):
     rows: list[Effect]
 
 
-def forked(bases: Iterable[Base], changes: Changes, count: int, progress: Progress | None = None) -> list[Pair]:
-    """Return the fork of each base; what a name does not mean in a run changes nothing there.
-
-    Args:
-        bases: The runs.
-        changes: What is otherwise.
-        count: How many bases there are.
-        progress: Called with the forks that were played, and their number.
+def forked(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
+    """Yield each base with its fork; what a name does not mean in a run changes nothing there.
 
     Raises:
         UsageError: A base cannot be made again, or a change is impossible there.
     """
-    found: list[Pair] = []
-    with without_collection():
-        for base in bases:
-            found.append(Pair(base, repeated(base).fork(changes)))
-            if progress is not None:
-                progress(len(found), count)
-    return found
+    for base in bases:
+        with without_collection():
+            pair = Pair(base, repeated(base).fork(changes))
+        yield pair
 
 
 @contextmanager
@@ -127,23 +130,60 @@ def without_collection() -> Iterator[None]:
             gc.enable()
 
 
-def effects(pairs: Sequence[Pair]) -> list[Effects]:
+def effects(pairs: Iterable[Pair], progress: Callable[[int], None] | None = None) -> tuple[list[Parted], list[Effects]]:
     """Judge the pairs by every metric, for each architecture and configuration of the bases, in order.
 
-    Raises: as `Database.rows`.
+    They are judged some at a time, so that many take no more memory than few. `progress` is called with the forks that
+    were played.
+
+    Raises: as `Database.rows`, and as what yields the pairs.
     """
-    with from_table(encode([record for pair in pairs for record in (pair.base.record, pair.fork.record)])) as database:
-        side_of = {row["run_id"]: row["side"] for row in database.rows(SIDE_OF)}
-        held = {one.side: one for one in sides(database)}
-        groups: dict[tuple[str, str], list[Pair]] = {}
-        for pair in pairs:
-            both = side_of[pair.base.record.run_id], side_of[pair.fork.record.run_id]
-            groups.setdefault(both, []).append(pair)
-        return [_effects(database, held[base], held[fork], group) for (base, fork), group in groups.items()]
+    parted: list[Parted] = []
+    rows: list[pa.Table] = []
+    held: dict[str, Side] = {}
+    for batch in _batches(pairs):
+        parted += map(_parted, batch)
+        if progress is not None:
+            progress(len(parted))
+        with from_table(encode([run for pair in batch for run in (pair.base.record, pair.fork.record)])) as database:
+            rows.append(database.table("SELECT * FROM side_runs ORDER BY run_id, metric"))
+            held |= {one.side: one for one in sides(database)}
+    if not rows:
+        return parted, []
+    every = pa.concat_tables(rows)
+    side_of = dict(zip(every.column("run_id").to_pylist(), every.column("side").to_pylist(), strict=True))
+    groups: dict[tuple[str, str], list[Parted]] = {}
+    for one in parted:
+        groups.setdefault((side_of[one.base], side_of[one.fork]), []).append(one)
+    return parted, [_effects(every, held[base], held[fork], group) for (base, fork), group in groups.items()]
 
 
-def _effects(held: Database, base: Side, fork: Side, group: Sequence[Pair]) -> Effects:
-    with beside([held], (fork, base)) as database:
+def _batches(pairs: Iterable[Pair]) -> Iterator[list[Pair]]:
+    """Yield the pairs in lists of about as many events as are judged together."""
+    batch: list[Pair] = []
+    events = 0
+    for pair in pairs:
+        batch.append(pair)
+        events += len(pair.base.record.events) + len(pair.fork.record.events)
+        if events >= EVENTS_AT_ONCE:
+            yield batch
+            batch, events = [], 0
+    if batch:
+        yield batch
+
+
+def _parted(pair: Pair) -> Parted:
+    base, fork, at = pair.base.record, pair.fork.record, pair.fork.parts_at
+    times = [] if at is None else [run.times_us[at] for run in (base, fork) if at < len(run.times_us)]
+    return Parted(base.run_id, fork.run_id, at, min(times) / 1e6 if times else None)
+
+
+def _effects(every: pa.Table, base: Side, fork: Side, group: Sequence[Parted]) -> Effects:
+    def of(side: Side, runs: list[str]) -> pa.Table:
+        is_its = pc.and_(pc.equal(every.column("side"), side.side), pc.is_in(every.column("run_id"), pa.array(runs)))
+        return every.filter(is_its)
+
+    with beside(of(fork, [one.fork for one in group]), of(base, [one.base for one in group])) as database:
         if len(group) > 1:
             rows = typed(database.rows(EFFECTS), Effect)
         else:
@@ -152,7 +192,7 @@ def _effects(held: Database, base: Side, fork: Side, group: Sequence[Pair]) -> E
         architecture=base.architecture,
         configuration=base.configuration,
         pairs=len(group),
-        diverging=sum(pair.fork.parts_at is not None for pair in group),
+        diverging=sum(one.parts_at is not None for one in group),
         rows=rows,
     )
 
@@ -162,7 +202,7 @@ def _of_one(row: dict[str, Any]) -> dict[str, Any]:
     return {**row, "n": 1, "differing_pairs": int(differs)}
 
 
-def keep(out: Path, pairs: Sequence[Pair], progress: Progress | None = None) -> Head:
+def keep(out: Path, pairs: Iterable[Pair]) -> Head:
     """Commit each base and its fork to a ledger, which is created if there is none; return its head.
 
     What it holds already is left out.
@@ -172,26 +212,14 @@ def keep(out: Path, pairs: Sequence[Pair], progress: Progress | None = None) -> 
     """
     with Writer(out, ORIGIN) as writer:
         held = {*writer.held().runs}
-        records: list[LedgerRun] = []
-        for pair in pairs:
-            for record in (pair.base.record, pair.fork.record):
-                if record.run_id not in held:
-                    held.add(record.run_id)
-                    records.append(record)
-        for begin in range(0, len(records), BATCH_RUNS):
-            writer.append(stage(out, records[begin : begin + BATCH_RUNS]))
-            if progress is not None:
-                progress(min(begin + BATCH_RUNS, len(records)), len(records))
+        waiting: list[LedgerRun] = []
+        for record in (record for pair in pairs for record in (pair.base.record, pair.fork.record)):
+            if record.run_id not in held:
+                held.add(record.run_id)
+                waiting.append(record)
+            if len(waiting) == BATCH_RUNS:
+                writer.append(stage(out, waiting))
+                waiting = []
+        if waiting:
+            writer.append(stage(out, waiting))
         return writer.head
-
-
-def simulated(records: Iterable[LedgerRun]) -> Iterator[LedgerRun]:
-    """Yield the runs that were simulated and do not fork from another. Raises: UsageError if there is none."""
-    is_there = False
-    for record in records:
-        started = record.events[0]
-        if isinstance(started, RunStarted) and started.kind == "simulated" and started.changes is None:
-            is_there = True
-            yield record
-    if not is_there:
-        raise UsageError("found no simulated run that is not a fork itself, expected some to fork from")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -13,7 +14,7 @@ from fsar_ledger.metrics.sides import Side, chosen, sides
 
 from .difference import Diff, difference_of
 from .provenance import Provenance
-from .whatif import Asked, changes_of, fork_pairs
+from .whatif import Asked, changes_of, fork_pairs, runs_of
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
@@ -29,6 +30,8 @@ PAIRS = """
     )
     ORDER BY run_number
 """
+PAIRS_AT_ONCE = 100
+"""Pairs of runs and forks that are judged together."""
 World = tuple[object, object, object]
 
 
@@ -88,14 +91,20 @@ def bisect_changes(
 ) -> Bisected:
     """Compare the runs of a ledger with their forks by an outcome. Raises: as `bisect_sides` and `Ledger.whatif`."""
     asked = outcome_of(outcome)
-    pairs = fork_pairs(view, changes_of(changes), architectures)
-    runs = [(one.times_us, one.caused_by, one.events) for pair in pairs for one in (pair.base.record, pair.fork.record)]
-    held = asked.of(runs)
-    has = list(zip(held[::2], held[1::2], strict=True))
-    at = next((at for at, (one, other) in enumerate(has) if one != other), None)
-    provenances = (provenance,)
-    diff = None if at is None else difference_of(pairs[at].base.record, pairs[at].fork.record, provenances)
-    return _bisected(asked, ("as recorded", "changed"), has, diff, provenances)
+    runs, parsed = runs_of(view, architectures), changes_of(changes)
+    has: list[tuple[bool, bool]] = []
+    diff: Diff | None = None
+    pairs = fork_pairs(view, runs, parsed)
+    while batch := list(islice(pairs, PAIRS_AT_ONCE)):
+        both = [
+            (one.times_us, one.caused_by, one.events) for pair in batch for one in (pair.base.record, pair.fork.record)
+        ]
+        held = asked.of(both)
+        for pair, first, second in zip(batch, held[::2], held[1::2], strict=True):
+            has.append((first, second))
+            if first != second and diff is None:
+                diff = difference_of(pair.base.record, pair.fork.record, (provenance,))
+    return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,))
 
 
 def _bisected(

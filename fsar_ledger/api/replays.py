@@ -154,9 +154,9 @@ class Replays:
         from .whatif import what_if
 
         view, provenance = self._view()
-        records = None if run is None else [record_of(view, self._name(run))]
+        record = None if run is None else record_of(view, self._name(run))
         place = None if out is None else Path(out)
-        return what_if(view, provenance, records, changes, names_of(architecture) or (), place, progress)
+        return what_if(view, provenance, record, changes, names_of(architecture) or (), place, progress)
 
     def changeable(self, run: Run) -> "Table":
         """Return what the changes of a run can name: the facts of its world, and what it asks at its ports.

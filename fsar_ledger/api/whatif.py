@@ -1,12 +1,13 @@
 """What would have been: forks of the runs of a ledger, and the effect of their changes."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.analysis.bases import Base, base_of_record, repeated
-from fsar_ledger.analysis.whatif import Effects, Pair, effects, forked, keep, simulated
+from fsar_ledger.analysis.bases import base_of_record, repeated
+from fsar_ledger.analysis.records import record_of, starts_of
+from fsar_ledger.analysis.whatif import Effects, Pair, Parted, effects, forked, keep
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -28,8 +29,8 @@ class Fork(msgspec.Struct, frozen=True):
     """A fork of a recorded run.
 
     `record` is what happens in it, as `Ledger.record` returns it; `base` the run as recorded. `parts_at` is the first
-    seq at which they differ, and `parted_s` when that is, in seconds of run time; None: they do the same. Event 0 of
-    the fork, which says from where it forks and what is changed, does not count.
+    seq at which they differ; None: they do the same. Event 0 of the fork, which says from where it forks and what is
+    changed, does not count.
     """
 
     base: LedgerRun
@@ -39,7 +40,7 @@ class Fork(msgspec.Struct, frozen=True):
 
     @property
     def parted_s(self) -> float | None:
-        """Return when they part."""
+        """Return when they part, in seconds of run time."""
         if self.parts_at is None:
             return None
         times = [run.times_us[self.parts_at] for run in (self.base, self.record) if self.parts_at < len(run.times_us)]
@@ -54,7 +55,7 @@ class WhatIf(msgspec.Struct, frozen=True):
     """
 
     changes: tuple[str, ...]
-    forks: tuple[Fork, ...]
+    forks: tuple[Parted, ...]
     effects: list[Effects]
     story: Diff | None
     provenance: Provenance
@@ -76,13 +77,16 @@ def changes_of(asked: Asked) -> Changes:
 
 def fork_of(view: LedgerView, record: LedgerRun, asked: Asked) -> Fork:
     """Return the fork of a record of this ledger, in which every change has an effect. Raises: UsageError."""
-    return _fork(_one(base_of_record(record, view.head.root), changes_of(asked)))
+    pair = _one(view, record, changes_of(asked))
+    started = pair.fork.record.events[0]
+    assert isinstance(started, RunStarted)
+    return Fork(record, pair.fork.record, started.changes or (), pair.fork.parts_at)
 
 
 def what_if(
     view: LedgerView,
     provenance: Provenance,
-    records: Sequence[LedgerRun] | None,
+    record: LedgerRun | None,
     asked: Asked,
     architectures: Sequence[str],
     out: Path | None,
@@ -98,59 +102,51 @@ def what_if(
         if out.resolve() == view.path.resolve():
             raise UsageError(f"{option('out', out)}: found the ledger of the bases, expected another place")
         require_outside(out.parent, option("out", out))
-    root = view.head.root
-    if records is not None:
-        pairs = [_one(base_of_record(record, root), changes) for record in records]
-    else:
-        pairs = fork_pairs(view, changes, architectures, progress)
-    judged = effects(pairs)
-    kept = None if out is None else keep(out, pairs)
-    found = tuple(_fork(pair) for pair in pairs)
-    story = None if records is None else difference_of(found[0].base, found[0].record, (provenance,))
-    return WhatIf(found[0].changes if found else (), found, judged, story, provenance, kept)
+    texts = tuple(map(str, changes))
+    if record is not None:
+        pair = _one(view, record, changes)
+        found, judged = effects([pair])
+        story = difference_of(record, pair.fork.record, (provenance,))
+        kept = None if out is None else keep(out, [pair])
+        return WhatIf(texts, tuple(found), judged, story, provenance, kept)
+    runs = runs_of(view, architectures)
+    counted = None if progress is None else lambda done: progress(done, len(runs))
+    found, judged = effects(fork_pairs(view, runs, changes), counted)
+    if changes and not any(one.parts_at for one in found):
+        _one(view, record_of(view, runs[0]), changes)  # says why it has no effect there
+        raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
+    kept = None if out is None else keep(out, fork_pairs(view, runs, changes))
+    return WhatIf(texts, tuple(found), judged, None, provenance, kept)
 
 
-def fork_pairs(
-    view: LedgerView, changes: Changes, architectures: Sequence[str], progress: Progress | None = None
-) -> list[Pair]:
-    """Return each simulated run of a ledger, or of these architectures, with its fork.
+def runs_of(view: LedgerView, architectures: Sequence[str]) -> list[str]:
+    """Return the simulated runs of these architectures, or all, but no forks.
 
     Raises:
-        UsageError: There is no such run, one cannot be made again, or no fork does anything else.
+        UsageError: There is none.
     """
-    bases = [base_of_record(record, view.head.root) for record in _of(simulated(view.runs()), architectures)]
-    pairs = forked(bases, changes, len(bases), progress)
-    if changes and not any(pair.fork.parts_at for pair in pairs):
-        repeated(bases[0]).fork_with_effect(changes)
-        raise UsageError(f"none of {len(bases):,} runs does anything else with these changes; expected some effect")
-    return pairs
-
-
-def _one(base: Base, changes: Changes) -> Pair:
-    return Pair(base, repeated(base).fork_with_effect(changes))
-
-
-def _of(records: Iterable[LedgerRun], architectures: Sequence[str]) -> list[LedgerRun]:
-    """Return the runs of these architectures, or all. Raises: UsageError if one of them has none."""
-    found = list(records)
-    names = {_architecture(one) for one in found}
+    starts = [(run, started) for run, started in starts_of(view) if started.kind == "simulated" and not started.changes]
+    names = {started.architecture or "" for _, started in starts}
     for asked in architectures:
         if asked not in names:
             hint = did_you_mean(asked, names) or ";"
             raise UsageError(
                 f"{option('architecture', value(asked))}: there is no such run{hint} expected one of "
-                f"{', '.join(sorted(names))}"
+                f"{', '.join(sorted(names)) or 'none: it holds no simulated run'}"
             )
-    return [one for one in found if not architectures or _architecture(one) in architectures]
+    found = [run for run, started in starts if not architectures or started.architecture in architectures]
+    if not found:
+        raise UsageError(f"{view.path}: found no simulated run that is not a fork itself, expected some to fork from")
+    return found
 
 
-def _architecture(record: LedgerRun) -> str:
-    started = record.events[0]
-    assert isinstance(started, RunStarted)
-    return started.architecture or ""
+def fork_pairs(view: LedgerView, runs: Sequence[str], changes: Changes) -> Iterator[Pair]:
+    """Yield these runs of a ledger, each with its fork. Raises: UsageError if one cannot be made again."""
+    asked = set(runs)
+    records = (record for record in view.runs() if record.run_id in asked)
+    return forked((base_of_record(record, view.head.root) for record in records), changes)
 
 
-def _fork(pair: Pair) -> Fork:
-    started = pair.fork.record.events[0]
-    assert isinstance(started, RunStarted)
-    return Fork(pair.base.record, pair.fork.record, started.changes or (), pair.fork.parts_at)
+def _one(view: LedgerView, record: LedgerRun, changes: Changes) -> Pair:
+    base = base_of_record(record, view.head.root)
+    return Pair(base, repeated(base).fork_with_effect(changes))

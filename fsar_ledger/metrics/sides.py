@@ -26,7 +26,7 @@ SIDES = """
     ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full',
         configuration, fleet_size, run_count DESC, side
 """
-RUNS = "SELECT * REPLACE ($name AS side) FROM side_runs WHERE side = $side ORDER BY run_id, metric"
+RUNS = "SELECT * FROM side_runs WHERE side = $side ORDER BY run_id, metric"
 CONSTANTS = """
     SELECT name, value FROM constants
     WHERE model = to_json([$kind, $source, $model_version])::VARCHAR AND parameter_set = $parameter_set
@@ -321,15 +321,8 @@ def _listed(held: Sequence[Side]) -> str:
 
 
 @contextmanager
-def beside(held: Sequence[Database], both: tuple[Side, Side]) -> Iterator[Database]:
-    """Yield a database of the runs of the two sides, `first` and `second`, each from its ledger.
-
-    Raises: as `Database.rows`.
-    """
-    tables = [
-        _runs(database, side, name)
-        for database, side, name in zip((held[0], held[-1]), both, ("first", "second"), strict=True)
-    ]
+def beside(first: pa.Table, second: pa.Table) -> Iterator[Database]:
+    """Yield a database that compares the runs of two sides, given as rows of `side_runs`, as `first` and `second`."""
     comparison = {
         "comparison": "first-second",
         "family": "first-second",
@@ -338,8 +331,12 @@ def beside(held: Sequence[Database], both: tuple[Side, Side]) -> Iterator[Databa
         "first_side": "first",
         "second_side": "second",
     }
+    named = [
+        rows.set_column(rows.column_names.index("side"), "side", pa.array([name] * len(rows), pa.string()))
+        for name, rows in (("first", first), ("second", second))
+    ]
     with Database(None, ()) as database:
-        database.hold("side_runs", pa.concat_tables(tables))
+        database.hold("side_runs", pa.concat_tables(named))
         database.hold("side_comparisons", pa.Table.from_pylist([comparison]))
         yield database
 
@@ -348,7 +345,10 @@ def paired(
     held: Sequence[Database], both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False
 ) -> Paired:
     """Compare the runs of the two sides, each from its ledger, in pairs. Raises: as `Database.rows`."""
-    with beside(held, both) as database:
+    tables = [
+        database.table(RUNS, {"side": side.side}) for database, side in zip((held[0], held[-1]), both, strict=True)
+    ]
+    with beside(*tables) as database:
         for name, of, side in zip(("first_constants", "second_constants"), (held[0], held[-1]), both, strict=True):
             database.hold(
                 name,
@@ -374,7 +374,3 @@ def paired(
             absent=[row["metric"] for row in database.rows(ABSENT)],
             rows=typed(rows, SideRow),
         )
-
-
-def _runs(database: Database, side: Side, name: str) -> pa.Table:
-    return database.table(RUNS, {"name": name, "side": side.side})

@@ -117,15 +117,7 @@ def _json(answer: "WhatIf") -> Shown:
 
     from fsar_ledger.cli.output import answer_json
 
-    forks = [
-        {
-            "base": one.base.run_id,
-            "fork": one.record.run_id,
-            "parts_at": one.parts_at,
-            "parted_s": one.parted_s,
-        }
-        for one in answer.forks
-    ]
+    forks = [structs.asdict(one) for one in answer.forks]
     kept = None if answer.kept is None else {"size": answer.kept.size, "root": answer.kept.root}
     effects = [structs.asdict(one) for one in answer.effects]
     told = None if answer.story is None else structs.asdict(answer.story)
