@@ -9,13 +9,13 @@ Zeller, Hildebrandt: Simplifying and Isolating Failure-Inducing Input (2002), wh
 forks judged by one query.
 """
 
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
 import msgspec
 
-from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.happenings import happenings
@@ -26,6 +26,7 @@ from fsar_ledger.runtime.simulation import environment_of
 from .bases import Repeated
 from .outcomes import Outcome
 from .whatif import without_collection
+from .words import lines_of
 
 Progress = Callable[[int], None]
 USUAL = {ATTEMPT: 1, CALL: 0}
@@ -35,13 +36,15 @@ MOST_AT_ONCE = 200
 
 
 class Element(msgspec.Struct, frozen=True):
-    """A fact or an answer that a run took from outside: its name, and what it is, as `changeable` has it.
+    """A fact or an answer that a run took from outside: its name, and what it is, in the words of `log`.
 
+    `seq` is the event of a fact, and `begins_s` when it happens in seconds of run time; None for an answer.
     `is_necessary`: without it alone the outcome falls. `change` is the text that takes it away.
     """
 
     name: str
-    what: str
+    words: str
+    seq: int | None
     begins_s: float | None
     is_necessary: bool
     change: str
@@ -192,12 +195,17 @@ def cause(repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progre
     whole = frozenset(search.candidates)
     singles = search.hold([whole - {name} for name in search.candidates])
     necessary = {name for name, stands in zip(search.candidates, singles, strict=True) if not stands}
-    told = {one.name: one for one in repeated.changeable()}
+    shown = found | necessary
+    told = {one.name: one for one in repeated.changeable() if one.name in shown}
+    seqs = {name: _seq(repeated, one.begins_s) for name, one in told.items() if one.begins_s is not None}
+    record = repeated.base.record
+    lines = lines_of([record], [(record.run_id, seq) for seq in seqs.values()])
 
     def element(name: str) -> Element:
-        kind = name.partition(":")[0]
+        kind, one, seq = name.partition(":")[0], told[name], seqs.get(name)
         change = {ATTEMPT: f"answer {name} hold", CALL: f"answer {name} approve"}.get(kind, f"drop {name}")
-        return Element(name, told[name].is_now, told[name].begins_s, name in necessary, change)
+        words = f"the answer is {one.is_now}" if seq is None else lines[(record.run_id, seq)].text
+        return Element(name, words, seq, one.begins_s, name in necessary, change)
 
     return Cause(
         outcome.text,
@@ -208,6 +216,10 @@ def cause(repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progre
     )
 
 
-def names_in(cause: Cause) -> str:
-    """Return the names of the elements in one line."""
-    return printable.some([printable.value(one.name) for one in cause.elements])
+def _seq(repeated: Repeated, begins_s: float) -> int:
+    """Return the event of a fact; no two facts share an instant, and none is caused by anything."""
+    record = repeated.base.record
+    time_us = round(begins_s * 1_000_000)
+    return next(
+        seq for seq in range(bisect_left(record.times_us, time_us), len(record.events)) if record.caused_by[seq] == 0
+    )

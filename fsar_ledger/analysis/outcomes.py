@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.ledger.rows.codec import LedgerRun, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.invariants import invariants
@@ -39,7 +39,7 @@ class Outcome(NamedTuple):
             LedgerRun(f"{number}", run[0], run[1], run[2])  # type: ignore[arg-type]
             for number, run in enumerate(runs)
         ]
-        with from_table(encode(records)) as database:
+        with from_table(encode_coded(records)) as database:
             if self.is_own:
                 database.check_one_select(self.sql)
                 database.prepare(self.sql)

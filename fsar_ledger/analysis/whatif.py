@@ -10,12 +10,12 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger.ledger.rows.codec import LedgerRun, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import Head
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import typed
-from fsar_ledger.metrics.sides import Side, beside, sides
+from fsar_ledger.metrics.sides import beside
 from fsar_ledger.runtime.changes import Changes
 from fsar_ledger.runtime.experiment import BATCH_RUNS, ORIGIN
 from fsar_ledger.runtime.forks import Forked
@@ -25,6 +25,15 @@ from .bases import Base, repeated
 EVENTS_AT_ONCE = 200_000
 """Events of pairs that are judged together."""
 
+RUNS = """
+    SELECT
+        to_json([architecture, configuration, setting])::VARCHAR AS side, run_id, architecture, configuration, setting,
+        fleet_size, kind, model_version, seed, scenario, run, 1::BIGINT AS twins, TRUE AS observes_world,
+        NULL::VARCHAR AS world_sha256, metric, value, numerator, denominator
+    FROM run_metrics
+    ORDER BY run_id, metric
+"""
+"""The rows of `side_runs`, without what pairs of runs from different worlds would need."""
 EFFECTS = """
     SELECT
         measured.metric, measured.n, measured.differing_pairs,
@@ -113,9 +122,7 @@ def forked(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
         UsageError: A base cannot be made again, or a change is impossible there.
     """
     for base in bases:
-        with without_collection():
-            pair = Pair(base, repeated(base).fork(changes))
-        yield pair
+        yield Pair(base, repeated(base).fork(changes))
 
 
 @contextmanager
@@ -140,14 +147,15 @@ def effects(pairs: Iterable[Pair], progress: Callable[[int], None] | None = None
     """
     parted: list[Parted] = []
     rows: list[pa.Table] = []
-    held: dict[str, Side] = {}
-    for batch in _batches(pairs):
-        parted += map(_parted, batch)
-        if progress is not None:
-            progress(len(parted))
-        with from_table(encode([run for pair in batch for run in (pair.base.record, pair.fork.record)])) as database:
-            rows.append(database.table("SELECT * FROM side_runs ORDER BY run_id, metric"))
-            held |= {one.side: one for one in sides(database)}
+    with without_collection():
+        for batch in _batches(pairs):
+            parted += map(_parted, batch)
+            if progress is not None:
+                progress(len(parted))
+            with from_table(
+                encode_coded([run for pair in batch for run in (pair.base.record, pair.fork.record)])
+            ) as held:
+                rows.append(held.table(RUNS))
     if not rows:
         return parted, []
     every = pa.concat_tables(rows)
@@ -155,7 +163,7 @@ def effects(pairs: Iterable[Pair], progress: Callable[[int], None] | None = None
     groups: dict[tuple[str, str], list[Parted]] = {}
     for one in parted:
         groups.setdefault((side_of[one.base], side_of[one.fork]), []).append(one)
-    return parted, [_effects(every, held[base], held[fork], group) for (base, fork), group in groups.items()]
+    return parted, [_effects(every, base, fork, group) for (base, fork), group in groups.items()]
 
 
 def _batches(pairs: Iterable[Pair]) -> Iterator[list[Pair]]:
@@ -178,19 +186,20 @@ def _parted(pair: Pair) -> Parted:
     return Parted(base.run_id, fork.run_id, at, min(times) / 1e6 if times else None)
 
 
-def _effects(every: pa.Table, base: Side, fork: Side, group: Sequence[Parted]) -> Effects:
-    def of(side: Side, runs: list[str]) -> pa.Table:
-        is_its = pc.and_(pc.equal(every.column("side"), side.side), pc.is_in(every.column("run_id"), pa.array(runs)))
+def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Parted]) -> Effects:
+    def of(side: str, runs: list[str]) -> pa.Table:
+        is_its = pc.and_(pc.equal(every.column("side"), side), pc.is_in(every.column("run_id"), pa.array(runs)))
         return every.filter(is_its)
 
-    with beside(of(fork, [one.fork for one in group]), of(base, [one.base for one in group])) as database:
+    bases = of(base, [one.base for one in group])
+    with beside(of(fork, [one.fork for one in group]), bases) as database:
         if len(group) > 1:
             rows = typed(database.rows(EFFECTS), Effect)
         else:
             rows = typed([_of_one(row) for row in database.rows(VALUES)], Effect)
     return Effects(
-        architecture=base.architecture,
-        configuration=base.configuration,
+        architecture=bases.column("architecture")[0].as_py(),
+        configuration=bases.column("configuration")[0].as_py(),
         pairs=len(group),
         diverging=sum(one.parts_at is not None for one in group),
         rows=rows,
@@ -210,7 +219,7 @@ def keep(out: Path, pairs: Iterable[Pair]) -> Head:
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: See `Writer`.
     """
-    with Writer(out, ORIGIN) as writer:
+    with Writer(out, ORIGIN) as writer, without_collection():
         held = {*writer.held().runs}
         waiting: list[LedgerRun] = []
         for record in (record for pair in pairs for record in (pair.base.record, pair.fork.record)):

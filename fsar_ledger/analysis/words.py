@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from fsar_ledger.ledger.rows.codec import LedgerRun, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.results import typed
 
@@ -41,7 +41,7 @@ class Line(msgspec.Struct, frozen=True):
 
 def lines_of(records: Sequence[LedgerRun], seqs: Iterable[tuple[str, int]]) -> dict[tuple[str, int], Line]:
     """Return these events of the records in words, by run and seq. Raises: as `Database.rows`."""
-    with from_table(encode(records)) as database:
+    with from_table(encode_coded(records)) as database:
         return lines_from(database, seqs)
 
 

@@ -9,7 +9,7 @@ from fsar_ledger.analysis.difference import KINDS, Difference, align, chain
 from fsar_ledger.analysis.words import Line, lines_from
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
-from fsar_ledger.ledger.rows.codec import LedgerRun, encode
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.metrics.database import from_table
 
 from .provenance import Provenance
@@ -91,7 +91,7 @@ def difference_of(first: LedgerRun, second: LedgerRun, provenances: tuple[Proven
     if differing:
         starts = _starts(differing)
         chains = [chain(run, seq) if seq is not None else [] for run, seq in zip((first, second), starts, strict=True)]
-        with from_table(encode(named)) as database:
+        with from_table(encode_coded(named)) as database:
             places = [(FIRST, one.first_seq) for one in differing if one.first_seq is not None]
             places += [(SECOND, one.second_seq) for one in differing if one.second_seq is not None]
             places += [(name, seq) for name, seqs in zip((FIRST, SECOND), chains, strict=True) for seq in seqs]

@@ -71,7 +71,7 @@ FORMS = {
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     """A TOML file of changes: `[[changes]]` tables with the fields of `changes.py`, or a list of their texts."""
 
-    changes: list[AnyChange] | list[str]
+    changes: list[AnyChange | str]
 
 
 def read_changes(path: Path) -> Changes:

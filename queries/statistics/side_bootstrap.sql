@@ -32,14 +32,30 @@ drawn AS (
     INNER JOIN range((SELECT max(n) FROM numbered)) AS draws (draw) ON sizes.n > draws.draw
 ),
 
-means AS (
+sums AS (
+    -- Most pairs contribute nothing where few differ.
     SELECT
         numbered.first_side, numbered.second_side, numbered.metric, drawn.sample,
-        sum(round(numbered.contribution * 1e9)::HUGEINT)::DOUBLE / 1e9 / any_value(numbered.n) AS mean
+        sum(round(numbered.contribution * 1e9)::HUGEINT)::DOUBLE / 1e9 AS total
     FROM numbered
     INNER JOIN drawn ON numbered.n = drawn.n AND numbered.place = drawn.place
-    WHERE numbered.defined = numbered.n
+    WHERE numbered.defined = numbered.n AND numbered.contribution <> 0
     GROUP BY numbered.first_side, numbered.second_side, numbered.metric, drawn.sample
+),
+
+means AS (
+    SELECT
+        metrics.first_side, metrics.second_side, metrics.metric,
+        coalesce(sums.total, 0) / metrics.n AS mean
+    FROM (
+        SELECT DISTINCT first_side, second_side, metric, n FROM numbered
+        WHERE n > 1 AND defined = n
+    ) AS metrics
+    CROSS JOIN range(1000) AS samples (sample)
+    LEFT JOIN sums
+        ON
+            metrics.first_side = sums.first_side AND metrics.second_side = sums.second_side
+            AND metrics.metric = sums.metric AND samples.sample = sums.sample
 )
 
 SELECT

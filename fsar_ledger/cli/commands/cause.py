@@ -94,7 +94,15 @@ def _text(ledger: Path, asked: "Ledger", found: "Caused", *, wide: bool) -> Show
         "any one of them the outcome falls",
         "",
     ]
-    rows = [{"begins_s": one.begins_s, "name": one.name, "what": one.what} for one in found.elements]
+    rows = [
+        {
+            "seq": one.seq,
+            "begins_s": None if one.begins_s is None else f"{one.begins_s:.3f}",
+            "cause": one.name,
+            "words": one.words,
+        }
+        for one in found.elements
+    ]
     tail = [f"{_named(one for one in found.elements if one.is_necessary)} necessary in the whole run, too"]
     if found.also_necessary:
         tail.append(f"also necessary there: {_listed(found.also_necessary)}")
@@ -118,8 +126,12 @@ def _listed(elements: "Sequence[Element]") -> str:
 def _curve(found: "Caused") -> Iterator[str]:
     """Yield the curve: a line for each moment, and the point of no return."""
     yield f"futures that avoid it, of {found.chances[0].futures:,} drawn from each moment on"
+    closed = [one for one in found.chances if found.last_open_s is None or one.at_s > found.last_open_s]
     for one in found.chances:
-        yield _bar(one)
+        if one not in closed[1:-1]:
+            yield _bar(one)
+        elif one is closed[1]:
+            yield f"{'...':>10}"
     yield ""
     if found.closing_seq is None:
         yield "some futures avoid it to the end"

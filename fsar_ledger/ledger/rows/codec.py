@@ -43,7 +43,7 @@ from fsar_ledger.ledger.rows.schema import (
     StoredType,
 )
 
-__all__ = ["SCHEMA", "LedgerRun", "decode", "encode", "encode_hashed", "upcast_rows"]
+__all__ = ["SCHEMA", "LedgerRun", "decode", "encode", "encode_coded", "encode_hashed", "upcast_rows"]
 
 Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
@@ -267,6 +267,15 @@ def encode(runs: Sequence[LedgerRun]) -> pa.Table:
     """
     with _refusals(runs):
         return _Rows(runs).table().cast(SCHEMA)
+
+
+def encode_coded(runs: Sequence[LedgerRun]) -> pa.Table:
+    """Encode these runs with the columns of `CODED_SCHEMA`: text as dictionaries, quicker to make and to query.
+
+    Otherwise as `encode`.
+    """
+    with _refusals(runs):
+        return _Rows(runs).table()
 
 
 def encode_hashed(runs: Sequence[LedgerRun]) -> tuple[pa.Table, bytes]:
