@@ -36,7 +36,7 @@ class Line(msgspec.Struct, frozen=True):
         names = self.sender or "?"
         if self.receiver != self.sender or self.sender is None:
             names = f"{names} -> {self.receiver or '?'}"
-        return f"{names}  {self.message}" + (f"  ({self.note})" if self.note else "")
+        return f"{names}: {self.message}" + (f" ({self.note})" if self.note else "")
 
 
 def lines_of(records: Sequence[LedgerRun], seqs: Iterable[tuple[str, int]]) -> dict[tuple[str, int], Line]:
