@@ -4,14 +4,15 @@ from collections.abc import Callable, Sequence
 from decimal import Decimal
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.designs.files import read_design
+from fsar_ledger.designs.files import at_line, read_design
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Robot, local_supervisor
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -71,7 +72,7 @@ FORMS = {
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     """A TOML file of changes: `[[changes]]` tables with the fields of `changes.py`, or a list of their texts."""
 
-    changes: list[AnyChange | str]
+    changes: list[Any]
 
 
 def read_changes(path: Path) -> Changes:
@@ -80,8 +81,17 @@ def read_changes(path: Path) -> Changes:
     Raises:
         UsageError: The file cannot be read, or a change is not one; with the line.
     """
-    found, _ = read_design(path, _File)
-    return parsed([one if isinstance(one, str) else str(one) for one in found.changes])
+    found, text = read_design(path, _File)
+    changes: Changes = ()
+    for number, one in enumerate(found.changes):
+        try:
+            changes += parsed([one if isinstance(one, str) else str(msgspec.convert(one, AnyChange))])
+        except msgspec.ValidationError as error:
+            what = printable.value(str(error).partition(" - at ")[0])
+            raise UsageError(f"{at_line(str(path), text, ('changes', number))}: {what}; see docs/replay.md") from error
+        except UsageError as error:
+            raise UsageError(f"{at_line(str(path), text, ('changes', number))}: {error}") from error
+    return changes
 
 
 def parsed(texts: Sequence[str]) -> Changes:
@@ -131,8 +141,11 @@ def seconds_of(text: str) -> float:
     return float(found)
 
 
-def _robot(text: str) -> str:
-    return text if "/" in text else f"robot/{text}"
+def _robot(text: str) -> Robot:
+    name = text if "/" in text else f"robot/{text}"
+    if not name.startswith("robot/"):
+        raise _Unfit(f"found {printable.value(text)} where a robot belongs")
+    return msgspec.convert(name, Robot)
 
 
 def _words(text: str, least: int, most: int) -> list[str]:
@@ -271,16 +284,14 @@ def _added(named: str, words: list[str]) -> tuple[Add, ...]:
 
 def _window(who: str, at: str, outcome: str = "deny") -> tuple[Event, ...]:
     scope, _, robot = who.partition("/")
-    about = {"robot": _robot(robot), "scope": scope, "window": f"{who}/at-{at}"}
-    return (
-        PolicyWindowOpened(outcome=outcome, **about),  # type: ignore[arg-type]
-        PolicyWindowClosed(**about),  # type: ignore[arg-type]
-    )
+    named, window = _robot(robot), f"{who}/at-{at}"
+    opened = PolicyWindowOpened(robot=named, scope=scope, window=window, outcome=outcome)  # type: ignore[arg-type]
+    return opened, PolicyWindowClosed(robot=named, scope=scope, window=window)  # type: ignore[arg-type]
 
 
 def _in_the_way(kind: str, who: str, at: str) -> tuple[Event, ...]:
-    about = {"robot": _robot(who), "obstruction": f"{kind}/{who}/at-{at}"}
-    return ObstructionAppeared(**about), ObstructionCleared(**about)  # type: ignore[arg-type]
+    robot, obstruction = _robot(who), f"{kind}/{who}/at-{at}"
+    return ObstructionAppeared(robot, obstruction), ObstructionCleared(robot, obstruction)
 
 
 def _of_robot(kinds: tuple[Callable[..., Event], ...], who: str, _at: str, *word: str) -> tuple[Event, ...]:
@@ -288,13 +299,13 @@ def _of_robot(kinds: tuple[Callable[..., Event], ...], who: str, _at: str, *word
 
 
 def _absence(who: str, _at: str) -> tuple[Event, ...]:
-    supervisor = who if "/" in who else f"supervisor/{who}"
-    return SupervisorLeft(supervisor), SupervisorReturned(supervisor)  # type: ignore[arg-type]
+    supervisor = local_supervisor(_robot(who.removeprefix("supervisor/")))
+    return SupervisorLeft(supervisor), SupervisorReturned(supervisor)
 
 
 def _encounter(who: str, _at: str) -> tuple[Event, ...]:
     one, _, other = who.partition("/")
-    return (PeersMet(_robot(one), _robot(other)),)  # type: ignore[arg-type]
+    return (PeersMet(_robot(one), _robot(other)),)
 
 
 SHORT: dict[str, tuple[bool, Callable[..., tuple[Event, ...]]]] = {

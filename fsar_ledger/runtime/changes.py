@@ -22,7 +22,7 @@ from typing import Literal
 
 import msgspec
 
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, RecoveryLevel, TrustScope
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, RecoveryLevel, Robot, TrustScope
 
 
 class Change(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="change", tag=str.lower):
@@ -73,7 +73,7 @@ class Rule(Change, frozen=True, kw_only=True):
 
     scope: PolicyScope
     outcome: PolicyOutcome
-    robot: str | None = None
+    robot: Robot | None = None
     capability: str | None = None
     task: str | None = None
     from_s: float = 0.0
@@ -86,8 +86,8 @@ class Rule(Change, frozen=True, kw_only=True):
 class Trust(Change, frozen=True, kw_only=True):
     """The robot trusts the peer so far: for one capability, in one task, or (None) for all."""
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
     scope: TrustScope
     capability: str | None = None
     task: str | None = None
@@ -101,7 +101,7 @@ class Trust(Change, frozen=True, kw_only=True):
 class Budget(Change, frozen=True, kw_only=True):
     """The robot's recovery has this budget at one level: a time, and a number of attempts."""
 
-    robot: str
+    robot: Robot
     level: RecoveryLevel
     time_s: float
     attempts: int
@@ -114,7 +114,7 @@ class Budget(Change, frozen=True, kw_only=True):
 class Density(Change, frozen=True, kw_only=True):
     """Every n-th admission of the robot (None: of each robot) is put before a supervisor; 0 is none."""
 
-    robot: str | None
+    robot: Robot | None
     review_every: int
     from_s: float = 0.0
 

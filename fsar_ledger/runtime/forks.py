@@ -7,7 +7,7 @@ import msgspec
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Robot
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
@@ -101,11 +101,11 @@ def _commanded(kernel: Kernel, change: Commanded) -> PublicCommand:
         case Rule():
             own = None
             if change.scope == "local" and change.robot in kernel.state.fleet.robots:
-                own = kernel.state.fleet.robots[Robot(change.robot)].supervisor
+                own = kernel.state.fleet.robots[change.robot].supervisor
             return SetPolicyRule(
                 issued_by=own or FLEET_SUPERVISOR,
                 scope=change.scope,
-                robot=None if change.robot is None else Robot(change.robot),
+                robot=change.robot,
                 capability=change.capability,
                 context=change.task,
                 outcome=change.outcome,
@@ -113,8 +113,8 @@ def _commanded(kernel: Kernel, change: Commanded) -> PublicCommand:
         case Trust():
             return SetTrust(
                 issued_by=FLEET_SUPERVISOR,
-                robot=Robot(change.robot),
-                peer=Robot(change.peer),
+                robot=change.robot,
+                peer=change.peer,
                 scope=change.scope,
                 capability=change.capability,
                 context=change.task,
@@ -123,13 +123,13 @@ def _commanded(kernel: Kernel, change: Commanded) -> PublicCommand:
         case Budget():
             return SetRecoveryBudget(
                 issued_by=FLEET_SUPERVISOR,
-                robot=Robot(change.robot),
+                robot=change.robot,
                 level=change.level,
                 t_max_us=microseconds_of(change.time_s),
                 n_max=change.attempts,
             )
         case Density():
-            robot = None if change.robot is None else Robot(change.robot)
+            robot = change.robot
             return SetSupervisionDensity(
                 issued_by=FLEET_SUPERVISOR, robot=robot, review_every=change.review_every, reason="changed"
             )

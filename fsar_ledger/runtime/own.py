@@ -124,7 +124,7 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
     return constants
 
 
-def with_values(constants: Constants, values: Mapping[str, float | int]) -> Constants:
+def with_values(constants: Constants, values: Mapping[str, float | int | None]) -> Constants:
     """Return the constants with these values, by the dotted names of `info --json`, unchecked."""
     if not values:
         return constants
@@ -149,7 +149,7 @@ def _number(setting: str, name: str, value: str) -> float | int:
     return found
 
 
-def _put(tree: dict[str, Any], name: str, value: float | int) -> None:
+def _put(tree: dict[str, Any], name: str, value: float | int | None) -> None:
     """Set the value at the dotted name; an absent group is created."""
     parts = [one or other for one, other in _PART.findall(name)]
     where: Any = tree

@@ -90,19 +90,21 @@ def base_of(recipe: Recipe) -> Recipe:
     """Return the recipe of the run that a fork repeats."""
     spec = recipe.spec
     values: dict[str, float | int | None] = {}
+    absent: dict[str, None] = {}
     for change in recipe.changes:
         match change:
             case Set(before=str(before)) if change.from_s is None:
-                values[change.constant] = None if before == ABSENT else msgspec.json.decode(before)
+                if before == ABSENT:
+                    absent[change.constant.partition(".")[0]] = None
+                else:
+                    values[change.constant] = msgspec.json.decode(before)
             case Architecture(before=str(before)):
                 spec = msgspec.structs.replace(spec, architecture=before)
             case Without(before=str(before)):
                 spec = msgspec.structs.replace(spec, configuration=_configuration(before))
             case _:
                 pass
-    absent = {name.partition(".")[0]: None for name, value in values.items() if value is None}
-    held = {name: value for name, value in values.items() if value is not None}
-    constants = with_values(recipe.constants, held)
+    constants = with_values(recipe.constants, values)
     return Recipe(spec, msgspec.structs.replace(constants, **absent))
 
 
@@ -236,6 +238,12 @@ def _require_own_words(started: RunStarted, recipe: Recipe) -> None:
         except UsageError as error:
             raise Unmade("changes", "changes of its base", str(error)) from error
         _require_same("changes", tuple(map(str, whole.changes)), started.changes)
+        if whole != recipe:
+            raise Unmade(
+                "changes", "those that make its parameters from those of its base", repr(started.changes)[:300]
+            )
+        if started.forked_from_seq is None:
+            raise Unmade("forked_from_seq", "the last event that it has in common with its base", "none")
     if own != started:
         raise Unmade(None, f"{own!r:.300}", f"{started!r:.300}")
 

@@ -117,7 +117,7 @@ def test_a_run_from_outside_is_stored_with_what_it_has(tmp_path: Path) -> None:
     assert fleet.evolve(fleet.INITIAL, started) == fleet.INITIAL
     with connect(tmp_path / "ledger") as database:
         [row] = database.query("staging/runs").to_pylist()
-    missing = {"seed", "configuration", "fleet_size", "run", "model_version", "parameters_sha256"}
+    missing = {"seed", "configuration", "fleet_size", "run", "model_version", "parameters_sha256", "forked_from"}
     assert {name for name, value in row.items() if value is None} == missing
     assert (row["kind"], row["observes"], row["source"]) == (
         "foreign",
