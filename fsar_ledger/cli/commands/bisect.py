@@ -21,7 +21,7 @@ EXAMPLES = examples(
     'fsar-ledger bisect out/ledger --first fsar --second cfc --outcome "policy_violations > 0"',
     'fsar-ledger bisect out/ledger --change "without shared-registry" --architecture fsar --outcome '
     '"coordination_success < 1"',
-    'fsar-ledger bisect out/ledger out/large --first fsar --outcome "i3 > 0" --json',
+    'fsar-ledger bisect out/ledger --first fsar --second dhma --outcome "authority_conflicts > 3" --json',
 )
 
 

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 EXAMPLES = examples(
     'fsar-ledger cause out/ledger --run 1 --outcome "policy_violations > 0"',
-    'fsar-ledger cause out/ledger --run 2 --outcome "a3 > 0" --futures 0',
-    'fsar-ledger cause out/ledger --run 5 --outcome "SELECT run_id FROM task_abandoned" --json',
+    'fsar-ledger cause out/ledger --run 2 --outcome "authority_conflicts > 3" --futures 0',
+    'fsar-ledger cause out/ledger --run 2 --outcome "SELECT run_id FROM conflicts" --futures 0 --json',
 )
 BAR = 40
 """Characters of the bar of a chance of 1."""

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 EXAMPLES = examples(
     "fsar-ledger diff out/ledger 1 2",
     "fsar-ledger diff out/ledger 1 4 --all",
-    "fsar-ledger diff out/ledger 1 1 --other out/large --json",
+    "fsar-ledger diff out/ledger 1 1 --other out/large --verified --json",
 )
 MAX_PARAMETER = 60
 """Characters of a field of event 0; constants are long."""

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from fsar_ledger.api.whatif import WhatIf
 
 EXAMPLES = examples(
-    'fsar-ledger whatif out/ledger --run 1 --change "drop window:fleet/B1/0"',
-    'fsar-ledger whatif out/ledger --run 1 --change "answer call:1 deny" --out out/forks',
+    'fsar-ledger whatif out/ledger --run 1 --change "drop window:*"',
+    'fsar-ledger whatif out/ledger --run 1 --change "add window:fleet/B1 20s for 5s" --out out/forks',
     'fsar-ledger whatif out/ledger --all-runs --architecture fsar --change "rule fleet deny robot=B1 from 20s"',
     "fsar-ledger whatif out/ledger --run 1 --list",
 )

@@ -1,0 +1,188 @@
+"""What a change does, over pairs of runs that share every draw."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from fsar_ledger.analysis.bases import Base, base_of_record, repeated
+from fsar_ledger.analysis.whatif import Effect, Pair, effects, forked, keep
+from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.metrics.database import connect, from_table
+from fsar_ledger.runtime.change_texts import parsed
+from fsar_ledger.runtime.replay import replay
+from tests.analysis.conftest import simulated
+
+ROOT = "0b" * 32
+RUNS = 12
+
+
+@pytest.fixture(scope="module")
+def bases() -> list[Base]:
+    return [base_of_record(simulated("fsar", run), ROOT) for run in range(RUNS)]
+
+
+@pytest.fixture(scope="module")
+def pairs(bases: list[Base]) -> list[Pair]:
+    return list(forked(bases, parsed(["drop window:fleet/B1/*"])))
+
+
+def values(records: list[LedgerRun], metric: str) -> list[float | None]:
+    with from_table(encode(records)) as database:
+        rows = database.rows(f"SELECT run_id, value FROM {metric}")
+    found = {row["run_id"]: row["value"] for row in rows}
+    return [found[record.run_id] for record in records]
+
+
+def effect(pairs: list[Pair], metric: str) -> Effect:
+    _, (found,) = effects(pairs)
+    return next(row for row in found.rows if row.metric == metric)
+
+
+def test_the_means_and_the_difference_are_those_of_the_runs(pairs: list[Pair]) -> None:
+    for metric in ("policy_violations", "authority_conflicts", "coordination_success"):
+        found = effect(pairs, metric)
+        base = np.array(values([pair.base.record for pair in pairs], metric), float)
+        fork = np.array(values([pair.fork.record for pair in pairs], metric), float)
+        assert found.n == RUNS
+        assert found.base_mean == pytest.approx(base.mean())
+        assert found.fork_mean == pytest.approx(fork.mean())
+        assert found.difference == pytest.approx((fork - base).mean())
+        assert found.differing_pairs == (fork != base).sum()
+        if (fork != base).any():
+            assert found.gain == pytest.approx((fork.var(ddof=1) + base.var(ddof=1)) / (fork - base).var(ddof=1))
+
+
+def test_where_few_pairs_differ_the_test_is_the_exact_sign_test(pairs: list[Pair]) -> None:
+    found = effect(pairs, "policy_violations")
+    base, fork = (
+        np.array(values(records, "policy_violations"), float)
+        for records in ([pair.base.record for pair in pairs], [pair.fork.record for pair in pairs])
+    )
+    more, less = int((fork > base).sum()), int((fork < base).sum())
+    assert 0 < more + less < RUNS / 2
+    assert found.test == "sign"
+    assert found.p == pytest.approx(stats.binomtest(min(more, less), more + less).pvalue)
+    assert found.interval == "bootstrap"
+
+
+def test_the_bootstrap_interval_is_that_of_resampled_pairs(pairs: list[Pair]) -> None:
+    found = effect(pairs, "policy_violations")
+    base, fork = (
+        np.array(values(records, "policy_violations"), float)
+        for records in ([pair.base.record for pair in pairs], [pair.fork.record for pair in pairs])
+    )
+    drawn = np.random.default_rng(3).choice(fork - base, (20_000, RUNS)).mean(axis=1)
+    low, high = np.quantile(drawn, [0.025, 0.975], method="inverted_cdf")
+    assert found.low == pytest.approx(low, abs=1.01 / RUNS)
+    assert found.high == pytest.approx(high, abs=1.01 / RUNS)
+    assert found.low is not None
+    assert found.high is not None
+    assert found.difference is not None
+    assert found.low <= found.difference <= found.high
+
+
+def test_a_fork_without_a_change_has_no_effect(bases: list[Base]) -> None:
+    parted, (found,) = effects(list(forked(bases, ())))
+    assert [one.parts_at for one in parted] == [None] * RUNS
+    assert found.diverging == 0
+    for row in found.rows:
+        assert row.difference in (0.0, None)
+        assert (row.differing_pairs, row.test, row.p, row.low, row.high) == (0, None, None, None, None)
+
+
+def test_one_pair_has_values_and_no_intervals(bases: list[Base]) -> None:
+    _, (found,) = effects(list(forked(bases[:1], parsed(["drop window:fleet/B1/1"]))))
+    (row,) = [row for row in found.rows if row.metric == "policy_violations"]
+    assert (row.base_mean, row.fork_mean, row.difference, row.n) == (1.0, 0.0, -1.0, 1)
+    assert (row.low, row.high, row.p, row.gain) == (None, None, None, None)
+
+
+def test_architectures_are_judged_apart(bases: list[Base]) -> None:
+    both = [*bases[:3], *(base_of_record(simulated("cfc", run), ROOT) for run in range(2))]
+    _, found = effects(list(forked(both, parsed(["drop window:*"]))))
+    assert [(one.architecture, one.pairs) for one in found] == [("fsar", 3), ("cfc", 2)]
+
+
+def test_many_pairs_judged_in_parts_are_judged_alike(pairs: list[Pair], monkeypatch: pytest.MonkeyPatch) -> None:
+    at_once = effects(pairs)
+    monkeypatch.setattr("fsar_ledger.analysis.whatif.EVENTS_AT_ONCE", 1_000)
+    assert effects(pairs) == at_once
+
+
+def test_forks_are_kept_beside_their_bases_and_replay(pairs: list[Pair], tmp_path: Path) -> None:
+    place = tmp_path / "forks"
+    head = keep(place, pairs)
+    assert verify(place).ok
+    assert replay(place).ok
+    with connect(place) as database:
+        rows = database.rows("SELECT * FROM forks ORDER BY run_id")
+    assert {row["run_id"] for row in rows} == {pair.fork.record.run_id for pair in pairs}
+    assert all(row["base_run_id"] == row["forked_from_run"] for row in rows)
+    parts = {pair.fork.record.run_id: pair.fork.parts_at for pair in pairs}
+    assert {row["run_id"]: row["diverges"] for row in rows} == {run: at is not None for run, at in parts.items()}
+    assert keep(place, pairs) == head, "what is there is not written again"
+    assert len(list(open_ledger(place).runs())) == 2 * RUNS
+
+
+def test_forks_are_no_planned_runs_and_have_a_setting_of_their_own(pairs: list[Pair], tmp_path: Path) -> None:
+    place = tmp_path / "forks"
+    keep(place, pairs[:2])
+    with connect(place) as database:
+        kinds = database.rows("SELECT DISTINCT kind, constants FROM run_settings ORDER BY kind")
+        assert kinds == [
+            {"kind": "fork", "constants": "drop window:fleet/B1/*"},
+            {"kind": "simulated", "constants": None},
+        ]
+        assert database.rows("SELECT * FROM planned_runs") == []
+        settings = database.rows("SELECT count(DISTINCT setting) AS settings FROM run_settings")
+        assert settings == [{"settings": 2}]
+
+
+BAD = [
+    ("drop window:fleet/B1/9", "did you mean window:fleet/B1/"),
+    ("drop windw:fleet/B1/1", "did you mean window:fleet/B1/1"),
+    ("answer call:7 deny", "the run has no question call:7; did you mean call:1"),
+    ("answer cll:1 deny", "did you mean call:"),
+    ("answer call:1 maybe", "expected approve, deny or other"),
+    ("answer call:1 approve", "it has no effect, the answer is approve already"),
+    ("answer attempt:A1-1/1.1/1 soon", "expected hold or fail"),
+    ("answer response:1 soon", "expected a length"),
+    ("add off:Z9 3s for 5s", "there is no robot/Z9 in the fleet"),
+    ("add absence:Z9 3s for 5s", "there is no supervisor/Z9 in the fleet"),
+    ("add off:B1 3000s for 5s", "the run has ended by then"),
+    ("rule fleet deny from 900s", "the run has ended by then"),
+    ("set world.review_share=0.5 from 900s", "the run has ended by then"),
+    ("rule fleet deny robot=Z9", "is rejected: unknown robot robot/Z9"),
+    ("rule fleet deny capability=fly", "is rejected: unknown capability fly"),
+    ("trust A1 Z9 none", "is rejected: unknown robot robot/Z9"),
+    ("move task:A1-1 -900s", "after the beginning of the run"),
+    ("set structure.poll_us=999999", "it has no effect, the run does the same"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), BAD)
+def test_a_change_that_does_nothing_in_the_run_is_an_error(bases: list[Base], text: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        repeated(bases[0]).fork_with_effect(parsed([text]))
+
+
+def test_a_run_that_is_not_as_it_is_made_is_not_forked_and_its_event_is_named(bases: list[Base]) -> None:
+    record = bases[0].record
+    times = [*record.times_us]
+    times[250] += 1
+    tampered = LedgerRun(record.run_id, times, record.caused_by, record.events)
+    with pytest.raises(UsageError, match="event 250: the record is not what its world and its handlers make"):
+        repeated(base_of_record(tampered, ROOT))
+
+
+def test_a_fork_is_not_forked_again(bases: list[Base]) -> None:
+    fork = repeated(bases[0]).fork(parsed(["drop window:*"])).record
+    with pytest.raises(
+        UsageError, match=f"found a fork, expected the run that it forks from, {bases[0].record.run_id}"
+    ):
+        base_of_record(fork, ROOT)
