@@ -27,7 +27,7 @@ SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-ag
 
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce test test-all check check-style check-types check-sql check-imports soak $(SOAKS) \
-	soak-sensitivity bench docs pins sbom clean
+	soak-sensitivity bench docs page pins sbom clean
 
 help:
 	@echo "make setup       create .venv with the command fsar-ledger in it"
@@ -40,6 +40,7 @@ help:
 	@echo "                 resumes where it was interrupted"
 	@echo "make bench       run the benchmarks and print ratios"
 	@echo "make docs        rewrite the pages that show real output"
+	@echo "make page        build the script of the page that view writes from fsar_ledger/view/src; needs Node"
 	@echo "make pins        pin the versions in requirements*.in again; needs uv"
 	@echo "make sbom        write the software bill of materials, CycloneDX 1.6, to dist/fsar-ledger.cdx.json"
 	@echo "make clean       remove what the other targets made"
@@ -59,8 +60,10 @@ $(READY_TEST): requirements-test.txt $(READY)
 	$(PIP) --require-hashes -r requirements-test.txt
 	@touch $@
 
-$(READY_ALL): requirements-all.txt $(READY_TEST)
+$(READY_ALL): requirements-all.txt $(READY_TEST) fsar_ledger/view/src/package-lock.json
 	$(PIP) --require-hashes -r requirements-all.txt
+	.ci/browser
+	$(BIN)/python .ci/page.py --check
 	@touch $@
 
 reproduce: $(READY)
@@ -75,7 +78,7 @@ check-style: $(READY_TEST)
 	$(BIN)/ruff format --check .
 
 check-types: $(READY_TEST)
-	$(BIN)/mypy --strict fsar_ledger tests benchmarks docs .ci/sbom.py .ci/pin.py
+	$(BIN)/mypy --strict fsar_ledger tests benchmarks docs .ci/sbom.py .ci/pin.py .ci/page.py
 
 check-sql: $(READY_TEST)
 	$(BIN)/sqlfluff lint --disable-progress-bar queries
@@ -152,6 +155,10 @@ docs: reproduce $(READY_TEST)
 	$(BIN)/python docs/write.py
 	$(BIN)/python -c 'from pathlib import Path; from fsar_ledger.report import result_figure_svg; \
 		result_figure_svg(Path("$(OUT)/results"), Path("docs/results.svg"))'
+
+# The script and the style of the page that `fsar-ledger view` writes, from their sources.
+page: $(READY)
+	$(BIN)/python .ci/page.py
 
 # The versions and hashes that the three set-ups install.
 pins: $(READY)

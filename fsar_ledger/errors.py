@@ -25,7 +25,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-_NAMED_IN_PYTHON = {"memory_mib": "memory", "settings": "set", "since": "from", "until": "to"}
+_NAMED_IN_PYTHON = {"memory_mib": "memory", "settings": "set", "since": "from", "until": "to", "second": "with"}
 _is_command_line = ContextVar("is_command_line", default=False)
 
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .difference import Diff
     from .ledger import Ledger
     from .moment import Moment
+    from .pictures import Picture
     from .provenance import Provenance
     from .table import Table
     from .whatif import Asked, Fork, WhatIf
@@ -248,3 +249,43 @@ class Replays:
         ledgers = [self] if other is None else [self, other if isinstance(other, Ledger) else Ledger(other)]
         provenances = tuple(one._view()[1] for one in ledgers)
         return bisect_sides(ledgers, provenances, (first, second), outcome)
+
+    def view(
+        self,
+        out: Place,
+        run: Run | None = None,
+        second: Run | None = None,
+        other: "Ledger | None" = None,
+    ) -> "Picture":
+        """Write a page of HTML that shows a run: lanes, a time cursor, every event; it needs no network.
+
+        Args:
+            out: A file whose name ends in .html; replaced if it exists.
+            run: The run; None: the first.
+            second: Another run, shown below the first; their first difference is marked.
+            other: The ledger that holds `second`; None: this one. Without `second`: its run of the same name.
+
+        Raises:
+            UsageError: There is no such run, both are the same, `out` has another suffix or lies inside a ledger.
+            WriteFailed: The file cannot be written.
+        """
+        from .ledger import Ledger
+        from .pictures import write_page
+
+        return write_page(Ledger(self.path, demanded=self._demanded), Path(out), run, second, other)
+
+    def trace(self, out: Place, run: Run | None = None) -> "Picture":
+        """Write a run as trace events, which ui.perfetto.dev opens: for runs too long for a page.
+
+        Args:
+            out: A file whose name ends in .json; replaced if it exists.
+            run: The run; None: the first.
+
+        Raises:
+            UsageError: There is no such run, or `out` has another suffix or lies inside a ledger.
+            WriteFailed: The file cannot be written.
+        """
+        from .ledger import Ledger
+        from .pictures import write_trace
+
+        return write_trace(Ledger(self.path, demanded=self._demanded), Path(out), run)

@@ -77,6 +77,10 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("prove", ledger, EVIL),
     )
     yield from (
+        ("view", ledger, "--run", run, "--out", out / "page.html", "--perfetto", out / "trace.json"),
+        ("view", ledger, "--run", EVIL, "--out", out / "page.html"),
+    )
+    yield from (
         ("key", "new", key, "--name", EVIL),
         ("key", "new", key, "--name", "x/\u05d0"),
         ("recover", ledger, "--workers", 1),

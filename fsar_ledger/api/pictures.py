@@ -1,0 +1,126 @@
+"""Write a run, or two beside each other, to a page of HTML; or a run to a trace that Perfetto opens."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError, option
+from fsar_ledger.events import ALONE
+from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.observing import Unobserved
+
+from .files import whole_file
+from .names import Run
+from .provenance import Provenance
+
+if TYPE_CHECKING:
+    from fsar_ledger.view.page import Shown
+
+    from .ledger import Ledger
+
+PAGE, TRACE = ".html", ".json"
+
+
+class Picture(msgspec.Struct, frozen=True):
+    """The file, its bytes, the runs that it shows, and the provenance.
+
+    `first_difference` is the first seq at which two runs differ: None where they do not, or where there is only one.
+    """
+
+    file: Path
+    size: int
+    runs: tuple[str, ...]
+    first_difference: int | None
+    provenance: Provenance
+
+
+def require_picture(out: Path, suffix: str, name: str) -> None:
+    """Check the name of a file before anything is read. `name` is the parameter that gives it.
+
+    Raises: UsageError if it has another suffix, is a folder, or lies inside a ledger.
+    """
+    if out.suffix != suffix:
+        raise UsageError(
+            f"{option(name, out)}: found a file name that ends in {out.suffix or 'nothing'!r}, expected {suffix}; "
+            "choose another name"
+        )
+    if out.is_dir():
+        raise UsageError(f"{option(name, out)}: found a folder, expected the name of a file; choose another name")
+    require_outside(out, option(name, out))
+
+
+def write_page(ledger: "Ledger", out: Path, run: Run | None, second: Run | None, other: "Ledger | None") -> Picture:
+    """Write the page. Raises: As `Ledger.view`."""
+    from fsar_ledger.view.drawn import first_difference
+    from fsar_ledger.view.page import page
+
+    require_picture(out, PAGE, "out")
+    shown = [_shown(ledger, run)]
+    first = None
+    if second is not None or other is not None:
+        one = shown[0][0].drawn.run
+        shown.append(_shown(other or ledger, one.run_id if second is None else second))
+        two = shown[1][0].drawn.run
+        if two.run_id == one.run_id and (other is None or other.path.resolve() == ledger.path.resolve()):
+            raise UsageError(
+                f"{option('second', second)}: found run {printable.value(one.run_id)} twice, expected two runs; name "
+                "another one"
+            )
+        first = first_difference(one, two)
+    content = page(*(picture for picture, _ in shown))
+    _write(out, content)
+    runs = tuple(picture.drawn.run.run_id for picture, _ in shown)
+    return Picture(out, len(content), runs, first, _together([provenance for _, provenance in shown]))
+
+
+def write_trace(ledger: "Ledger", out: Path, run: Run | None) -> Picture:
+    """Write the trace. Raises: As `Ledger.trace`."""
+    from fsar_ledger.view.perfetto import trace
+
+    require_picture(out, TRACE, "out")
+    shown, provenance = _shown(ledger, run)
+    content = trace(shown.drawn)
+    _write(out, content)
+    return Picture(out, len(content), (shown.drawn.run.run_id,), None, provenance)
+
+
+def _write(out: Path, content: bytes) -> None:
+    with whole_file(out) as temporary:
+        temporary.write_bytes(content)
+
+
+def _shown(ledger: "Ledger", asked: Run | None) -> tuple["Shown", Provenance]:
+    """Return a run with all that is drawn of it, and the provenance of that."""
+    from fsar_ledger.view.drawn import drawn, words_of
+    from fsar_ledger.view.page import Shown
+
+    told = ledger.log(None if asked is None else ledger.record(asked).run_id)
+    rows = told.rows()
+    run = ledger.record(rows[0]["run_id"])
+    if type(run.events[0]) in ALONE:
+        raise UsageError(
+            f"run {printable.value(run.run_id)}: found the plan of an experiment, expected a run; "
+            f"`fsar-ledger query runs {printable.word(ledger.path)}` lists them"
+        )
+    provenance, number = told.provenance, ledger.numbers().get(run.run_id)
+    missing = tuple(concern for concern in CONCERNS if concern not in getattr(run.events[0], "observes", ()))
+    head = provenance.head
+    picture = Shown(
+        drawn(run, run.run_id if number is None else f"{number}", words_of(rows)),
+        printable.word(ledger.path),
+        head.size if head else 0,
+        head.root if head else "",
+        bool(provenance.rows_verified),
+        missing,
+    )
+    return picture, provenance
+
+
+def _together(found: list[Provenance]) -> Provenance:
+    """Return what holds for all: the head of the first, rows that were compared everywhere, each gap once."""
+    gaps: dict[str, Unobserved] = {one.concern: one for each in found for one in each.not_observed}
+    verified = all(each.rows_verified for each in found)
+    return Provenance(found[0].head, verified, None, tuple(gaps.values()))

@@ -1,0 +1,127 @@
+"""One page of HTML that shows a run, or two above each other: self-contained, and closed to everything else.
+
+The page is `page.html` with `page.css` and `page.js` (both built from `src/` by `make page`) and the data as JSON. Its
+Content-Security-Policy admits exactly these two texts, by their hashes, and no request at all. Every text of the
+ledger reaches the page as JSON, with `<` escaped, and the screen as text.
+"""
+
+import base64
+import hashlib
+from collections.abc import Hashable
+from importlib.resources import files
+from typing import Any, Generic, TypeVar
+
+import msgspec
+
+from fsar_ledger.events.envelope import flat
+
+from .drawn import Drawn, concern_of, first_difference, type_name
+from .spans import Span
+
+_ABOUT = ("architecture", "configuration", "scenario", "seed", "fleet_size", "kind", "source", "model_version")
+"""The fields of event 0 that say which run it is."""
+
+_Value = TypeVar("_Value", bound=Hashable)
+
+
+class Shown(msgspec.Struct, frozen=True):
+    """A run to show, and where it comes from: the words that name its ledger in a command, and the head.
+
+    `not_observed` names the concerns that its source does not record.
+    """
+
+    drawn: Drawn
+    ledger: str
+    size: int
+    root: str
+    is_verified: bool
+    not_observed: tuple[str, ...]
+
+
+def page(one: Shown, other: Shown | None = None) -> bytes:
+    """Return the page for a run, or for two one above the other with their first difference marked."""
+    shown = [one] if other is None else [one, other]
+    first = None if other is None else first_difference(one.drawn.run, other.drawn.run)
+    document = {
+        "is_same": other is not None and first is None,
+        "first_difference": first,
+        "runs": [_document(run) for run in shown],
+    }
+    data = msgspec.json.encode(document).decode().replace("<", "\\u003c").replace(">", "\\u003e")
+    parts = {name: files(__package__).joinpath(f"page.{name}").read_text("utf-8") for name in ("html", "css", "js")}
+    text = parts["html"]
+    for name, value in (
+        ("SCRIPT_HASH", _hash(parts["js"])),
+        ("STYLE_HASH", _hash(parts["css"])),
+        ("STYLE", parts["css"]),
+        ("SCRIPT", parts["js"]),
+        ("DATA", data),
+    ):
+        text = text.replace(f"%{name}%", value, 1)
+    return text.encode()
+
+
+def _hash(text: str) -> str:
+    """Return what admits this text in a Content-Security-Policy."""
+    return "'sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() + "'"
+
+
+class _Numbered(Generic[_Value]):
+    """Values that are written once and then named by their place."""
+
+    def __init__(self) -> None:
+        self._places: dict[_Value, int] = {}
+
+    def place(self, value: _Value) -> int:
+        return self._places.setdefault(value, len(self._places))
+
+    def values(self) -> list[_Value]:
+        return list(self._places)
+
+
+def _document(shown: Shown) -> dict[str, Any]:
+    """Return the run as the page reads it (`src/data.ts` says how): lists instead of objects, repetition by number."""
+    drawn = shown.drawn
+    run = drawn.run
+    words, payloads = _Numbered[Any](), _Numbered[Any]()
+    lanes = {lane.name: place for place, lane in enumerate(drawn.lanes)}
+    types = _Numbered[Any]()
+    events: list[list[Any]] = []
+    before_us = 0
+    for seq, event in enumerate(run.events):
+        told = drawn.told[seq]
+        fields = flat(event)
+        kind = types.place((type_name(event), concern_of(event), tuple(fields)))
+        lane = -1 if told.lane is None else lanes[told.lane]
+        payload = payloads.place((kind, *fields.values()))
+        events.append(
+            [run.times_us[seq] - before_us, run.caused_by[seq], payload, words.place(told.words), lane, told.task]
+        )
+        before_us = run.times_us[seq]
+    about = flat(run.events[0])
+    return {
+        "run": run.run_id,
+        "name": drawn.name,
+        "ledger": shown.ledger,
+        "size": shown.size,
+        "root": shown.root,
+        "is_verified": shown.is_verified,
+        "not_observed": shown.not_observed,
+        "lost": drawn.lost,
+        "about": [[name.replace("_", " "), f"{about[name]}"] for name in _ABOUT if about.get(name) is not None],
+        "lanes": drawn.lanes,
+        "types": types.values(),
+        "words": words.values(),
+        "payloads": payloads.values(),
+        "events": events,
+        "spans": [_span(span, lanes) for span in drawn.spans],
+        "arrows": [
+            [lanes[one.sender], lanes[one.receiver], one.sent_us, one.arrived_us, one.seq, one.kind]
+            for one in drawn.arrows
+        ],
+    }
+
+
+def _span(span: Span, lanes: dict[str, int]) -> list[Any]:
+    lane, *fact = span.fact
+    return [lanes[lane], *fact, span.start_us, span.end_us, span.seq, span.until]

@@ -1,0 +1,218 @@
+"""What held from when to when in a run: a span for each fact of its state, such as an execution or an open window.
+
+The facts are read from the projections, so a span means what the handlers themselves knew by that name.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import COORDINATOR, Principal, Robot
+from fsar_ledger.events.knowledge import WorkQueued
+from fsar_ledger.events.registry import AvailabilityChanged
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.projections.authority import Authority
+from fsar_ledger.projections.execution import HELPING, Execution
+from fsar_ledger.projections.fold import ROUTES, State
+from fsar_ledger.projections.knowledge import Knowledge
+from fsar_ledger.projections.recovery import Recoveries
+from fsar_ledger.projections.request import Requests
+from fsar_ledger.projections.supervision import Supervision
+from fsar_ledger.projections.task import Tasks
+from fsar_ledger.projections.world import World
+
+TRACKS = ("task", "work", "queue", "recovery", "request", "call", "claim", "policy", "told", "world")
+"""The rows of a lane, from top to bottom."""
+
+_WORK = {
+    "polling": "held",
+    "withdrawn": "queued",
+    "preempted": "paused",
+    "halted": "paused",
+}
+"""By stage of the action that holds a robot, the kind of its span where that is not the stage itself."""
+
+
+class Fact(NamedTuple):
+    """Something that holds for a while. `about` is an action, task or window; `text` says it in words.
+
+    `lane` is the principal it holds for, `track` one of `TRACKS`.
+    """
+
+    lane: str
+    track: str
+    kind: str
+    about: str
+    text: str
+
+
+class Span(NamedTuple):
+    """From when to when a fact held. Units: microseconds of run time; `end_us` None: until the end of the record.
+
+    `seq` is the event from which it held, `until` the one from which it no longer did, if an event ended it.
+    """
+
+    fact: Fact
+    start_us: int
+    end_us: int | None
+    seq: int
+    until: int | None
+
+
+class Spans(NamedTuple):
+    """The spans of a run in order of their beginning.
+
+    `lost`: slot of the state -> first event that its projection could not follow. The record of another system may lack
+    what that event presumes, so from there on the slot says nothing.
+    """
+
+    spans: tuple[Span, ...]
+    lost: dict[str, int]
+
+
+def lane_of(principal: Principal | str) -> str:
+    """Return the lane of a principal: its own, and that of its robot for an agent."""
+    kind, _, rest = principal.partition("/")
+    return f"robot/{rest.split('/')[0]}" if kind == "agent" else principal
+
+
+def spans_of(run: LedgerRun) -> Spans:
+    """Return what held from when to when."""
+    state, held = State(), _Held()
+    lost: dict[str, int] = {}
+    for seq, (time_us, event) in enumerate(zip(run.times_us, run.events, strict=True)):
+        for slot, evolve in ROUTES.get(type(event), ()):
+            if slot in lost:
+                continue
+            before = getattr(state, slot)
+            try:
+                after = evolve(before, event)
+            except (LookupError, StopIteration, ValueError):
+                lost[slot] = seq
+                held.now(slot, frozenset(), time_us, seq)
+                continue
+            setattr(state, slot, after)
+            if after is not before and slot in FACTS:
+                held.now(slot, frozenset(FACTS[slot](after)), time_us, seq)
+        held.beside(event, time_us, seq)
+    held.end()
+    return Spans(tuple(sorted(held.spans, key=lambda span: (span.start_us, span.seq, span.fact))), lost)
+
+
+class _Held:
+    """The facts that hold at present, by what they were read from, and the spans that are over."""
+
+    def __init__(self) -> None:
+        self.spans: list[Span] = []
+        self._open: dict[str, dict[Fact, tuple[int, int]]] = {}
+        self._availability: dict[tuple[Robot, str | None], Fact] = {}
+        self._coordinator_us = 0
+
+    def now(self, source: str, facts: frozenset[Fact], time_us: int, seq: int) -> None:
+        """From this event on exactly these facts hold, of those with this source."""
+        known = self._open.setdefault(source, {})
+        for fact in [fact for fact in known if fact not in facts]:
+            start_us, since = known.pop(fact)
+            self.spans.append(Span(fact, start_us, time_us, since, seq))
+        for fact in facts - known.keys():
+            known[fact] = (time_us, seq)
+
+    def beside(self, event: Event, time_us: int, seq: int) -> None:
+        """Follow what the state holds only in part: the availability on record, and the work of the coordinator."""
+        match event:
+            case AvailabilityChanged(robot=robot, capability=capability, availability=availability):
+                text = f"{availability}: {capability or 'every capability'} ({event.reason})"
+                self._availability.pop((robot, capability), None)
+                if availability != "ready":
+                    self._availability[robot, capability] = Fact(robot, "world", availability, capability or "", text)
+                self.now("availability", frozenset(self._availability.values()), time_us, seq)
+            case WorkQueued():
+                begin_us = max(time_us, self._coordinator_us)
+                fact = Fact(COORDINATOR, "work", "running", event.subject.action_id, event.item)
+                self.spans.append(Span(fact, begin_us, event.ready_us, seq, None))
+                self._coordinator_us = event.ready_us
+            case _:
+                pass
+
+    def end(self) -> None:
+        """Keep what still holds at the end of the record."""
+        for known in self._open.values():
+            self.spans += [Span(fact, start_us, None, seq, None) for fact, (start_us, seq) in known.items()]
+
+
+def _tasks(state: Tasks) -> Iterator[Fact]:
+    for task in state.values():
+        yield Fact(task.robot, "task", "task", task.task_id, task.task_id)
+
+
+def _execution(state: Execution) -> Iterator[Fact]:
+    for robot, name in state.current.items():
+        if name.startswith(HELPING):
+            about = name.removeprefix(HELPING)
+            yield Fact(robot, "work", "helping", about, f"helps with {about}")
+        elif name in state.actions:
+            action = state.actions[name]
+            yield Fact(robot, "work", _WORK.get(action.stage, action.stage), name, action.capability)
+    for robot, names in state.queues.items():
+        for name in names:
+            yield Fact(robot, "queue", "waiting", name, state.actions[name].capability if name in state.actions else "")
+
+
+def _recoveries(state: Recoveries) -> Iterator[Fact]:
+    for name, failure in state.items():
+        yield Fact(failure.robot, "recovery", failure.level, name, f"{failure.cause}, failure {failure.failure}")
+
+
+def _requests(state: Requests) -> Iterator[Fact]:
+    for name, request in state.items():
+        if request.is_delegated and not request.is_over:
+            kind = "accepted" if request.is_accepted else "open"
+            yield Fact(request.requester, "request", kind, name, request.capability)
+
+
+def _calls(state: Supervision) -> Iterator[Fact]:
+    for call in state.calls.values():
+        yield Fact(call.supervisor, "call", call.purpose, call.subject.action_id, f"call: {call.purpose}")
+
+
+def _claims(state: Authority) -> Iterator[Fact]:
+    for name, claims in state.claims.items():
+        for claim in claims:
+            yield Fact(lane_of(claim.claimant), "claim", claim.dimension, name, f"{claim.dimension}, {claim.reason}")
+
+
+def _world(state: World) -> Iterator[Fact]:
+    for scope, windows in (("local", state.local), ("fleet", state.fleet)):
+        for robot, opened in windows.items():
+            for window, outcome in opened:
+                yield Fact(robot, "policy", outcome, window, f"{scope} policy: {outcome}")
+    for robot, names in state.obstructions.items():
+        for name in names:
+            yield Fact(robot, "world", "obstructed", name, "obstructed")
+    for robot, grade in state.degraded.items():
+        yield Fact(robot, "world", "degraded", "", f"actuator {grade}")
+    for supervisor in state.off_shift:
+        yield Fact(supervisor, "world", "off", "", "off shift")
+    for robot in state.off:
+        yield Fact(robot, "world", "off", "", "off")
+    for robot in state.unlinked:
+        yield Fact(robot, "world", "unlinked", "", "link down")
+
+
+def _told(state: Knowledge) -> Iterator[Fact]:
+    for robot, outcome in state.fleet_rule.items():
+        if outcome != "allow":
+            yield Fact(robot, "told", outcome, "", f"told the fleet's rule: {outcome}")
+
+
+FACTS: dict[str, Callable[[Any], Iterator[Fact]]] = {
+    "task": _tasks,
+    "execution": _execution,
+    "recovery": _recoveries,
+    "request": _requests,
+    "supervision": _calls,
+    "authority": _claims,
+    "world": _world,
+    "knowledge": _told,
+}
+"""By slot of the state, the facts that it holds."""

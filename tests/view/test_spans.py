@@ -1,0 +1,83 @@
+"""What held from when to when: spans say the same as the state, and stop where a record cannot be followed."""
+
+from msgspec.structs import replace
+
+from fsar_ledger.events.envelope import Parties, Robot, Subject
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionStarted
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.registry import AvailabilityChanged
+from fsar_ledger.events.world import PolicyWindowOpened
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.view.spans import FACTS, TRACKS, Fact, Span, lane_of, spans_of
+from tests.view.conftest import a_run
+
+FOREIGN = RunStarted(kind="foreign", observes=("execution", "policy"), source="example.org")
+B1 = Robot("robot/B1")
+
+
+def held(spans: tuple[Span, ...], seq: int) -> set[Fact]:
+    """The facts that hold just after this event."""
+    return {span.fact for span in spans if span.seq <= seq and (span.until is None or seq < span.until)}
+
+
+def test_at_every_event_exactly_the_facts_of_the_state_hold(runs: dict[str, LedgerRun]) -> None:
+    for run in runs.values():
+        found = spans_of(run)
+        of_state = tuple(
+            span for span in found.spans if span.fact.kind != "offline" and span.fact.lane != "coordinator"
+        )
+        state = State()
+        for seq, event in enumerate(run.events):
+            apply(state, event)
+            facts = {fact for slot, read in FACTS.items() for fact in read(getattr(state, slot))}
+            assert held(of_state, seq) == {fact for fact in facts if fact.lane != "coordinator"}, seq
+        assert found.lost == {}
+
+
+def test_an_execution_is_a_span_from_its_start_to_its_end(runs: dict[str, LedgerRun]) -> None:
+    run = runs["fsar"]
+    spans = [span for span in spans_of(run).spans if span.fact.track == "work"]
+    finished = [seq for seq, event in enumerate(run.events) if isinstance(event, ExecutionFinished)]
+    assert finished
+    for seq in finished:
+        event = run.events[seq]
+        assert isinstance(event, ExecutionFinished)
+        (last,) = (span for span in spans if span.until == seq and span.fact.about == event.subject.action_id)
+        assert (last.fact.lane, last.fact.kind, last.end_us) == (event.robot, "running", run.times_us[seq])
+
+
+def test_every_track_is_used_somewhere() -> None:
+    runs = [a_run(architecture, number=number) for architecture in ("fsar", "cfc") for number in range(8)]
+    tracks = {span.fact.track for run in runs for span in spans_of(run).spans}
+    assert tracks == set(TRACKS)
+
+
+def test_agents_share_the_lane_of_their_robot() -> None:
+    assert lane_of("agent/A1/planning") == "robot/A1"
+    assert lane_of("supervisor/A1") == "supervisor/A1"
+
+
+def test_what_is_open_at_the_end_has_no_end() -> None:
+    opened = PolicyWindowOpened(robot=B1, scope="local", window="local/B1/0", outcome="deny")
+    (span,) = spans_of(LedgerRun("r", (0, 5), (None, 0), (FOREIGN, opened))).spans
+    assert span == Span(Fact(B1, "policy", "deny", "local/B1/0", "local policy: deny"), 5, None, 1, None)
+
+
+def test_availability_holds_until_the_registry_learns_another() -> None:
+    off = AvailabilityChanged(robot=B1, capability=None, availability="offline", reason="no answer")
+    on = replace(off, availability="ready")
+    (span,) = spans_of(LedgerRun("r", (0, 5, 9), (None, 0, 1), (FOREIGN, off, on))).spans
+    assert (span.fact.kind, span.start_us, span.end_us) == ("offline", 5, 9)
+
+
+def test_a_record_that_cannot_be_followed_is_left_at_that_event() -> None:
+    """Another system may record that something began, and never that it was queued."""
+    parties = Parties(requested_by=None, executed_by=None, supervised_by=None)
+    began = ExecutionStarted(
+        subject=Subject("t", "t/1"), principals=parties, robot=B1, on_behalf_of=B1, capability="c", ends_us=9
+    )
+    opened = PolicyWindowOpened(robot=B1, scope="fleet", window="fleet/B1/0", outcome="review")
+    found = spans_of(LedgerRun("r", (0, 3, 5), (None, 0, 0), (FOREIGN, began, opened)))
+    assert found.lost == {"execution": 1}
+    assert [span.fact.track for span in found.spans] == ["policy"]
