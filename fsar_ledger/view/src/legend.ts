@@ -140,7 +140,8 @@ function item(sign: SVGSVGElement, label: string): HTMLElement {
 }
 
 function swatch(track: string, kind: string, height: number): SVGSVGElement {
-  const rect = { class: `bar ${track} ${kind}`, x: 0.5, y: 7 - height / 2, width: 21, height, rx: Math.min(3, height / 2) };
+  const rounded = Math.min(2.5, height / 2);
+  const rect = { class: `bar ${track} ${kind}`, x: 0.5, y: 7 - height / 2, width: 21, height, rx: rounded };
   return drawn("svg", { width: 22, height: 14, "aria-hidden": "true" }, drawn("rect", rect));
 }
 

@@ -52,7 +52,8 @@ export function choose(run: number, seq: number): void {
   const focused = document.activeElement?.getAttribute("data-link");
   select(state, run, seq);
   const event = state.page.runs[run].events[seq];
-  byId("live").textContent = `Event ${seq} of ${state.page.runs[run].events.length}, ${seconds(event.time)}: ${said(event)}`;
+  const count = state.page.runs[run].events.length;
+  byId("live").textContent = `Event ${seq} of ${count}, ${seconds(event.time)}: ${said(event)}`;
   redraw();
   if (focused !== null && focused !== undefined) {
     requestAnimationFrame(() => byId("event-title").focus());

@@ -24,7 +24,8 @@ function eventsOf(state: State, run: Run, choose: (run: number, seq: number) => 
     event.action ?? "",
     event.cause === null ? "" : `${event.cause}`,
   ]);
-  return table(`Run ${run.name}: ${events.length} events`, ["event", "time", "type", "what", "action", "caused by"], lines);
+  const names = ["event", "time", "type", "what", "action", "caused by"];
+  return table(`Run ${run.name}: ${events.length} events`, names, lines);
 }
 
 function spansOf(state: State, run: Run, choose: (run: number, seq: number) => void): HTMLElement {
