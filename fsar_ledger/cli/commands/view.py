@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = examples(
     "fsar-ledger view out/ledger --out out/run.html",
-    "fsar-ledger view out/ledger --run 1 --with 101 --out out/two.html",
+    "fsar-ledger view out/ledger --run 1 --with 2 --out out/two.html",
     "fsar-ledger view out/ledger --run 1 --perfetto out/run.json",
 )
 

@@ -1,4 +1,8 @@
-/** The data of the page, as `fsar_ledger/view/page.py` writes it, and runs as the page uses them. Times: microseconds. */
+/**
+ * The data of the page, as `fsar_ledger/view/page.py` writes it, and runs as the page uses them.
+ *
+ * Units: microseconds.
+ */
 
 export interface Lane {
   index: number;

@@ -38,7 +38,8 @@ function momentOf(state: State, run: Run, choose: Choose): HTMLElement {
   }
   const last = run.events[eventAt(run, state.cursor)];
   found.append(element("p", { class: "last" }, "last event ", link(run, last, choose)));
-  const held = heldAt(run, state.cursor);
+  const order = Object.keys(WORDS);
+  const held = heldAt(run, state.cursor).sort((one, other) => order.indexOf(one.track) - order.indexOf(other.track));
   const list = element("dl", { class: "lanes" });
   for (const lane of run.lanes.filter((one) => showsLane(state.filters, run, one.index))) {
     const mine = held.filter((span) => span.lane === lane.index && showsSpan(state.filters, run, span));
@@ -138,8 +139,8 @@ function beside(state: State, run: Run, event: LedgerEvent): HTMLElement[] {
   }
   const theirs = other.events[event.seq];
   const mine = new Map(allFields(event).map(([name, value]) => [name, text(value)]));
-  const isSame = (name: string, value: unknown): boolean => theirs.type === event.type && mine.get(name) === text(value);
-  const fields = allFields(theirs).filter(([name, value]) => !isSame(name, value));
+  const isAlike = theirs.type === event.type;
+  const fields = allFields(theirs).filter(([name, value]) => !isAlike || mine.get(name) !== text(value));
   return [title, element("p", {}, `${theirs.type}: ${said(theirs)}`), record(fields)];
 }
 
