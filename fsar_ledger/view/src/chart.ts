@@ -243,7 +243,7 @@ export function axis(state: State, width: number): SVGSVGElement {
   for (const time of steps) {
     const x = scale.x(time);
     svg.append(drawn("line", { class: "mark", x1: x, x2: x, y1: height - 5, y2: height }));
-    if (Math.abs(x - shown) > 58) {
+    if (Math.abs(x - shown) > 58 && (flagged === null || Math.abs(x - flagged) > 24)) {
       svg.append(drawn("text", { class: "time", x, y: top + 25 }, seconds(time, digits)));
     }
   }

@@ -10,7 +10,7 @@ const LINKS_MOST = 40;
 
 const WORDS: Record<string, (span: Span) => string> = {
   task: (span) => `task ${span.about}`,
-  work: (span) => `${span.kind} ${span.text}`,
+  work: (span) => (span.kind === "helping" ? span.text : `${span.kind} ${span.text}`),
   queue: (span) => `waiting ${span.text} ${span.about}`,
   recovery: (span) => `recovery ${span.kind}: ${span.text}`,
   request: (span) => `request ${span.kind}: ${span.text} ${span.about}`,
