@@ -21,6 +21,8 @@ def install() -> None:
     """Install the tools that package-lock.json pins, with their hashes, unless they are there."""
     lock = (SOURCES / "package-lock.json").read_bytes()
     stamp = TOOLS / "installed.json"
+    if shutil.which("npm") is None:
+        sys.exit(".ci/page.py: found no npm, expected Node and npm; install them (Debian: nodejs npm)")
     if stamp.exists() and stamp.read_bytes() == lock:
         return
     TOOLS.mkdir(parents=True, exist_ok=True)

@@ -3,6 +3,7 @@
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,10 +17,10 @@ from tests.ledger.samples import append_all
 DATA = re.compile(r'<script type="application/json" id="data">(.*?)</script>', re.DOTALL)
 
 
-def data_of(page: Path) -> dict[str, object]:
+def data_of(page: Path) -> dict[str, Any]:
     found = DATA.search(page.read_text("utf-8"))
     assert found is not None
-    document: dict[str, object] = json.loads(found[1])
+    document: dict[str, Any] = json.loads(found[1])
     return document
 
 
@@ -27,7 +28,7 @@ def test_view_writes_a_page_of_the_first_run(ledger: Path, call: Call, tmp_path:
     out = tmp_path / "run.html"
     said = call("view", ledger, "--out", out)
     assert (said.code, said.err) == (0, "")
-    (run,) = data_of(out)["runs"]  # type: ignore[misc]
+    (run,) = data_of(out)["runs"]
     names = list(fsar_ledger.open_ledger(ledger).numbers())
     assert said.out == f"{out}: {out.stat().st_size:,} bytes, run {names[0]}\n"
     assert (run["run"], run["name"], run["ledger"]) == (names[0], "1", f"{ledger}")
@@ -35,14 +36,14 @@ def test_view_writes_a_page_of_the_first_run(ledger: Path, call: Call, tmp_path:
 
 def test_the_page_says_what_it_holds_for(ledger: Path, call: Call, tmp_path: Path) -> None:
     call("view", ledger, "--out", tmp_path / "run.html")
-    (run,) = data_of(tmp_path / "run.html")["runs"]  # type: ignore[misc]
+    (run,) = data_of(tmp_path / "run.html")["runs"]
     head = fsar_ledger.open_ledger(ledger).head
     assert (run["size"], run["root"], run["is_verified"]) == (head.size, head.root, True)
 
 
 def test_the_words_are_those_of_log(ledger: Path, call: Call, tmp_path: Path) -> None:
     call("view", ledger, "--run", 3, "--out", tmp_path / "run.html")
-    (run,) = data_of(tmp_path / "run.html")["runs"]  # type: ignore[misc]
+    (run,) = data_of(tmp_path / "run.html")["runs"]
     lines = [json.loads(line) for line in call("log", ledger, "--run", 3, "--json").out.splitlines()]
     told = [run["words"][event[3]] for event in run["events"]]
     assert told == [[line[name] for name in ("sender", "receiver", "message", "note", "action_id")] for line in lines]
@@ -93,12 +94,12 @@ def test_the_record_of_another_system_is_shown_and_what_it_leaves_out_is_named(c
     said = call("view", tmp_path / "ledger", "--out", tmp_path / "ward.html")
     assert said.code == 0
     assert "not observed" in said.err
-    (run,) = data_of(tmp_path / "ward.html")["runs"]  # type: ignore[misc]
+    (run,) = data_of(tmp_path / "ward.html")["runs"]
     assert "execution" in run["not_observed"]
     assert "policy" not in run["not_observed"]
 
 
-MISTAKES = {
+MISTAKES: dict[str, tuple[tuple[str, ...], *tuple[str, ...]]] = {
     "no file": ((), "expected a file to write", "--out FILE.html"),
     "another suffix": (("--out", "run.htm"), "--out run.htm", "'.htm'", "expected .html"),
     "no suffix": (("--out", "run"), "'nothing'", "expected .html"),

@@ -140,6 +140,9 @@ def cursor(page: Page) -> float:
     return float(page.inner_text("#moment-time").removesuffix(" s"))
 
 
-def view(page: Page) -> str:
-    """The times on the axis, which change with what is in view."""
-    return " ".join(page.locator("#axis text.time").all_text_contents())
+def view(page: Page) -> list[str]:
+    """The places of the marks on the axis, which change with what is in view."""
+    places: list[str] = page.eval_on_selector_all(
+        "#axis line.mark", "marks => marks.map(one => one.getAttribute('x1'))"
+    )
+    return places

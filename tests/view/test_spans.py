@@ -3,7 +3,7 @@
 from msgspec.structs import replace
 
 from fsar_ledger.events.envelope import Parties, Robot, Subject
-from fsar_ledger.events.execution import ExecutionFinished, ExecutionStarted
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.world import PolicyWindowOpened
@@ -74,10 +74,25 @@ def test_availability_holds_until_the_registry_learns_another() -> None:
 def test_a_record_that_cannot_be_followed_is_left_at_that_event() -> None:
     """Another system may record that something began, and never that it was queued."""
     parties = Parties(requested_by=None, executed_by=None, supervised_by=None)
+    queued = ExecutionQueued(
+        subject=Subject("t", "t/1"),
+        principals=parties,
+        robot=B1,
+        on_behalf_of=B1,
+        capability="lift",
+        step=1,
+        attempt=1,
+        is_delegated=False,
+        has_approach=False,
+        is_supervised=False,
+    )
     began = ExecutionStarted(
-        subject=Subject("t", "t/1"), principals=parties, robot=B1, on_behalf_of=B1, capability="c", ends_us=9
+        subject=Subject("t", "t/2"), principals=parties, robot=B1, on_behalf_of=B1, capability="lift", ends_us=9
     )
     opened = PolicyWindowOpened(robot=B1, scope="fleet", window="fleet/B1/0", outcome="review")
-    found = spans_of(LedgerRun("r", (0, 3, 5), (None, 0, 0), (FOREIGN, began, opened)))
-    assert found.lost == {"execution": 1}
-    assert [span.fact.track for span in found.spans] == ["policy"]
+    found = spans_of(LedgerRun("r", (0, 1, 3, 5), (None, 0, 0, 0), (FOREIGN, queued, began, opened)))
+    assert found.lost == {"execution": 2}
+    assert [(span.fact.track, span.start_us, span.end_us) for span in found.spans] == [
+        ("work", 1, 3),
+        ("policy", 5, None),
+    ]
