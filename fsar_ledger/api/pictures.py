@@ -1,27 +1,39 @@
 """Write a run, or two beside each other, to a page of HTML; or a run to a trace that Perfetto opens."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
 from fsar_ledger import printable
+from fsar_ledger.analysis.records import record_of
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.events import ALONE
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.observing import Unobserved
+from fsar_ledger.metrics.verified import is_verified
 
+from .explain import chosen_run
 from .files import whole_file
+from .log import asked_of, timeline
+from .lookup import numbers_of
 from .names import Run
 from .provenance import Provenance
 
 if TYPE_CHECKING:
     from fsar_ledger.view.page import Shown
 
-    from .ledger import Ledger
-
 PAGE, TRACE = ".html", ".json"
+
+
+class Source(NamedTuple):
+    """A ledger, and the SHA-256 of the newest record if its rows were just compared with its root."""
+
+    path: Path
+    demanded: str | None
 
 
 class Picture(msgspec.Struct, frozen=True):
@@ -52,19 +64,19 @@ def require_picture(out: Path, suffix: str, name: str) -> None:
     require_outside(out, option(name, out))
 
 
-def write_page(ledger: "Ledger", out: Path, run: Run | None, second: Run | None, other: "Ledger | None") -> Picture:
+def write_page(source: Source, out: Path, run: Run | None, second: Run | None, other: Source | None) -> Picture:
     """Write the page. Raises: As `Ledger.view`."""
     from fsar_ledger.view.drawn import first_difference
     from fsar_ledger.view.page import page
 
     require_picture(out, PAGE, "out")
-    shown = [_shown(ledger, run)]
+    shown = [_shown(source, run)]
     first = None
     if second is not None or other is not None:
         one = shown[0][0].drawn.run
-        shown.append(_shown(other or ledger, one.run_id if second is None else second))
+        shown.append(_shown(other or source, one.run_id if second is None else second))
         two = shown[1][0].drawn.run
-        if two.run_id == one.run_id and (other is None or other.path.resolve() == ledger.path.resolve()):
+        if two.run_id == one.run_id and (other is None or other.path.resolve() == source.path.resolve()):
             raise UsageError(
                 f"{option('second', second)}: found run {printable.value(one.run_id)} twice, expected two runs; name "
                 "another one"
@@ -76,12 +88,12 @@ def write_page(ledger: "Ledger", out: Path, run: Run | None, second: Run | None,
     return Picture(out, len(content), runs, first, _together([provenance for _, provenance in shown]))
 
 
-def write_trace(ledger: "Ledger", out: Path, run: Run | None) -> Picture:
+def write_trace(source: Source, out: Path, run: Run | None) -> Picture:
     """Write the trace. Raises: As `Ledger.trace`."""
     from fsar_ledger.view.perfetto import trace
 
     require_picture(out, TRACE, "out")
-    shown, provenance = _shown(ledger, run)
+    shown, provenance = _shown(source, run)
     content = trace(shown.drawn)
     _write(out, content)
     return Picture(out, len(content), (shown.drawn.run.run_id,), None, provenance)
@@ -92,25 +104,29 @@ def _write(out: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
-def _shown(ledger: "Ledger", asked: Run | None) -> tuple["Shown", Provenance]:
+def _shown(source: Source, asked: Run | None) -> tuple["Shown", Provenance]:
     """Return a run with all that is drawn of it, and the provenance of that."""
     from fsar_ledger.view.drawn import drawn, words_of
     from fsar_ledger.view.page import Shown
 
-    told = ledger.log(None if asked is None else ledger.record(asked).run_id)
-    rows = told.rows()
-    run = ledger.record(rows[0]["run_id"])
+    with connect(source.path, demanded=source.demanded) as database:
+        name = chosen_run(database, source.path, asked)
+        number = numbers_of(database).get(name)
+        told = timeline(database, asked_of(database, source.path, name, None, None, None, None))
+    view = open_for_answers(source.path)
+    is_verified(view, source.demanded)
+    run = record_of(view, name)
     if type(run.events[0]) in ALONE:
         raise UsageError(
-            f"run {printable.value(run.run_id)}: found the plan of an experiment, expected a run; "
-            f"`fsar-ledger query runs {printable.word(ledger.path)}` lists them"
+            f"run {printable.value(name)}: found the plan of an experiment, expected a run; "
+            f"`fsar-ledger query runs {printable.word(source.path)}` lists them"
         )
-    provenance, number = told.provenance, ledger.numbers().get(run.run_id)
+    provenance = told.provenance
     missing = tuple(concern for concern in CONCERNS if concern not in getattr(run.events[0], "observes", ()))
     head = provenance.head
     picture = Shown(
-        drawn(run, run.run_id if number is None else f"{number}", words_of(rows)),
-        printable.word(ledger.path),
+        drawn(run, name if number is None else f"{number}", words_of(told.rows())),
+        printable.word(source.path),
         head.size if head else 0,
         head.root if head else "",
         bool(provenance.rows_verified),

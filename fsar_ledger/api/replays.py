@@ -269,10 +269,10 @@ class Replays:
             UsageError: There is no such run, both are the same, `out` has another suffix or lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from .ledger import Ledger
-        from .pictures import write_page
+        from .pictures import Source, write_page
 
-        return write_page(Ledger(self.path, demanded=self._demanded), Path(out), run, second, other)
+        beside = None if other is None else Source(other.path, other._demanded)
+        return write_page(Source(self.path, self._demanded), Path(out), run, second, beside)
 
     def trace(self, out: Place, run: Run | None = None) -> "Picture":
         """Write a run as trace events, which ui.perfetto.dev opens: for runs too long for a page.
@@ -285,7 +285,6 @@ class Replays:
             UsageError: There is no such run, or `out` has another suffix or lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from .ledger import Ledger
-        from .pictures import write_trace
+        from .pictures import Source, write_trace
 
-        return write_trace(Ledger(self.path, demanded=self._demanded), Path(out), run)
+        return write_trace(Source(self.path, self._demanded), Path(out), run)

@@ -80,6 +80,7 @@ def test_a_trace_is_json_of_the_run(ledger: Path, call: Call, tmp_path: Path) ->
     assert json.loads(out.read_bytes())["otherData"] == {"run": name}
 
 
+@pytest.mark.slow
 def test_the_same_call_writes_the_same_bytes(ledger: Path, call: Call, tmp_path: Path) -> None:
     for name in ("a", "b"):
         call("view", ledger, "--out", tmp_path / f"{name}.html", "--perfetto", tmp_path / f"{name}.json")
