@@ -115,6 +115,14 @@ def test_a_robot_can_be_hidden_and_shown_again(one: Page) -> None:
     assert lanes(one) == before
 
 
+def test_one_robot_alone_can_be_shown(one: Page) -> None:
+    one.click("#filter")
+    chip(one, "Robots", "None").click()
+    chip(one, "Robots", "C1").click()
+    settle(one)
+    assert [name for name in one.locator("#moment dt").all_text_contents() if name.startswith("robot/")] == ["robot/C1"]
+
+
 def test_a_hidden_concern_has_no_bars_and_no_steps(one: Page) -> None:
     one.click("#filter")
     for name in ("policy", "world", "registry", "trust", "run"):

@@ -3,7 +3,7 @@
 import { type Arrow, chain, type LedgerEvent, type Run, seconds, type Span } from "./data";
 import { drawn, element } from "./dom";
 import { isActive, showsEvent } from "./filters";
-import { type LanePlace, type Layout, layoutOf, type Row } from "./layout";
+import { aboutLines, type LanePlace, type Layout, layoutOf, type Row } from "./layout";
 import { type State, timeOf } from "./state";
 
 export const GUTTER = 172;
@@ -85,7 +85,7 @@ function names(run: Run, place: LanePlace, width: number, scale: Scale): SVGElem
   if (isNarrow(width)) {
     return [label];
   }
-  const more = about === "" ? [] : [drawn("text", { class: "about", x: 12, y: place.top + 33 }, about)];
+  const more = aboutLines(about).map((line, at) => drawn("text", { x: 12, y: place.top + 33 + 14 * at }, line));
   return [label, ...more, ...place.rows.map((row) => rowName(row, scale))];
 }
 

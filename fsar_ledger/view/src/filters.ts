@@ -85,7 +85,14 @@ function group(
       changed();
     }),
   );
-  return element("div", { class: "group", role: "group", "aria-label": title }, element("span", {}, title), ...chips);
+  const none = element("button", { type: "button", class: "plain" }, "None");
+  none.addEventListener("click", () => {
+    names.forEach((name) => hidden.add(name));
+    chips.forEach((one) => one.setAttribute("aria-pressed", "false"));
+    changed();
+  });
+  const head = element("span", {}, title);
+  return element("div", { class: "group", role: "group", "aria-label": title }, head, ...chips, none);
 }
 
 function routine(filters: Filters, changed: () => void): HTMLElement {

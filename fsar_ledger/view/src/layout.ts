@@ -73,11 +73,18 @@ export function layoutOf(run: Run, filters: Filters, heading: number): Layout {
       rows.push({ track, top: at, height: taken });
       at += taken + GAP;
     }
-    const bottom = Math.max(at + TICKS + PADDING, top + heading + 26);
+    const least = heading > 0 ? heading + 26 : 26 + 14 * aboutLines(lane.about).length;
+    const bottom = Math.max(at + TICKS + PADDING, top + least);
     lanes.set(lane.index, { lane: lane.index, top, bottom, rows, ticks: bottom - PADDING - TICKS / 2 });
     top = bottom;
   }
   return { lanes, spans: placed, height: top };
+}
+
+/** What is said below the name of a lane: role and team, then the place. */
+export function aboutLines(about: string): string[] {
+  const [role, team, ...place] = about.split(", ");
+  return [[role, team].filter(Boolean).join(", "), place.join(", ")].filter((line) => line !== "");
 }
 
 /** The line of each span in its row, so that none covers another; from the last line on they may. */
