@@ -40,6 +40,7 @@ class Picture(msgspec.Struct, frozen=True):
     """The file, its bytes, the runs that it shows, and the provenance.
 
     `first_difference` is the first seq at which two runs differ: None where they do not, or where there is only one.
+    `other` is the provenance of a run from another ledger.
     """
 
     file: Path
@@ -47,6 +48,7 @@ class Picture(msgspec.Struct, frozen=True):
     runs: tuple[str, ...]
     first_difference: int | None
     provenance: Provenance
+    other: Provenance | None = None
 
 
 def require_picture(out: Path, suffix: str, name: str) -> None:
@@ -85,7 +87,10 @@ def write_page(source: Source, out: Path, run: Run | None, second: Run | None, o
     content = page(*(picture for picture, _ in shown))
     _write(out, content)
     runs = tuple(picture.drawn.run.run_id for picture, _ in shown)
-    return Picture(out, len(content), runs, first, _together([provenance for _, provenance in shown]))
+    provenances = [provenance for _, provenance in shown]
+    if other is None:
+        return Picture(out, len(content), runs, first, _together(provenances))
+    return Picture(out, len(content), runs, first, *provenances)
 
 
 def write_trace(source: Source, out: Path, run: Run | None) -> Picture:
@@ -136,7 +141,7 @@ def _shown(source: Source, asked: Run | None) -> tuple["Shown", Provenance]:
 
 
 def _together(found: list[Provenance]) -> Provenance:
-    """Return what holds for all: the head of the first, rows that were compared everywhere, each gap once."""
+    """Return what holds for runs of one ledger: its head, and each gap once."""
     gaps: dict[str, Unobserved] = {one.concern: one for each in found for one in each.not_observed}
     verified = all(each.rows_verified for each in found)
     return Provenance(found[0].head, verified, None, tuple(gaps.values()))

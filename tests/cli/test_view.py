@@ -63,9 +63,12 @@ def test_another_ledger_is_asked_for_the_run_of_the_same_name(ledger: Path, call
     """And a run beside its like differs nowhere."""
     record = fsar_ledger.open_ledger(ledger).record(2)
     append_all(tmp_path / "other", [[record]])
+    said = call("view", ledger, "--run", 2, "--other", tmp_path / "other", "--out", tmp_path / "two.html")
+    assert f"the rows of {tmp_path / 'other'} were not compared" in said.err
+    assert f"{ledger}" not in said.err
     call("verify", tmp_path / "other")
     said = call("view", ledger, "--run", 2, "--other", tmp_path / "other", "--out", tmp_path / "two.html")
-    assert said.out.endswith(": no difference\n")
+    assert (said.out.endswith(": no difference\n"), said.err) == (True, "")
     assert data_of(tmp_path / "two.html")["is_same"] is True
     said = call("view", ledger, "--run", 1, "--with", 1, "--other", tmp_path / "other", "--out", tmp_path / "two.html")
     assert "the first difference is event" in said.out

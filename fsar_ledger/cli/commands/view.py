@@ -91,6 +91,8 @@ def view(
     if perfetto is not None:
         written.append(asked.trace(perfetto, run))
     warn(ledger, written[0].provenance)
+    if other is not None and written[0].other is not None:
+        warn(other, written[0].other)
     for picture in written:
         show(printable.line(f"{picture.file}: {picture.size:,} bytes, {_what(picture)}"))
 
