@@ -21,18 +21,34 @@ def prove_event(ledger: Path, event: str, demanded: str | None = None) -> Proof:
         UsageError: There is no such event, or more than one such run.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers` and `prove`.
     """
+    run, seq = asked_event(ledger, event, demanded)
+    view = open_for_answers(ledger)  # after the run was found, so that it is there, too
+    is_verified(view, demanded)
+    proof = prove(view, _index_of(view, run, seq))
+    _require_asked(view, run, seq, check_proof(str(ledger), proof))
+    return proof
+
+
+def asked_event(ledger: Path, event: str, demanded: str | None = None) -> tuple[str | None, str]:
+    """Return the full name of the run and the digits of the seq, or None and the digits of a place in the ledger.
+
+    Raises:
+        UsageError: It is no name of an event, or there is no such run, or more than one.
+    """
     asked, _, seq = event.rpartition(":")
     if not (seq.isascii() and seq.isdecimal()) or event.startswith(":"):
         raise UsageError(
             f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the "
             "event's place in the ledger"
         )
-    run = _run(ledger, asked, demanded) if asked else None
-    view = open_for_answers(ledger)  # after the run was found, so that it is there, too
-    is_verified(view, demanded)
-    proof = prove(view, _index_of(view, run, seq))
-    _require_asked(view, run, seq, check_proof(str(ledger), proof))
-    return proof
+    return _run(ledger, asked, demanded) if asked else None, seq
+
+
+def found_event(view: LedgerView, run: str | None, seq: str) -> tuple[str, int]:
+    """Return run and seq of the event that `asked_event` gave. Raises: UsageError if there is no such event."""
+    place = _index_of(view, run, seq)
+    block = next(block for block in blocks(view) if block.first <= place < block.first + block.events)
+    return block.run, place - block.first
 
 
 def _run(ledger: Path, asked: str, demanded: str | None) -> str:

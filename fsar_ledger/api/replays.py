@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from .provenance import Provenance
     from .table import Table
     from .whatif import Asked, Fork, WhatIf
+    from .whys import Why
     from .workload import Progress
 
 
@@ -288,3 +289,43 @@ class Replays:
         from .pictures import Source, write_trace
 
         return write_trace(Source(self.path, self._demanded), Path(out), run)
+
+    def why(self, event: str | tuple[Run, int], *, depth: int | None = 2) -> "Why":
+        """Say why an event happened: its triggers, what the decision read, who wrote that, and what ports answered.
+
+        Args:
+            event: `RUN:SEQ`, as in `prove`, or a pair of run and seq.
+            depth: 1: how the event came about; 2: and how the events came about that it rests on; and so on; None: all.
+
+        Raises:
+            UsageError: There is no such event, or the run cannot be made again, or not as it is recorded.
+        """
+        from fsar_ledger.analysis.records import record_of
+
+        from .prove import asked_event, found_event
+        from .whys import why_of
+
+        view, provenance = self._view()
+        if isinstance(event, str):
+            run, seq = found_event(view, *asked_event(self.path, event, self._demanded))
+        else:
+            run, seq = self._name(event[0]), event[1]
+        return why_of(record_of(view, run), provenance, seq, depth)
+
+    def verdicts(self, run: Run, kind: str) -> "Table":
+        """Return the verdicts of one kind on a run, each with the events that made it.
+
+        Args:
+            run: A run.
+            kind: `violation` (a start against policy), `conflict` (of authority), `late` (a task), `unattributed` (a
+                record that lacks a principal), or an invariant, as `i4`.
+
+        Raises:
+            UsageError: There is no such run or kind.
+        """
+        from fsar_ledger.metrics.database import connect
+
+        from .whys import verdicts_of
+
+        with connect(self.path, demanded=self._demanded) as database:
+            return verdicts_of(database, run_of(database, run, self.path), kind)

@@ -2,7 +2,7 @@
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Key: run_id, seq
--- Units: started_us microseconds of run time
+-- Units: started_us microseconds of run time; under_seqs positions in the run of the windows and rules in force then
 -- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else
 -- Example: fsar-ledger query facts/governed_starts LEDGER
 WITH starts AS (
@@ -32,7 +32,8 @@ checks AS (
     -- this capability and context.
     SELECT
         subjects.run_id, subjects.seq,
-        bool_or(windows.outcome = 'deny') AS is_denied
+        bool_or(windows.outcome = 'deny') AS is_denied,
+        list(DISTINCT windows.seq ORDER BY windows.seq) AS under_seqs
     FROM subjects
     INNER JOIN policy_windows AS windows
         ON
@@ -59,7 +60,8 @@ SELECT
     CASE WHEN checks.run_id IS NULL THEN 'allow' WHEN checks.is_denied THEN 'deny' ELSE 'review' END AS outcome,
     coalesce(approved.approved_seq < starts.seq, FALSE) AS is_approved,
     checks.run_id IS NOT NULL
-    AND (checks.is_denied OR NOT coalesce(approved.approved_seq < starts.seq, FALSE)) AS is_violation
+    AND (checks.is_denied OR NOT coalesce(approved.approved_seq < starts.seq, FALSE)) AS is_violation,
+    coalesce(checks.under_seqs, []) AS under_seqs
 FROM starts
 LEFT JOIN checks ON starts.run_id = checks.run_id AND starts.seq = checks.seq
 LEFT JOIN approved ON starts.run_id = approved.run_id AND starts.action_id = approved.action_id

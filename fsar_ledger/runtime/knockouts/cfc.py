@@ -3,8 +3,6 @@
 from functools import partial
 from typing import Any
 
-import msgspec
-
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import COORDINATOR, flat, with_columns
 from fsar_ledger.events.execution import ExecutionFailed
@@ -35,7 +33,7 @@ from .knockout import Knockout, decided_by, in_every_decision, in_no_time, nothi
 def _copy_of_now(state: State) -> Any:
     """Return the knowledge with a copy that shows the present state of the robots."""
     (copy,) = coordinator.sync(state, coordinator.Sync())
-    return msgspec.structs.replace(state.knowledge, copy=copy)
+    return state.knowledge.__replace__(copy=copy)
 
 
 class RetryAlone(Command):

@@ -3,8 +3,6 @@
 from functools import partial
 from typing import Any
 
-import msgspec
-
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import Agent, flat, robot_of
@@ -29,8 +27,8 @@ def _passed_at_once(state: State, command: authority.PassExecution) -> tuple[Eve
 
 def _snapshots_of_now(state: State) -> Any:
     """Return the knowledge with snapshots that show the policy in force at every robot."""
-    return msgspec.structs.replace(
-        state.knowledge, snapshot={robot: in_force(state.world.local, robot) for robot in state.fleet.robots}
+    return state.knowledge.__replace__(
+        snapshot={robot: in_force(state.world.local, robot) for robot in state.fleet.robots}
     )
 
 

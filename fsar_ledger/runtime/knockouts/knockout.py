@@ -102,7 +102,7 @@ def decided_by(event: Event, robot: Robot | None) -> Event:
 
 def in_no_time(name: str) -> Callable[[State], Any]:
     """Return a view of the fleet in which this duration of its structure is 0."""
-    return lambda state: msgspec.structs.replace(state.fleet, structure=_zeroed(state.fleet.structure, name))
+    return lambda state: state.fleet.__replace__(structure=_zeroed(state.fleet.structure, name))
 
 
 @lru_cache(maxsize=4)

@@ -1,0 +1,256 @@
+"""Reads: what a decision looked up in the state, key by key, and which event last wrote it.
+
+A decision under observation gets a state that looks like the real one, notes what is read and gives plain values out.
+Structures, mappings and sets are walked; everything else is read whole. So a path names the smallest thing that a
+decision can have depended on: a field of one action, the entry under one key, whether one robot is among those that
+are off. Whoever asks for a key that is not there has read its absence; whoever goes through a mapping has read all its
+keys.
+"""
+
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence, Set
+from enum import Enum
+from typing import Any, Literal, NamedTuple
+
+import msgspec
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.knowledge import CopySynced
+from fsar_ledger.projections import fold
+from fsar_ledger.projections.fold import ROUTES, State, apply
+
+
+class Absent(Enum):
+    """What is read where nothing is."""
+
+    ABSENT = "absent"
+
+
+ABSENT = Absent.ABSENT
+
+Kind = Literal["field", "key", "has", "any", "keys", "size"]
+
+
+class Step(NamedTuple):
+    """A step into the state.
+
+    `field`: to the field of this name; `key`: to the value under this key; `has`: to whether the key, or the member, is
+    there; `any`: to whether anything is; `keys`: to all keys, in order, or all members; `size`: to how many there are.
+    Only the first two lead on.
+    """
+
+    kind: Kind
+    name: Any = None
+
+
+Path = tuple[Step, ...]
+"""The way to a value; the first step is to a slot of the state."""
+
+
+class Reads:
+    """What was read, in order: each path with the value that was found there."""
+
+    def __init__(self) -> None:
+        self.values: dict[Path, object] = {}
+
+    def state(self, state: State) -> State:
+        """Return the state as it looks to a decision under observation."""
+        shown = State.__new__(State)
+        for slot in State.__slots__:
+            setattr(shown, slot, self.shown(getattr(state, slot), (Step("field", slot),)))
+        return shown
+
+    def shown(self, value: Any, path: Path) -> Any:
+        """Return the value as a decision sees it: what is read of it is noted, or itself if it has no parts."""
+        match value:
+            case dict():
+                return _Mapping(self, value, path)
+            case frozenset():
+                return _Set(self, value, path)
+            case _ if _is_walked(value):
+                return _Structure(self, value, path)
+            case _:
+                return self.note(path, value)
+
+    def note(self, path: Path, value: Any) -> Any:
+        """Note a read, and return what was read."""
+        self.values.setdefault(path, value)
+        return value
+
+
+def _is_walked(value: object) -> bool:
+    """Return whether a value is read field by field: a part of the state, and not an event or a constant in it."""
+    return (type(value).__module__.startswith(_PROJECTIONS) and isinstance(value, msgspec.Struct)) or isinstance(
+        value, CopySynced
+    )
+
+
+_PROJECTIONS = fold.__name__.rpartition(".")[0] + "."
+
+
+class _Structure:
+    """A structure, whose fields are read one by one."""
+
+    __slots__ = ("_changes", "_path", "_reads", "_value")
+
+    def __init__(self, reads: Reads, value: Any, path: Path, changes: Mapping[str, object] | None = None) -> None:
+        self._reads, self._value, self._path, self._changes = reads, value, path, changes or {}
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self._changes:
+            return self._changes[name]
+        member = getattr(type(self._value), name, None)
+        if isinstance(member, property) and member.fget is not None:
+            return member.fget(self)
+        return self._reads.shown(getattr(self._value, name), (*self._path, Step("field", name)))
+
+    def __replace__(self, **changes: object) -> "_Structure":
+        return _Structure(self._reads, self._value, self._path, {**self._changes, **changes})
+
+    def __eq__(self, other: object) -> bool:
+        return _whole(self) == _whole(other)
+
+    def __hash__(self) -> int:
+        return hash(_whole(self))
+
+
+def _whole(value: object) -> object:
+    """Return the plain value, which is read as a whole."""
+    if not isinstance(value, _Structure):
+        return value
+    return msgspec.structs.replace(value._reads.note(value._path, value._value), **value._changes)
+
+
+class _Mapping(Mapping[Any, Any]):
+    """A mapping, whose entries are read one by one."""
+
+    __slots__ = ("_path", "_reads", "_value")
+
+    def __init__(self, reads: Reads, value: dict[Any, Any], path: Path) -> None:
+        self._reads, self._value, self._path = reads, value, path
+
+    def __getitem__(self, key: Hashable) -> Any:
+        path = (*self._path, Step("key", key))
+        if key not in self._value:
+            self._reads.note(path, ABSENT)
+            raise KeyError(key)
+        found = self._reads.shown(self._value[key], path)
+        if isinstance(found, _Structure | _Mapping | _Set):
+            _ = key in self
+        return found
+
+    def __contains__(self, key: object) -> bool:
+        return bool(self._reads.note((*self._path, Step("has", key)), key in self._value))
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._reads.note((*self._path, Step("keys")), tuple(self._value)))
+
+    def __len__(self) -> int:
+        return int(self._reads.note((*self._path, Step("size")), len(self._value)))
+
+    def __bool__(self) -> bool:
+        return bool(self._reads.note((*self._path, Step("any")), bool(self._value)))
+
+
+class _Set(Set[Any]):
+    """A set, whose members are asked for one by one."""
+
+    __slots__ = ("_path", "_reads", "_value")
+
+    def __init__(self, reads: Reads, value: frozenset[Any], path: Path) -> None:
+        self._reads, self._value, self._path = reads, value, path
+
+    def __contains__(self, member: object) -> bool:
+        return bool(self._reads.note((*self._path, Step("has", member)), member in self._value))
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._reads.note((*self._path, Step("keys")), self._value))
+
+    def __len__(self) -> int:
+        return int(self._reads.note((*self._path, Step("size")), len(self._value)))
+
+    def __bool__(self) -> bool:
+        return bool(self._reads.note((*self._path, Step("any")), bool(self._value)))
+
+    @classmethod
+    def _from_iterable(cls, members: Iterable[Any]) -> Any:
+        return frozenset(members)
+
+
+def value_at(state: State, path: Path) -> object:
+    """Return what a read of this path finds in the state; where the way ends early, there is nothing."""
+    found: Any = state
+    for step in path:
+        found = _found(found, step)
+    return found
+
+
+def _found(value: Any, step: Step) -> object:
+    match step:
+        case Step("field", name):
+            return ABSENT if value is ABSENT else getattr(value, name)
+        case Step("key", name):
+            return ABSENT if value is ABSENT else value.get(name, ABSENT)
+        case Step("has", name):
+            return value is not ABSENT and name in value
+        case Step("any"):
+            return value is not ABSENT and bool(value)
+        case Step("size"):
+            return 0 if value is ABSENT else len(value)
+        case _:
+            return () if value is ABSENT else tuple(value) if isinstance(value, dict) else value
+
+
+class Written(NamedTuple):
+    """Since when a path has its value: the seq of the event that wrote it, and of those that wrote its elements.
+
+    `by` is None for what is as it was before the first event. `elements` are the events since which each element of a
+    list, a set or a mapping's keys has been there; empty for anything else.
+    """
+
+    by: int | None
+    elements: tuple[int, ...] = ()
+
+
+class _Watch:
+    """One path, its present value, and each change of it: after which event, and since when each element was there."""
+
+    __slots__ = ("changes", "path", "since", "value")
+
+    def __init__(self, path: Path, value: object) -> None:
+        self.path, self.value = path, value
+        self.since: dict[Any, int] = {}
+        self.changes: list[tuple[int, tuple[int, ...]]] = []
+
+    def look(self, state: State, seq: int) -> None:
+        """Note a change, if the event with this seq made one."""
+        found = value_at(state, self.path)
+        if found is self.value or found == self.value:
+            return
+        self.value = found
+        members: Iterable[Any] = found if isinstance(found, tuple | frozenset) else ()
+        self.since = {member: self.since.get(member, seq) for member in members}
+        self.changes.append((seq, tuple(sorted(set(self.since.values())))))
+
+    def before(self, seq: int) -> Written:
+        """Return since when the path had the value that it had just before the event with this seq."""
+        changes = [change for change in self.changes if change[0] < seq]
+        return Written(*changes[-1]) if changes else Written(None)
+
+
+def written(events: Sequence[Event], asked: Iterable[tuple[Path, int]]) -> dict[tuple[Path, int], Written]:
+    """Return, for each path and seq, which events had written its value just before the event with that seq."""
+    whole = list(asked)
+    state = State()
+    watches = {path: _Watch(path, value_at(state, path)) for path, _ in whole}
+    of_slot: dict[str, list[_Watch]] = {}
+    for path, watch in watches.items():
+        of_slot.setdefault(path[0].name, []).append(watch)
+    for seq in range(max((seq for _, seq in whole), default=0)):
+        slots = [slot for slot, _ in ROUTES.get(type(events[seq]), ()) if slot in of_slot]
+        before = [getattr(state, slot) for slot in slots]
+        apply(state, events[seq])
+        for slot, value in zip(slots, before, strict=True):
+            if getattr(state, slot) is not value:
+                for watch in of_slot[slot]:
+                    watch.look(state, seq)
+    return {(path, seq): watches[path].before(seq) for path, seq in whole}

@@ -1,0 +1,234 @@
+"""Why an event happened: what triggered it, what the decision read, who wrote that, and what was answered at ports."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, Literal
+
+import msgspec
+
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.runtime.ports import Ask
+from fsar_ledger.runtime.questions import Asked, name_of
+
+from .decisions import Decision, Values, decisions, first_of
+from .reads import ABSENT, Path, Written, written
+
+DEPTH = 2
+"""How far a person looks unless told otherwise: the event, and the events that it rests on."""
+
+Origin = Literal["founding", "world", "command", "decision"]
+
+
+class Read(msgspec.Struct, frozen=True):
+    """What a decision read at one place of the state, and which event wrote it.
+
+    Attributes:
+        place: Where: a slot of the state, and the fields and keys that lead on, as `world.local` or
+            `request[A1-1/2.1]`.
+        name: What of it: a field, the value under a `[key]`, `has KEY` (or member), `any`, all `keys` (or members), or
+            the `size`; for a key of several parts, `*` stands for all.
+        value: What was found there, as JSON has it; None if `is_absent`.
+        is_absent: Whether nothing was found.
+        written_by: The seq of the event since which it is so; None if it is so since before the first event.
+        elements: Of a list, a set or keys, the seqs of the events since which each element is there.
+    """
+
+    place: str
+    name: str
+    value: Any
+    is_absent: bool
+    written_by: int | None
+    elements: tuple[int, ...]
+
+
+class Answered(msgspec.Struct, frozen=True):
+    """A question that was asked at a port, and the answer, both as `whatif --change 'answer ...'` takes them."""
+
+    port: str
+    question: str
+    answer: str
+
+
+class Made(msgspec.Struct, frozen=True, kw_only=True):
+    """How a batch of events came about, which one command made at one time.
+
+    Attributes:
+        seq: The first of the batch.
+        count: How many events the batch has.
+        origin: `founding`: the run begins with it; `world`: a fact of the world; `command`: somebody outside asked for
+            it; `decision`: an event triggered it.
+        handler: The function that decided; None for the founding and the world.
+        command: What it was asked to decide; None as for `handler`.
+        triggered_by: The seq of the event that triggered it; None if none did.
+        scheduled_by: The function that scheduled it after that event; None if none did.
+        answers: What was asked at ports on the way, and answered.
+        scheduled_reads: What the scheduling function read.
+        reads: What the decision read.
+    """
+
+    seq: int
+    count: int
+    origin: Origin
+    handler: str | None = None
+    command: str | None = None
+    triggered_by: int | None = None
+    scheduled_by: str | None = None
+    answers: tuple[Answered, ...] = ()
+    scheduled_reads: tuple[Read, ...] = ()
+    reads: tuple[Read, ...] = ()
+
+    @property
+    def rests_on(self) -> tuple[int, ...]:
+        """Return the seqs of the events that it rests on: its trigger, and those that wrote what was read; in order."""
+        reads = (*self.scheduled_reads, *self.reads)
+        found = {self.triggered_by, *(seq for read in reads for seq in (read.written_by, *read.elements))}
+        return tuple(sorted(seq for seq in found if seq is not None))
+
+
+class Reasons(msgspec.Struct, frozen=True):
+    """Why an event of a run happened.
+
+    Attributes:
+        run: The run.
+        seq: The event.
+        triggers: The chain of triggers: the event's, the trigger of that one, and so on to a fact of the world, a
+            command from outside or event 0.
+        made: How the event came about, then the events that it rests on, then those that these rest on, as deep as was
+            asked for; each batch once.
+    """
+
+    run: str
+    seq: int
+    triggers: tuple[int, ...]
+    made: tuple[Made, ...]
+
+    @property
+    def seqs(self) -> list[int]:
+        """Return all events that are named, in order."""
+        named = {self.seq, *self.triggers}
+        for one in self.made:
+            named.update((one.seq, *one.rests_on))
+        return sorted(named)
+
+
+def reasons(record: LedgerRun, seq: int, depth: int | None = DEPTH) -> Reasons:
+    """Return why the event with this seq happened.
+
+    Args:
+        record: The run.
+        seq: An event of it.
+        depth: 1: how it came about; 2: and how what it rests on came about; and so on; None: all there is.
+
+    Raises:
+        UsageError: The run cannot be made again, or not as recorded.
+    """
+    made: dict[int, Made] = {}
+    next_ones = [first_of(record, seq)]
+    while next_ones and (depth is None or depth > 0):
+        for one in _made(record, next_ones):
+            made[one.seq] = one
+        rests_on = [first_of(record, below) for above in next_ones for below in made[above].rests_on]
+        next_ones = [below for below in dict.fromkeys(rests_on) if below not in made]
+        depth = None if depth is None else depth - 1
+    return Reasons(record.run_id, seq, tuple(_triggers(record, seq)), tuple(made.values()))
+
+
+def _triggers(record: LedgerRun, seq: int) -> Iterator[int]:
+    """Yield the trigger of the batch that has the event, and so on; event 0 only of the founding."""
+    while (cause := record.caused_by[first_of(record, seq)]) is not None and cause > 0:
+        yield cause
+        seq = cause
+
+
+def _made(record: LedgerRun, firsts: list[int]) -> Iterator[Made]:
+    """Yield how the batches that begin at these seqs came about."""
+    found = decisions(record, firsts)
+    asked: list[tuple[Path, int]] = []
+    for seq, decision in found.items():
+        asked += [(path, seq) for path in decision.reads]
+        if decision.reaction is not None:
+            asked += [(path, _trigger(record, seq) + 1) for path in decision.reaction.reads]
+    writers = written(record.events, asked)
+    for seq in firsts:
+        count = _count(record, seq)
+        if seq in found:
+            yield _decided(record, seq, count, found[seq], writers)
+        else:
+            yield Made(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else "world")
+
+
+def _trigger(record: LedgerRun, first: int) -> int:
+    """Return the trigger of a batch that has one."""
+    cause = record.caused_by[first]
+    assert cause is not None
+    return cause
+
+
+def _decided(
+    record: LedgerRun, seq: int, count: int, decision: Decision, writers: Mapping[tuple[Path, int], Written]
+) -> Made:
+    reads = tuple(_reads(decision.reads, seq, writers))
+    command = type(decision.command).__name__
+    if decision.reaction is None:
+        return Made(seq=seq, count=count, origin="command", handler=decision.handler, command=command, reads=reads)
+    cause = _trigger(record, seq)
+    return Made(
+        seq=seq,
+        count=count,
+        origin="decision",
+        handler=decision.handler,
+        command=command,
+        triggered_by=cause,
+        scheduled_by=decision.reaction.handler,
+        answers=tuple(_answered(decision.reaction.answers)),
+        scheduled_reads=tuple(_reads(decision.reaction.reads, cause + 1, writers)),
+        reads=reads,
+    )
+
+
+def _count(record: LedgerRun, first: int) -> int:
+    """Return how many events the batch has that begins with this one."""
+    end = first + 1
+    while end < len(record.events) and first_of(record, end) == first:
+        end += 1
+    return end - first
+
+
+def _answered(answers: Iterable[tuple[Ask, int]]) -> Iterator[Answered]:
+    """Yield the questions that have a name; the others take no time."""
+    for ask, answer in answers:
+        name = name_of(ask)
+        if name is not None:
+            yield Answered(ask.port, name, Asked(name, answer).text)
+
+
+def _reads(values: Values, before: int, writers: Mapping[tuple[Path, int], Written]) -> Iterator[Read]:
+    """Yield what was read just before the event with this seq."""
+    for path, value in values.items():
+        place, name = _words(path)
+        by = writers[path, before]
+        found = None if value is ABSENT else msgspec.to_builtins(value, str_keys=True, enc_hook=str)
+        yield Read(place, name, found, value is ABSENT, by.by, by.elements)
+
+
+def _words(path: Path) -> tuple[str, str]:
+    """Return the place that the path leads to, and what is read of it."""
+    place = path[0].name
+    for step in path[1:-1]:
+        place += f".{step.name}" if step.kind == "field" else f"[{_key(step.name)}]"
+    if len(path) == 1:
+        return place, "whole"
+    kind, name = path[-1]
+    match kind:
+        case "field":
+            return place, name
+        case "key":
+            return place, f"[{_key(name)}]"
+        case "has":
+            return place, f"has {_key(name)}"
+        case _:
+            return place, kind
+
+
+def _key(key: object) -> str:
+    """Return the key as text; a key of several parts has `*` for None, which stands for all."""
+    return ", ".join("*" if part is None else str(part) for part in (key if isinstance(key, tuple) else (key,)))
