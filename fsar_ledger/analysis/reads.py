@@ -66,7 +66,7 @@ class Reads:
                 return _Mapping(self, value, path)
             case frozenset():
                 return _Set(self, value, path)
-            case _ if _is_walked(value):
+            case _ if is_walked(value):
                 return _Structure(self, value, path)
             case _:
                 return self.note(path, value)
@@ -77,7 +77,7 @@ class Reads:
         return value
 
 
-def _is_walked(value: object) -> bool:
+def is_walked(value: object) -> bool:
     """Return whether a value is read field by field: a part of the state, and not an event or a constant in it."""
     return (type(value).__module__.startswith(_PROJECTIONS) and isinstance(value, msgspec.Struct)) or isinstance(
         value, CopySynced
@@ -109,8 +109,7 @@ class _Structure:
     def __eq__(self, other: object) -> bool:
         return _whole(self) == _whole(other)
 
-    def __hash__(self) -> int:
-        return hash(_whole(self))
+    __hash__ = None  # type: ignore[assignment]
 
 
 def _whole(value: object) -> object:
