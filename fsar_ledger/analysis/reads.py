@@ -210,46 +210,53 @@ class Written(NamedTuple):
     elements: tuple[int, ...] = ()
 
 
-class _Watch:
-    """One path, its present value, and each change of it: after which event, and since when each element was there."""
+class _Watched:
+    """A place in the state, what is watched below it, and each change of its value where it is itself read.
 
-    __slots__ = ("changes", "path", "since", "value")
+    A change is the seq of an event, and since when each element of the new value has been there.
+    """
 
-    def __init__(self, path: Path, value: object) -> None:
-        self.path, self.value = path, value
+    __slots__ = ("below", "changes", "since")
+
+    def __init__(self) -> None:
+        self.below: dict[Step, _Watched] = {}
+        self.changes: list[tuple[int, tuple[int, ...]]] | None = None
         self.since: dict[Any, int] = {}
-        self.changes: list[tuple[int, tuple[int, ...]]] = []
 
-    def look(self, state: State, seq: int) -> None:
-        """Note a change, if the event with this seq made one."""
-        found = value_at(state, self.path)
-        if found is self.value or found == self.value:
+    def at(self, path: Path) -> "_Watched":
+        """Return the place to which the path leads from here, and watch the way to it."""
+        found = self
+        for step in path:
+            found = found.below.setdefault(step, _Watched())
+        return found
+
+    def look(self, before: object, after: object, seq: int) -> None:
+        """Note what the event with this seq changed here and below. What it left alone is the same object as before."""
+        if before is after:
             return
-        self.value = found
-        members: Iterable[Any] = found if isinstance(found, tuple | frozenset) else ()
-        self.since = {member: self.since.get(member, seq) for member in members}
-        self.changes.append((seq, tuple(sorted(set(self.since.values())))))
+        if self.changes is not None and before != after:
+            members: Iterable[Any] = after if isinstance(after, tuple | frozenset) else ()
+            self.since = {member: self.since.get(member, seq) for member in members}
+            self.changes.append((seq, tuple(sorted(set(self.since.values())))))
+        for step, below in self.below.items():
+            below.look(_found(before, step), _found(after, step), seq)
 
     def before(self, seq: int) -> Written:
-        """Return since when the path had the value that it had just before the event with this seq."""
-        changes = [change for change in self.changes if change[0] < seq]
+        """Return since when the value was what it was just before the event with this seq."""
+        changes = [change for change in self.changes or () if change[0] < seq]
         return Written(*changes[-1]) if changes else Written(None)
 
 
 def written(events: Sequence[Event], asked: Iterable[tuple[Path, int]]) -> dict[tuple[Path, int], Written]:
     """Return, for each path and seq, which events had written its value just before the event with that seq."""
     whole = list(asked)
+    root = _Watched()
+    for path, _ in whole:
+        root.at(path).changes = []
     state = State()
-    watches = {path: _Watch(path, value_at(state, path)) for path, _ in whole}
-    of_slot: dict[str, list[_Watch]] = {}
-    for path, watch in watches.items():
-        of_slot.setdefault(path[0].name, []).append(watch)
     for seq in range(max((seq for _, seq in whole), default=0)):
-        slots = [slot for slot, _ in ROUTES.get(type(events[seq]), ()) if slot in of_slot]
-        before = [getattr(state, slot) for slot in slots]
+        slots = [(slot, getattr(state, slot)) for slot, _ in ROUTES.get(type(events[seq]), ())]
         apply(state, events[seq])
-        for slot, value in zip(slots, before, strict=True):
-            if getattr(state, slot) is not value:
-                for watch in of_slot[slot]:
-                    watch.look(state, seq)
-    return {(path, seq): watches[path].before(seq) for path, seq in whole}
+        for slot, before in slots:
+            root.at((Step("field", slot),)).look(before, getattr(state, slot), seq)
+    return {(path, seq): root.at(path).before(seq) for path, seq in whole}

@@ -231,4 +231,5 @@ def _words(path: Path) -> tuple[str, str]:
 
 def _key(key: object) -> str:
     """Return the key as text; a key of several parts has `*` for None, which stands for all."""
-    return ", ".join("*" if part is None else str(part) for part in (key if isinstance(key, tuple) else (key,)))
+    parts = key if isinstance(key, tuple) else (key,)
+    return ", ".join("*" if part is None else str(part) or '""' for part in parts)

@@ -4,6 +4,7 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from fsar_ledger import printable
 from fsar_ledger.analysis.why import Made
 from fsar_ledger.analysis.words import Line
 from fsar_ledger.report import figures
@@ -13,7 +14,7 @@ ROW, LINE_HEIGHT = 0.2, 0.135  # inches
 ARCS, TIME, SEQ = 1.5, 0.75, 0.45  # widths of the columns for arcs, times and seqs, in inches
 WORDS, READ = 4.6, 3.6  # widths of the texts, in inches
 LETTERS = 82, 62  # characters of a line of each text
-MAX_EVENTS, MAX_READS, MAX_TEXT = 60, 8, 300
+MAX_EVENTS, MAX_TEXT = 60, 300
 TRIGGER, READS, QUIET, ROOT = "#1f4e79", "#b07a2a", "#666666", "#f3e6f0"
 TEXT: dict[str, Any] = {"fontsize": FONT, "parse_math": False, "va": "top", "linespacing": 1.1}
 
@@ -30,14 +31,14 @@ def figure(seq: int, made: Sequence[Made], lines: Mapping[int, Line], kind: str 
     said = _said(made)
     texts = {one: _wrapped(_words(lines[one]), LETTERS[0]) for one in shown}
     notes = {one: _wrapped(said.get(one, ""), LETTERS[1]) for one in shown}
-    tops, top = {}, 0.15 if len(shown) == len(named) else 0.15 + ROW
+    tops, top = {}, 0.15 + ROW
     for one in shown:
         tops[one] = top
         top += ROW + LINE_HEIGHT * (max(len(texts[one]), len(notes[one]), 1) - 1)
     width = ARCS + TIME + SEQ + WORDS + READ
     with figures.plain_canvas(width, top + 0.1) as (canvas, axes):
-        if len(shown) < len(named):
-            axes.text(ARCS, 0.1, f"{len(named) - len(shown):,} earlier events are not drawn", color=QUIET, **TEXT)
+        left_out = f"; {len(named) - len(shown):,} earlier events are not drawn" if len(shown) < len(named) else ""
+        axes.text(ARCS, 0.08, f"blue: triggered; brown: wrote what was read{left_out}", color=QUIET, **TEXT)
         for one in shown:
             _event(axes, lines[one], tops[one], texts[one], notes[one], is_asked=one == seq)
         for cause, effect, is_trigger in links:
@@ -57,16 +58,14 @@ def _links(seq: int, made: Sequence[Made]) -> list[tuple[int, int, bool]]:
 
 def _said(made: Sequence[Made]) -> dict[int, str]:
     """Return by event what the decision in question read of it."""
-    found: dict[int, list[str]] = {}
+    found: dict[int, dict[str, dict[str, None]]] = {}
     for read in (*made[0].scheduled_reads, *made[0].reads):
-        for seq in dict.fromkeys((read.written_by, *read.elements)):
+        for seq in (read.written_by, *read.elements):
             if seq is not None:
-                found.setdefault(seq, []).append(f"{read.place} {read.name}")
+                found.setdefault(seq, {}).setdefault(read.place, {})[read.name] = None
     return {
-        seq: "read: "
-        + "; ".join(reads[:MAX_READS])
-        + (f" and {len(reads) - MAX_READS} more" * (len(reads) > MAX_READS))
-        for seq, reads in found.items()
+        seq: "read: " + "; ".join(f"{place}: {printable.some(names)}" for place, names in places.items())
+        for seq, places in found.items()
     }
 
 

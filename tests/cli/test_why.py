@@ -14,9 +14,13 @@ from fsar_ledger.analysis.why import Made, Read, reasons
 from fsar_ledger.analysis.words import Line
 from fsar_ledger.api.whys import JUDGES, kinds
 from fsar_ledger.errors import UsageError
+from fsar_ledger.events.envelope import Robot, Supervisor
+from fsar_ledger.events.fleet import RobotJoined, RunStarted
+from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.view.why import figure
 from tests.cli.conftest import Call, one_message
+from tests.ledger.samples import append_all
 
 RUN = "fsar.full.door-relay.n4.s7.r0000"
 
@@ -219,3 +223,28 @@ def test_a_depth_below_one_is_refused(ledger: Path) -> None:
         Ledger(ledger).why((1, 3), depth=0)
     with pytest.raises(UsageError, match="expected a seq from 0 to"):
         Ledger(ledger).why((1, -1))
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A live run that observes membership alone."""
+    path = tmp_path_factory.mktemp("live") / "ledger"
+    joined = RobotJoined(robot=Robot("robot/A1"), role="A", team=1, supervisor=Supervisor("supervisor/A1"))
+    append_all(path, [[LedgerRun("night", [0, 1], [None, 0], [RunStarted(kind="live", observes=("fleet",)), joined])]])
+    return path
+
+
+def test_a_live_run_is_refused_because_its_commands_are_not_stored(call: Call, live: Path) -> None:
+    one_message(call("why", live, "night:1"), 2, "run night: found a live run", "expected a simulated run")
+
+
+def test_a_verdict_that_was_not_observed_is_not_said_to_be_absent(call: Call, live: Path) -> None:
+    for kind in kinds():
+        called = call("why", live, "--run", "night", "--verdict", kind)
+        assert called.code == 0
+        assert called.out.splitlines()[1] == f"no {kind} on record; not all that it rests on was observed"
+
+
+def test_a_plan_has_no_reasons(call: Call, ledger: Path) -> None:
+    (plan,) = Ledger(ledger).sql("SELECT run_id FROM events WHERE type LIKE 'ExperimentPlanned.%'").rows()
+    one_message(call("why", ledger, f"{plan['run_id']}:0"), 2, "found a plan, expected a run")
