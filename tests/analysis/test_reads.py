@@ -11,6 +11,7 @@ from fsar_ledger.analysis.reads import ABSENT, Path, Reads, Step, value_at, writ
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.execution import Action, Execution
@@ -170,6 +171,16 @@ def test_each_window_is_known_by_the_event_that_opened_it() -> None:
     assert [found[path, seq].by for seq in range(5)] == [None, 0, 1, 2, 3]
     assert found[path, 3].elements == (0, 1, 2)
     assert found[path, 4].elements == (0, 2)
+
+
+def test_what_lies_beyond_an_absent_key_was_written_by_nobody() -> None:
+    pair = (Robot("robot/A1"), Robot("robot/B1"))
+    entry = TrustSet(robot=pair[0], peer=pair[1], scope="task", capability="carry", context=None, reason="founding")
+    of_pair = (Step("field", "trust"), Step("field", "entries"), Step("key", pair))
+    other, own = (*of_pair, Step("has", ("lift", None))), (*of_pair, Step("has", ("carry", None)))
+    nothing = (*of_pair, Step("key", ("lift", None)))
+    found = written([entry], [(other, 1), (own, 1), (nothing, 1), ((*of_pair, Step("size")), 1)])
+    assert [one.by for one in found.values()] == [None, 0, None, 0]
 
 
 def seen(world: World) -> tuple[Any, Reads]:

@@ -57,6 +57,8 @@ def test_how_an_event_came_about_is_told_once(call: Call, ledger: Path, request_
     assert len(re.findall("decided by ", deep)) == len(decided) > 5
     assert len(re.findall(r"a fact of the world", deep)) == sum(one.origin == "world" for one in told.made)
     assert "(told under " in deep
+    middle = call("why", ledger, f"1:{request_seq}", "--depth", "2").out
+    assert {len(indent) for indent in re.findall("^( *)decided by ", middle, re.MULTILINE)} <= {0, 4, 8}
     shallow = call("why", ledger, f"1:{request_seq}", "--depth", "1").out
     assert (shallow.count("decided by "), shallow.count("(told under ")) == (1, 0)
 
