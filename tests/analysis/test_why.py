@@ -8,7 +8,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.analysis.bases import base_of_record, repeated
-from fsar_ledger.analysis.decisions import first_of
+from fsar_ledger.analysis.decisions import decisions, first_of
 from fsar_ledger.analysis.why import Made, Read, reasons
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events import Event
@@ -67,6 +67,21 @@ def test_a_denial_for_want_of_trust_names_the_entry_and_who_set_it(distrusted: L
     entry = read(reasons(distrusted, seq, 1).made[0], "trust.entries[robot/B1, robot/A1]", "[*, *]")
     assert (entry.value, entry.is_absent) == ("none", False)
     assert entry.written_by == found(distrusted, TrustSet)
+
+
+@pytest.mark.parametrize(
+    ("change", "command"),
+    [
+        ("rule fleet deny robot=robot/B1 from 20s", "SetPolicyRule"),
+        ("trust robot/B1 robot/A1 none from 20s", "SetTrust"),
+        ("density all 1 from 20s", "SetSupervisionDensity"),
+        ("budget robot/B1 local 1s 1 from 20s", "SetRecoveryBudget"),
+    ],
+)
+def test_a_fork_is_made_again_under_observation(denied: LedgerRun, change: str, command: str) -> None:
+    record = repeated(base_of_record(denied, "0" * 64)).fork(parsed([change])).record
+    made = decisions(record, {first_of(record, seq) for seq in range(len(record.events))})
+    assert command in {type(one.command).__name__ for one in made.values() if one.reaction is None}
 
 
 def test_what_a_supervisor_commands_from_outside_has_no_trigger(distrusted: LedgerRun) -> None:

@@ -24,7 +24,7 @@ EXAMPLES = examples(
     "fsar-ledger why out/ledger --run 2 --verdict violation",
 )
 MAX_WORDS = 1_000
-MAX_VALUE = 120
+MAX_VALUE = 80
 INDENT = "    "
 
 
@@ -205,7 +205,8 @@ class Tree:
         if made is None or made.origin == "founding":
             return
         if made.seq in self._told or self._under[made.seq] != above.seq:
-            yield f"{deeper}(told under {self._under[made.seq]})"
+            under = self._under[made.seq]
+            yield f"{deeper}(told under {self._found.seq if under == self._found.made[0].seq else under})"
         else:
             yield from self._origin(made, deeper + INDENT if reads else deeper)
 
