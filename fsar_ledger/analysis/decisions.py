@@ -39,13 +39,15 @@ class Reaction(NamedTuple):
 class Decision(NamedTuple):
     """How a batch of events was made: the function, its command, and what it read.
 
-    `reaction` is None for a command that came from outside.
+    `reaction` is None for a command that came from outside. `waited_for` are the seqs of the facts that brought back a
+    robot or a link for which the command had been kept.
     """
 
     handler: str
     command: Command
     reads: Values
     reaction: Reaction | None
+    waited_for: tuple[int, ...] = ()
 
 
 def first_of(record: LedgerRun, seq: int) -> int:
@@ -94,6 +96,7 @@ class _Watched(Kernel):
         self._causes = frozenset(record.caused_by[seq] for seq in seqs)
         self._scheduled: dict[int, tuple[Scheduled, str, Values]] = {}
         self._answers: dict[int, tuple[Ask, int]] = {}
+        self._released: dict[int, tuple[Command, list[int]]] = {}
         events, founded = founding_of(recipe.spec, recipe.constants)
         founding = (started_of(recipe, started), *events[1:])
         super().__init__(
@@ -116,6 +119,14 @@ class _Watched(Kernel):
 
         self._answer = answer
 
+    def _release(self, now_us: int) -> None:
+        kept = [scheduled.command for *_, scheduled in self._kept]
+        super()._release(now_us)
+        still = {id(scheduled.command) for *_, scheduled in self._kept}
+        for one in kept:
+            if id(one) not in still:
+                self._released.setdefault(id(one), (one, []))[1].append(len(self.events) - 1)
+
     def _decided(self, decide: Decide) -> Decide:
         def decided(state: State, command: Command) -> tuple[Event, ...]:
             seq = len(self.events)
@@ -124,7 +135,8 @@ class _Watched(Kernel):
             reads = Reads()
             events = decide(reads.state(state), command)
             if events:
-                self.made[seq] = Decision(_name(decide), command, reads.values, self._reaction(command))
+                reaction, (_, waited_for) = self._reaction(command), self._released.get(id(command), (command, []))
+                self.made[seq] = Decision(_name(decide), command, reads.values, reaction, tuple(waited_for))
             return events
 
         return decided

@@ -61,6 +61,7 @@ class Made(msgspec.Struct, frozen=True, kw_only=True):
         triggered_by: The seq of the event that triggered it; None if none did.
         scheduled_by: The function that scheduled it after that event; None if none did.
         answers: What was asked at ports on the way, and answered.
+        waited_for: The seqs of the facts that brought back a robot or a link for which the command had been kept.
         scheduled_reads: What the scheduling function read.
         reads: What the decision read.
     """
@@ -73,14 +74,19 @@ class Made(msgspec.Struct, frozen=True, kw_only=True):
     triggered_by: int | None = None
     scheduled_by: str | None = None
     answers: tuple[Answered, ...] = ()
+    waited_for: tuple[int, ...] = ()
     scheduled_reads: tuple[Read, ...] = ()
     reads: tuple[Read, ...] = ()
 
     @property
     def rests_on(self) -> tuple[int, ...]:
-        """Return the seqs of the events that it rests on: its trigger, and those that wrote what was read; in order."""
+        """Return the seqs of its trigger, of what it waited for, and of what wrote what was read; in order."""
         reads = (*self.scheduled_reads, *self.reads)
-        found = {self.triggered_by, *(seq for read in reads for seq in (read.written_by, *read.elements))}
+        found = {
+            self.triggered_by,
+            *self.waited_for,
+            *(seq for read in reads for seq in (read.written_by, *read.elements)),
+        }
         return tuple(sorted(seq for seq in found if seq is not None))
 
 
@@ -180,6 +186,7 @@ def _decided(
         triggered_by=cause,
         scheduled_by=decision.reaction.handler,
         answers=tuple(_answered(decision.reaction.answers)),
+        waited_for=decision.waited_for,
         scheduled_reads=tuple(_reads(decision.reaction.reads, cause + 1, writers)),
         reads=reads,
     )

@@ -10,6 +10,7 @@ import pytest
 from fsar_ledger.analysis.bases import base_of_record, repeated
 from fsar_ledger.analysis.decisions import decisions, first_of
 from fsar_ledger.analysis.why import Made, Read, reasons
+from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.execution import ExecutionStarted
@@ -17,9 +18,11 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.request import RequestDenied, RequestIssued
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.events.world import PolicyWindowOpened
+from fsar_ledger.events.world import LinkCameUp, PolicyWindowOpened, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.change_texts import parsed
+from fsar_ledger.runtime.handler_tables import handler_table_of
 from tests.analysis.conftest import simulated
 
 
@@ -138,6 +141,37 @@ def test_a_supervisors_verdict_and_the_time_it_took_are_among_the_answers() -> N
     made = reasons(record, found(record, SupervisorResponded), 1).made[0]
     kinds = [one.question.partition(":")[0] for one in made.answers]
     assert ("response" in kinds, "call" in kinds) == (True, True)
+
+
+def test_a_command_that_was_kept_names_the_facts_that_brought_its_robot_or_link_back(runs: list[LedgerRun]) -> None:
+    many = Constants(outages=Outages(off_rate_per_s=0.05, link_rate_per_s=0.05))
+    for record in (*runs, simulated("fsar", 1, many)):
+        made = decisions(record, {first_of(record, seq) for seq in range(len(record.events))})
+        kept = {seq: one for seq, one in made.items() if one.waited_for}
+        is_interrupted = any(isinstance(event, RobotWentOff) for event in record.events)
+        assert bool(kept) == is_interrupted, "runs with outages keep commands, and no others"
+        for seq, one in kept.items():
+            cause = record.caused_by[seq]
+            assert cause is not None
+            assert one.reaction is not None
+            assert cause < one.waited_for[0] <= one.waited_for[-1] < seq
+            actor = handler_table_of(record.run_id.partition(".")[0]).actors[type(one.command)]
+            ends = {actor(fold(record.events[:seq]), one.command), *(ask.sender for ask, _ in one.reaction.answers)}
+            for fact in (record.events[fact] for fact in one.waited_for):
+                assert isinstance(fact, RobotCameBack | LinkCameUp)
+                assert fact.robot in ends
+
+
+def test_what_a_decision_waited_for_is_among_its_reasons(runs: list[LedgerRun]) -> None:
+    record = runs[1]
+    seq, back = next(
+        (seq, one.waited_for)
+        for seq, one in decisions(record, {first_of(record, seq) for seq in range(len(record.events))}).items()
+        if one.waited_for
+    )
+    (made,) = reasons(record, seq, 1).made
+    assert made.waited_for == back
+    assert set(back) <= set(made.rests_on)
 
 
 def test_deeper_answers_begin_with_the_shallow_ones_and_end() -> None:

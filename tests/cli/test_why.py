@@ -9,16 +9,20 @@ from typing import Any, NamedTuple
 import pytest
 
 from fsar_ledger import Ledger
+from fsar_ledger.analysis.decisions import decisions, first_of
 from fsar_ledger.analysis.records import record_of
 from fsar_ledger.analysis.why import Made, Read, reasons
 from fsar_ledger.analysis.words import Line
-from fsar_ledger.api.whys import JUDGES, kinds
+from fsar_ledger.api.provenance import Provenance
+from fsar_ledger.api.whys import JUDGES, kinds, why_of
+from fsar_ledger.cli.commands.why import Tree
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.view.why import figure
+from tests.analysis.conftest import OUTAGES, simulated
 from tests.cli.conftest import Call, one_message
 from tests.ledger.samples import append_all
 
@@ -61,6 +65,14 @@ def test_how_an_event_came_about_is_told_once(call: Call, ledger: Path, request_
     assert {len(indent) for indent in re.findall("^( *)decided by ", middle, re.MULTILINE)} <= {0, 4, 8}
     shallow = call("why", ledger, f"1:{request_seq}", "--depth", "1").out
     assert (shallow.count("decided by "), shallow.count("(told under ")) == (1, 0)
+
+
+def test_what_a_kept_command_waited_for_is_told() -> None:
+    record = simulated("fsar", constants=OUTAGES)
+    made = decisions(record, {first_of(record, seq) for seq in range(len(record.events))})
+    seq, fact = next((seq, one.waited_for[0]) for seq, one in made.items() if one.waited_for)
+    told = why_of(record, Provenance(), seq, 1)
+    assert any(line.startswith(f"waited for {fact}  ") for line in Tree(told).lines())
 
 
 def test_json_has_the_head_and_what_python_answers(call: Call, ledger: Path, request_seq: int) -> None:

@@ -188,6 +188,8 @@ class Tree:
         groups = _by_writer((*one.scheduled_reads, *one.reads))
         if one.triggered_by is not None:
             yield from self._below(one, one.triggered_by, "triggered by", groups.pop(one.triggered_by, []), indent)
+        for fact in one.waited_for:
+            yield from self._below(one, fact, "waited for", groups.pop(fact, []), indent)
         unwritten = groups.pop(None, [])
         for seq, reads in groups.items():
             if seq is not None:
