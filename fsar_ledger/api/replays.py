@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from .pictures import Picture
     from .provenance import Provenance
     from .table import Table
+    from .walks import Steps
     from .whatif import Asked, Fork, WhatIf
     from .whys import Why
     from .workload import Progress
@@ -93,6 +94,27 @@ class Replays:
             at_us = time_of(database, "at", at, name)
             whose = None if robot is None else robot_of(database, robot, name)
         return moment(view, provenance, name, at_us, whose, as_known_by, by_commit)
+
+    def step(self, run: Run, at: Time = None) -> "Steps":
+        """Return a walk through a run: to the next event, decision or refusal, to a cause, a time or a text.
+
+        Args:
+            run: The run.
+            at: Where to begin; None: at event 0.
+
+        Raises:
+            UsageError: There is no such run, or `at` is no time of it.
+        """
+        from fsar_ledger.analysis.records import record_of
+        from fsar_ledger.metrics.database import connect
+
+        from .walks import Steps
+
+        view, provenance = self._view()
+        with connect(self.path, demanded=self._demanded) as database:
+            name = run_of(database, run, self.path)
+            at_us = time_of(database, "at", at, name)
+        return Steps(record_of(view, name), provenance, at_us)
 
     def diff(self, first: Run, second: Run, other: "Replays | Place | None" = None) -> "Diff":
         """Say in what two runs differ, where they part and why, and what they came to.

@@ -29,7 +29,7 @@ INTERRUPTED = 130
 ORDER = (
     *("simulate", "info", "metrics", "statistics", "compare", "multiverse"),
     *("query", "sql", "export", "open", "explain", "log"),
-    *("state", "why", "diff", "whatif", "cause", "bisect", "view"),
+    *("state", "step", "why", "diff", "whatif", "cause", "bisect", "view"),
     *("audit", "verify", "prove", "verify_proof", "key", "witness", "recover", "report"),
     *("calibrate", "predict", "judge", "sensitivity", "reproduce"),
 )

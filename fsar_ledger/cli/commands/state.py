@@ -91,18 +91,23 @@ def _lines(asked: "Ledger", found: "Moment") -> Iterator[str]:
     yield run_text(found.run, asked.numbers().get(found.run))
     yield f"at {found.at_s:.3f} s of {found.ends_s:.3f} s, after event {found.seq} at {found.event_s:.3f} s"
     yield f"recorded with commit {found.commit}"
-    for robot in found.standing.robots:
-        yield ""
-        yield from _robot(robot)
-    for name, lines in _lists(found.standing):
-        if lines:
-            yield ""
-            yield name
-            yield from (f"{BESIDE}{line}" for line in lines)
+    yield from standing_lines(found.standing)
     if found.beliefs is not None:
         yield ""
         yield "what it had been told, and what held"
         yield from (f"{BESIDE}{line}" for line in map(_belief, found.beliefs))
+
+
+def standing_lines(found: "Standing") -> Iterator[str]:
+    """Yield how things stand: a paragraph for each robot, and one for each kind of what is open."""
+    for robot in found.robots:
+        yield ""
+        yield from _robot(robot)
+    for name, lines in _lists(found):
+        if lines:
+            yield ""
+            yield name
+            yield from (f"{BESIDE}{line}" for line in lines)
 
 
 def _robot(one: "RobotNow") -> Iterator[str]:

@@ -1,0 +1,121 @@
+"""The screen of `step`: the events around the place, the event's record, and how things stand after it.
+
+Text from a ledger is escaped first, and handed on as plain text, never as markup.
+"""
+
+from typing import TYPE_CHECKING, ClassVar
+
+from rich.text import Text
+from textual.app import App, ComposeResult
+from textual.binding import Binding, BindingType
+from textual.containers import Horizontal, VerticalScroll
+from textual.widgets import Footer, Input, Static
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+
+from .commands.state import standing_lines
+
+if TYPE_CHECKING:
+    from fsar_ledger.api.walks import Steps
+
+AROUND = 200
+"""Events that are listed before and after the place."""
+ASKS = {"next-of": "robot, as B1", "go": "time or event, as 46.6s or 289", "find": "text"}
+"""The moves that need to be told more, and what."""
+
+
+class Stepper(App[None]):
+    """A walk through a run by keys."""
+
+    CSS = """
+    #events { width: 3fr; }
+    #beside { width: 2fr; border-left: solid $primary; padding: 0 1; }
+    #asked { display: none; dock: bottom; }
+    #asked.shown { display: block; }
+    #said { height: 1; color: $warning; }
+    """
+    AUTO_FOCUS = None  # else the field takes the letters
+    BINDINGS: ClassVar[list[BindingType]] = [
+        Binding("right,down,n", "move('next')", "next", priority=True),  # else the screen scrolls
+        Binding("left,up,p", "move('previous')", "before", priority=True),
+        Binding("d", "move('next-decision')", "decision"),
+        Binding("D", "move('previous-decision')", "decision before", show=False),
+        Binding("r", "move('next-refusal')", "refusal"),
+        Binding("c", "move('cause')", "cause"),
+        Binding("b", "ask('next-of')", "robot"),
+        Binding("g", "ask('go')", "go"),
+        Binding("slash", "ask('find')", "find"),
+        Binding("home", "move('first')", "first", show=False),
+        Binding("end", "move('last')", "last", show=False),
+        Binding("q", "quit", "quit"),
+    ]
+
+    def __init__(self, steps: "Steps", title: str) -> None:
+        super().__init__()
+        self.steps = steps
+        self.title = title
+        self._asking = ""
+        self._about = dict.fromkeys(ASKS, "")
+
+    def compose(self) -> ComposeResult:
+        """Lay out the screen."""
+        yield Static(Text(self.title or ""), id="name")
+        with Horizontal():
+            with VerticalScroll(id="events", can_focus=False):
+                yield Static(id="list")
+            with VerticalScroll(id="beside", can_focus=False):
+                yield Static(id="event")
+                yield Static(id="state")
+        yield Static(id="said")
+        yield Input(id="asked")
+        yield Footer()
+
+    def on_mount(self) -> None:
+        """Show the first place."""
+        self._show("")
+
+    def check_action(self, action: str, parameters: tuple[object, ...]) -> bool | None:  # noqa: ARG002 - the name is textual's
+        """Leave the keys to the field while it asks."""
+        is_asking = self.is_running and self.query_one("#asked", Input).has_class("shown")
+        return not (is_asking and action in ("move", "ask", "quit"))
+
+    def action_move(self, name: str) -> None:
+        """Make a move that needs nothing more."""
+        self._show(self.steps.move(name) or "")
+
+    def action_ask(self, name: str) -> None:
+        """Ask for what a move needs; an empty answer repeats the last one."""
+        self._asking = name
+        field = self.query_one("#asked", Input)
+        field.placeholder, field.value = ASKS[name], ""
+        field.add_class("shown")
+        field.focus()
+
+    def on_input_submitted(self, event: Input.Submitted) -> None:
+        """Make the move that was asked about."""
+        name, about = self._asking, event.value.strip()
+        self._about[name] = about or self._about[name]
+        event.input.remove_class("shown")
+        self.set_focus(None)
+        try:
+            said = self.steps.move(name, self._about[name])
+        except UsageError as error:
+            said = str(error)
+        self._show(said or "")
+
+    def _show(self, said: str) -> None:
+        steps = self.steps
+        first, last = max(0, steps.seq - AROUND), min(steps.size, steps.seq + AROUND)
+        listed = Text(no_wrap=True, overflow="ellipsis")
+        for seq in range(first, last):
+            mark = ">" if seq == steps.seq else " "
+            line = f"{mark}{seq:>6} {steps.time_s(seq):>10.3f} s  {printable.value(steps.words[seq], 500)}\n"
+            listed.append(line, style="reverse" if seq == steps.seq else "")
+        self.query_one("#list", Static).update(listed)
+        lines = [f"{name} = {printable.value(str(value), 500)}" for name, value in steps.fields() if value is not None]
+        self.query_one("#event", Static).update(Text("\n".join(lines)))
+        self.query_one("#state", Static).update(Text("\n".join(standing_lines(steps.standing()))))
+        self.query_one("#said", Static).update(Text(printable.escaped(said)))
+        events = self.query_one("#events", VerticalScroll)
+        events.scroll_to(y=max(0, steps.seq - first - events.size.height // 2), animate=False)
