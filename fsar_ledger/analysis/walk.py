@@ -59,7 +59,7 @@ class Walk:
             raise UsageError(f"move {name}: expected what to look for, {MOVES[name]}")
         found = self._found(name, about, at_us)
         if found is None:
-            return f"there is none: {MOVES[name].partition(':')[0]}"
+            return f"found none: {MOVES[name].partition(':')[0]}"
         self.seq = found
         return None
 

@@ -30,11 +30,13 @@ class Stepper(App[None]):
 
     CSS = """
     #events { width: 3fr; }
+    #list { text-wrap: nowrap; text-overflow: ellipsis; }
     #beside { width: 2fr; border-left: solid $primary; padding: 0 1; }
     #asked { display: none; dock: bottom; }
     #asked.shown { display: block; }
     #said { height: 1; color: $warning; }
     """
+    ENABLE_COMMAND_PALETTE = False
     AUTO_FOCUS = None  # else the field takes the letters
     BINDINGS: ClassVar[list[BindingType]] = [
         Binding("right,down,n", "move('next')", "next", priority=True),  # else the screen scrolls
@@ -107,7 +109,7 @@ class Stepper(App[None]):
     def _show(self, said: str) -> None:
         steps = self.steps
         first, last = max(0, steps.seq - AROUND), min(steps.size, steps.seq + AROUND)
-        listed = Text(no_wrap=True, overflow="ellipsis")
+        listed = Text()
         for seq in range(first, last):
             mark = ">" if seq == steps.seq else " "
             line = f"{mark}{seq:>6} {steps.time_s(seq):>10.3f} s  {printable.value(steps.words[seq], 500)}\n"
