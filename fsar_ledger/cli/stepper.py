@@ -5,10 +5,10 @@ Text from a ledger is escaped first, and handed on as plain text, never as marku
 
 from typing import TYPE_CHECKING, ClassVar
 
-from rich.text import Text
 from textual.app import App, ComposeResult
 from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, VerticalScroll
+from textual.content import Content
 from textual.widgets import Footer, Input, Static
 
 from fsar_ledger import printable
@@ -62,7 +62,7 @@ class Stepper(App[None]):
 
     def compose(self) -> ComposeResult:
         """Lay out the screen."""
-        yield Static(Text(self.title or ""), id="name")
+        yield Static(Content(self.title or ""), id="name")
         with Horizontal():
             with VerticalScroll(id="events", can_focus=False):
                 yield Static(id="list")
@@ -109,15 +109,15 @@ class Stepper(App[None]):
     def _show(self, said: str) -> None:
         steps = self.steps
         first, last = max(0, steps.seq - AROUND), min(steps.size, steps.seq + AROUND)
-        listed = Text()
+        lines = []
         for seq in range(first, last):
-            mark = ">" if seq == steps.seq else " "
-            line = f"{mark}{seq:>6} {steps.time_s(seq):>10.3f} s  {printable.value(steps.words[seq], 500)}\n"
-            listed.append(line, style="reverse" if seq == steps.seq else "")
-        self.query_one("#list", Static).update(listed)
-        lines = [f"{name} = {printable.value(str(value), 500)}" for name, value in steps.fields() if value is not None]
-        self.query_one("#event", Static).update(Text("\n".join(lines)))
-        self.query_one("#state", Static).update(Text("\n".join(standing_lines(steps.standing()))))
-        self.query_one("#said", Static).update(Text(printable.escaped(said)))
+            mark, style = (">", "reverse") if seq == steps.seq else (" ", "")
+            words = printable.value(steps.words[seq], 500)
+            lines.append(Content.styled(f"{mark}{seq:>6} {steps.time_s(seq):>10.3f} s  {words}", style))
+        self.query_one("#list", Static).update(Content("\n").join(lines))
+        held = [f"{name} = {printable.value(str(value), 500)}" for name, value in steps.fields() if value is not None]
+        self.query_one("#event", Static).update(Content("\n".join(held)))
+        self.query_one("#state", Static).update(Content("\n".join(standing_lines(steps.standing()))))
+        self.query_one("#said", Static).update(Content(printable.escaped(said)))
         events = self.query_one("#events", VerticalScroll)
         events.scroll_to(y=max(0, steps.seq - first - events.size.height // 2), animate=False)

@@ -41,6 +41,12 @@ def show(text: Shown, *, raw: bool = False) -> None:
     _write(sys.stdout, text if raw and not is_for_people else printable.sanitized(text))
 
 
+def has_keys() -> bool:
+    """Tell whether someone sits at a terminal: keys come from it, and a screen is on it."""
+    streams = (sys.stdin, sys.stdout)
+    return all(stream is not None and stream.isatty() for stream in streams)
+
+
 def pause(seconds: float) -> None:
     """Wait this long. Raises: Enough as soon as the reader of stdout has closed it."""
     try:

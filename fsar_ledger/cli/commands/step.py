@@ -1,6 +1,5 @@
 """The command `step`: a walk through a run, by keys or by a script."""
 
-import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -8,7 +7,7 @@ import typer
 from fsar_ledger import printable
 from fsar_ledger.cli import completing
 from fsar_ledger.cli.options import LedgerArgument, VerifiedOption, examples
-from fsar_ledger.cli.terminal import show
+from fsar_ledger.cli.terminal import has_keys, show
 from fsar_ledger.errors import UsageError
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ def step(
     """
     from fsar_ledger.cli.answering import opened, warn
 
-    if script is None and not (sys.stdout.isatty() and sys.stdin is not None and sys.stdin.isatty()):
+    if script is None and not has_keys():
         raise UsageError('step: found no terminal to walk on, expected one, or --script "next-decision; state"')
     asked = opened(ledger, verified=verified)
     steps = asked.step(run, at)
