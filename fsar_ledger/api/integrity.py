@@ -30,6 +30,7 @@ class Integrity:
         witness_policy: Place | None = None,
         cosigned: Sequence[Place] = (),
         replay: bool = False,
+        recorded: bool = False,
         workers: int | None = None,
         progress: Progress | None = None,
         now_s: int | None = None,
@@ -43,6 +44,7 @@ class Integrity:
             witness_policy: A C2SP tlog-policy; enough of its witnesses must have seen the ledger. Needs `now_s`.
             cosigned: Notes that show what the witnesses saw; without any, they are asked.
             replay: Also play every run again.
+            recorded: Play in the world that is on record: check the decisions alone, not that the world was the seed's.
             workers: Processes at once; None: one per core, if there is enough to do.
             progress: Called with the segments done and their total.
             now_s: The present time in seconds since 1970.
@@ -53,9 +55,8 @@ class Integrity:
         """
         from .verify import verify_ledger
 
-        return verify_ledger(
-            self.path, quick, anchor, trusted_key, (witness_policy, cosigned, now_s), replay, workers, progress
-        )
+        witnesses, replays = (witness_policy, cosigned, now_s), (replay, recorded)
+        return verify_ledger(self.path, quick, anchor, trusted_key, witnesses, replays, workers, progress)
 
     def prove(self, event: str | int) -> "Proof":
         """Prove that an event, given as `RUN:SEQ` or by its number, is in the ledger.

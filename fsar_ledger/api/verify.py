@@ -57,15 +57,20 @@ def verify_ledger(
     anchor: Place | None,
     trusted_key: str | None,
     by_witnesses: tuple[Place | None, Sequence[Place], int | None],
-    replays: bool,
+    replays: tuple[bool, bool],
     workers: int | None,
     progress: Progress | None,
 ) -> Verification:
     """Verify the ledger; `by_witnesses` are the policy, the notes at hand and the present time.
 
+    `replays` tell whether to replay, and to take the world from the record.
+
     Raises: As `Ledger.verify`.
     """
-    if quick and replays:
+    is_replayed, is_recorded = replays
+    if is_recorded and not is_replayed:
+        raise UsageError(f"{option('recorded')}: expected it with {option('replay')}, of which it says in which world")
+    if quick and is_replayed:
         raise UsageError(
             f"{option('quick')} and {option('replay')}: expected one of them; a quick look reads no rows, a replay "
             "all of them"
@@ -78,14 +83,18 @@ def verify_ledger(
         trusted = seen.log
     asked = Asked(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
     report = whole_look(ledger, readers_of(workers, ledger), progress, asked)
-    return Verification(report, replayed(ledger, report, workers, progress) if replays else None, seen)
+    return Verification(report, replayed(ledger, report, workers, progress, is_recorded) if is_replayed else None, seen)
 
 
-def replayed(ledger: Path, report: VerifyReport, workers: int | None, progress: Progress | None) -> "ReplayReport":
+def replayed(
+    ledger: Path, report: VerifyReport, workers: int | None, progress: Progress | None, is_recorded: bool = False
+) -> "ReplayReport":
     """Play every verified run again; return `NOT_REPLAYED` where `verify` found a problem.
 
     Raises: LedgerCorrupted if the ledger was damaged in between.
     """
     from fsar_ledger.runtime.replay import NOT_REPLAYED, replay
 
-    return replay(ledger, readers_of(workers, ledger), progress, report.commits) if report.ok else NOT_REPLAYED
+    if not report.ok:
+        return NOT_REPLAYED
+    return replay(ledger, readers_of(workers, ledger), progress, report.commits, is_recorded)

@@ -28,7 +28,7 @@ class Member(msgspec.Struct, frozen=True, gc=False):
 class Fleet(msgspec.Struct, frozen=True, gc=False):
     """The run's structure, the mechanisms that its configuration lacks, and its robots in order of joining.
 
-    `teams` is the highest team number; `bodies` are the roles whose robots can clear an obstruction; `substitutes` maps
+    `bodies` are the roles whose robots can clear an obstruction; `substitutes` maps
     a capability to the one that can replace it. Units: `answer_us` microseconds that a robot waits for an answer.
     """
 
@@ -36,7 +36,6 @@ class Fleet(msgspec.Struct, frozen=True, gc=False):
     size: int = 0
     structure: Structure = Structure()
     robots: dict[Robot, Member] = {}
-    teams: int = 1
     answer_us: int = round(Outages().answer_s * 1e6)
     bodies: tuple[str, ...] = ()
     substitutes: dict[str, str] = {}
@@ -52,9 +51,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
             )
         case RobotJoined():
             robot = Member(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
-            return msgspec.structs.replace(
-                state, robots={**state.robots, event.robot: robot}, teams=max(state.teams, event.team)
-            )
+            return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot})
         case _:
             assert_never(event)
 

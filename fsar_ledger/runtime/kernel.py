@@ -29,7 +29,7 @@ from .handlers.commands import Command, React, Scheduled
 from .ports import Environment
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
-_Pending = tuple[
+Pending = tuple[
     int, int, int, Scheduled
 ]  # due time (or, for what is kept, the delay once it is released), serial, cause, command
 
@@ -70,8 +70,8 @@ class Kernel:
         self._next_fact = 0
         self._answer = environment.answer
         self._latest_us = NEVER_US if environment.latest_us is None else environment.latest_us
-        self._pending: list[_Pending] = []
-        self._kept: list[_Pending] = []
+        self._pending: list[Pending] = []
+        self._kept: list[Pending] = []
         self._serial = 0
         if founded is None:
             self._batch(founding, 0, None)
@@ -218,7 +218,7 @@ class Kernel:
                 if not self._keep((due_us, self._serial, seq, scheduled), due_us - time_us):  # a message departs
                     heappush(self._pending, (due_us, self._serial, seq, scheduled))
 
-    def _keep(self, one: _Pending, after_us: int = 0) -> bool:
+    def _keep(self, one: Pending, after_us: int = 0) -> bool:
         """Keep a command that cannot run now, because a robot is off or a link down; return whether it was kept.
 
         Once they are back, it is due after the time it had left. For a message that departs (it has time to go) only

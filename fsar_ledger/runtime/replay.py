@@ -18,6 +18,9 @@ The first event of a fork says what is otherwise than in its base (`recipes.py`)
 base without, and how far the one repeats the other is compared with what the first event says. Live and foreign runs
 declare nothing from which they could be made: they are refused.
 
+A replay can also be asked to take what the world did and answered from the record (`recorded.py`). It checks every
+decision, and that none is missing, whatever world the run was in; that this world was the one of the seed, it does not.
+
 The record also holds the length of an execution, as `ends_us`. It is drawn again all the same: taking it from the
 record would be to believe the decision in question.
 """
@@ -45,9 +48,9 @@ from fsar_ledger.workers import WorkerPool
 from .forks import command, edited_environment, last_shared, play
 from .handler_tables import handler_table_of
 from .handlers.commands import Command, Decide
-from .kernel import Kernel
 from .plan import misnamed
 from .recipes import Recipe, Unmade, recorded_recipe, started_of
+from .recorded import Recorded, RecordedKernel, recorded
 from .simulation import founding_of, run_id
 from .world.founding import founding
 from .world.schedule import schedule
@@ -124,7 +127,11 @@ NOT_REPLAYED = ReplayReport(False)
 
 
 def replay(
-    path: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, commits: int | None = None
+    path: Path,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    commits: int | None = None,
+    is_recorded: bool = False,
 ) -> ReplayReport:
     """Replay every run, and report the first difference of each run that differs or could not be checked.
 
@@ -133,6 +140,7 @@ def replay(
         workers: Number of processes; the report does not depend on it.
         progress: Called with (segments done, segments in all).
         commits: How many of the first commits to replay; None is all.
+        is_recorded: Take what the world did and answered from the record.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: as `open_ledger`, and where a segment is missing.
@@ -143,7 +151,7 @@ def replay(
     found: list[Difference] = []
     worlds: list[Played] = []
     whole = runs = events = 0
-    for done, result in enumerate(_replayed(str(path), files, max(1, workers)), start=1):
+    for done, result in enumerate(_replayed(str(path), files, max(1, workers), is_recorded), start=1):
         found += result.differences
         worlds += result.worlds
         whole, runs, events = whole + result.ok, runs + result.runs, events + result.events
@@ -152,25 +160,29 @@ def replay(
     return ReplayReport(not found, tuple(found[:MAX_PROBLEMS]), whole, runs, events, remarks_on(worlds))
 
 
-def _replayed(path: str, files: list[str], workers: int) -> Iterator[CommitReport]:
+def _replayed(path: str, files: list[str], workers: int, is_recorded: bool) -> Iterator[CommitReport]:
     """Yield the report of each commit, in order."""
+    asked = repeat(path), range(len(files)), files, repeat(is_recorded)
     with ExitStack() as stack:
         if workers > 1 and len(files) > 1:
             pool = stack.enter_context(WorkerPool(min(workers, len(files))))
-            yield from pool.map(replay_commit, repeat(path), range(len(files)), files)
+            yield from pool.map(replay_commit, *asked)
         else:
-            yield from map(replay_commit, repeat(path), range(len(files)), files)
+            yield from map(replay_commit, *asked)
 
 
-def replay_commit(path: str, number: int, file: str) -> CommitReport:
-    """Return the report on the runs of one commit, in `file` of the ledger. Never raises."""
+def replay_commit(path: str, number: int, file: str, is_recorded: bool = False) -> CommitReport:
+    """Return the report on the runs of one commit, in `file` of the ledger; other arguments as of `replay`.
+
+    Never raises.
+    """
     found: list[Difference] = []
     starts: list[RunStarted] = []
     runs = events = 0
     gc.disable()  # a run makes no cyclic garbage
     try:
         for record in decode(segment.read_table(Path(path) / file)):
-            difference = replay_run(record)
+            difference = replay_run(record, is_recorded)
             if difference is None and type(record.events[0]) in ALONE:
                 continue
             if difference is None:
@@ -194,13 +206,16 @@ def _replay_plan(record: LedgerRun) -> Difference | None:
     return None if found is None else Difference(record.run_id, 0, found[0], "plan.plan_record", found[2], found[1])
 
 
-def replay_run(record: LedgerRun) -> Difference | None:
-    """Return the first difference between the record and what world and handlers make, or None. Never raises."""
+def replay_run(record: LedgerRun, is_recorded: bool = False) -> Difference | None:
+    """Return the first difference between the record and what world and handlers make, or None. Never raises.
+
+    With `is_recorded` the world is that of the record.
+    """
     one: _Replay | None = None
     try:
         if type(record.events[0]) in ALONE:
             return _replay_plan(record)
-        one = _begun(record)
+        one = _begun(record, is_recorded)
         one.play()
         one.require_end()
     except _Differs as stopped:
@@ -224,28 +239,34 @@ class _Differs(Exception):
         self.difference = Difference(run, seq, field, handler, expected, actual)
 
 
-class _Replay(Kernel):
+class _Replay(RecordedKernel):
     """A run in progress that stops at the first event that differs from the record."""
 
-    def __init__(self, record: LedgerRun, started: RunStarted, recipe: Recipe) -> None:
+    def __init__(self, record: LedgerRun, started: RunStarted, recipe: Recipe, is_recorded: bool) -> None:
         """Make the run up to its founding. Raises: _Differs if the record has another one."""
         spec, (founding_events, founded) = recipe.spec, founding_of(recipe.spec, recipe.constants)
         events = (started_of(recipe, started), *founding_events[1:])
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
-        self._recipe, self._edited = recipe, edited_environment(recipe)
+        table = handler_table_of(spec.architecture, spec.configuration)
+        self._recipe = recipe
+        self._environment = recorded(record, table) if is_recorded else edited_environment(recipe)
         self._forked_from_seq = started.forked_from_seq
-        self._facts = self._edited.facts
+        self._facts = self._environment.facts
+        self.later_us = self._environment.later_us if isinstance(self._environment, Recorded) else {}
         self._silent: list[tuple[int, Decide]] = []  # decisions since the last event, which made none
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
-        super().__init__(handler_table_of(spec.architecture, spec.configuration), self._edited, events, founded)
+        super().__init__(table, self._environment, events, founded)
         command(self, recipe)
         self._decides = {command: self._noted(decide) for command, decide in self._decides.items()}
 
     def play(self) -> None:
         """Run to the end. Raises: _Differs."""
-        play(self, self._edited, self._recipe)
+        if isinstance(self._environment, Recorded):
+            self.run()
+        else:
+            play(self, self._environment, self._recipe)
 
     def handler(self) -> str:
         """Return the function that makes the next event, by module and name."""
@@ -336,7 +357,7 @@ def _at(event: Event, time_us: int) -> str:
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 
-def _begun(record: LedgerRun) -> _Replay:
+def _begun(record: LedgerRun, is_recorded: bool) -> _Replay:
     """Return the run at its founding. Raises: _Differs if it cannot be replayed, or its founding or name differs."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
@@ -348,4 +369,4 @@ def _begun(record: LedgerRun) -> _Replay:
         raise _Differs(record.run_id, 0, found.field, None, found.expected, actual) from found
     if run_id(started) != record.run_id:
         raise _Differs(record.run_id, 0, "run_id", None, repr(run_id(started)), repr(record.run_id))
-    return _Replay(record, started, recipe)
+    return _Replay(record, started, recipe, is_recorded)

@@ -55,6 +55,13 @@ def verify(
     witness_policy: WitnessPolicyOption = None,
     cosigned: CosignedOption = None,
     replay: ReplayOption = False,
+    recorded: Annotated[
+        bool,
+        typer.Option(
+            "--recorded",
+            help="With --replay: take what the world did and answered from the ledger, not from the seed.",
+        ),
+    ] = False,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -75,6 +82,7 @@ def verify(
             witness_policy=witness_policy,
             cosigned=cosigned or (),
             replay=replay,
+            recorded=recorded,
             workers=workers,
             progress=progress,
             now_s=context.obj(),
@@ -83,14 +91,14 @@ def verify(
     if as_json:
         _show_json(found)
     if not report.ok:
-        raise LedgerCorrupted(*_lines(ledger, report, again))
+        raise LedgerCorrupted(*_lines(ledger, report, again, is_recorded=recorded))
     if again is not None and not again.ok:
-        raise ReplayMismatch(*_lines(ledger, report, again))
+        raise ReplayMismatch(*_lines(ledger, report, again, is_recorded=recorded))
     if seen is not None and not seen.is_enough:
         raise LedgerCorrupted(seen.doubt(ledger))
     if not as_json:
         witnessed = seen.lines(report.events) if seen is not None else ()
-        show(printable.lines(*_lines(ledger, report, again), *witnessed))
+        show(printable.lines(*_lines(ledger, report, again, is_recorded=recorded), *witnessed))
 
 
 def _show_json(found: "Verification") -> None:
@@ -107,7 +115,7 @@ def _show_json(found: "Verification") -> None:
     show(pretty({"head": head, **to_builtins(report), "ok": found.ok, **more}))
 
 
-def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -> list[str]:
+def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None", *, is_recorded: bool) -> list[str]:
     """Return the findings as lines; `again` is None where no replay was asked for."""
     lines = _of_report(ledger, report)
     if again is None:
@@ -117,10 +125,14 @@ def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -
     if again.ok and not report.runs:
         return [*lines, "replayed: nothing; the ledger holds no run", *again.remarks]
     if again.ok:
+        makers = (
+            "the handlers make them in the world on record; whether it was the world of the seed, this does not tell"
+            if is_recorded
+            else "the world and the handlers make them"
+        )
         return [
             *lines,
-            f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as the world and the handlers "
-            "make them",
+            f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as {makers}",
             *again.remarks,
         ]
     count = f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"

@@ -56,16 +56,13 @@ def is_idle(execution: Execution, robot: Robot) -> bool:
 
 
 def nearest_first(fleet: Fleet, robots: list[Robot], near: Robot) -> tuple[Robot, ...]:
-    """Return the robots in order of distance: same team, then same place, then the others.
-
-    Among equals by team, cyclic.
-    """
-    teams, members = fleet.teams, fleet.robots
+    """Return the robots in order of distance: same team, then same place, then the others; among equals by name."""
+    members = fleet.robots
     home, place = members[near].team, members[near].place
 
-    def distance(name: Robot) -> tuple[bool, bool, int, str]:
+    def distance(name: Robot) -> tuple[bool, bool, str]:
         robot = members[name]
-        return robot.team != home, robot.place != place, (robot.team - home) % teams, name
+        return robot.team != home, robot.place != place, name
 
     return tuple(sorted(robots, key=distance))
 
