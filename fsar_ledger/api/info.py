@@ -21,10 +21,10 @@ from fsar_ledger.metrics.plans import completeness
 from .plans import Shown, plans, runs, shape
 from .provenance import Provenance
 
-# Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture and
-# configuration; NULL where runs have none.
+# Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture,
+# configuration and changes of forks; NULL where runs have none.
 # A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there;
-# runs without a number make none.
+# runs without a number make none, nor do forks.
 GROUPS = """
 WITH sizes AS (
     SELECT run_id, count(*) AS event_count FROM events GROUP BY run_id
@@ -50,6 +50,7 @@ groups AS (
             runs.scenario IS NOT NULL AND runs.run IS NOT NULL
         ) AS numbered,
         settings.kind AS made_as,
+        CASE WHEN settings.kind = 'fork' THEN settings.constants END AS changes,
         count(*) AS runs,
         count(*) FILTER (planned.run_id IS NULL) AS runs_unplanned,
         sum(sizes.event_count)::BIGINT AS events,
@@ -67,7 +68,8 @@ groups AS (
         runs.fleet_size,
         runs.architecture,
         runs.configuration,
-        settings.kind
+        settings.kind,
+        CASE WHEN settings.kind = 'fork' THEN settings.constants END
 )
 
 SELECT
@@ -79,11 +81,16 @@ SELECT
     fleet_size,
     architecture,
     configuration,
+    changes,
     len(scenarios) AS scenarios,
     runs,
     runs_unplanned,
-    len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT
-    * (max(last) OVER world + 1)::HUGEINT - numbered AS runs_to_rectangle,
+    CASE
+        WHEN changes IS NULL
+            THEN
+                len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT
+                * (max(last) OVER world + 1)::HUGEINT - numbered
+    END AS runs_to_rectangle,
     events,
     numbers
 FROM groups
@@ -100,6 +107,7 @@ COLUMNS = (
     "fleet_size",
     "architecture",
     "configuration",
+    "changes",
     "scenarios",
     "runs",
     "runs_unplanned",
@@ -163,6 +171,7 @@ class Contents(msgspec.Struct, frozen=True):
         """Return lines for people, without the parameters, which are too many."""
         return [
             *self._standing(),
+            *self._forks(),
             *self._unfinished(),
             *self._enlarged(),
             *self._unlike(),
@@ -189,6 +198,13 @@ class Contents(msgspec.Struct, frozen=True):
             f"planned runs: {of_plans}",
             f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant",
         ]
+
+    def _forks(self) -> list[str]:
+        count = sum(group["runs"] for group in self.groups if group["changes"] is not None)
+        if not count:
+            return []
+        said = f"{printable.counted(count, 'fork')} among them" if count < self.run_count else "all of them forks"
+        return [f"{said}; the query forks says of which runs, and how far they repeat them"]
 
     def _unfinished(self) -> list[str]:
         """Return a line for each plan that lacks runs, except those that a larger plan covers."""
@@ -245,7 +261,11 @@ class Contents(msgspec.Struct, frozen=True):
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the groups as people are shown them, without columns that say nothing."""
-        is_dull = {"constants": len(self.models) == 1, "runs_unplanned": not self.plans or not self.unplanned}
+        is_dull = {
+            "constants": len(self.models) == 1,
+            "runs_unplanned": not self.plans or not self.unplanned,
+            "changes": all(group["changes"] is None for group in self.groups),
+        }
         return [{name: group[name] for name in COLUMNS if not is_dull.get(name)} for group in self.groups]
 
 

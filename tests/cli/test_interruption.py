@@ -123,6 +123,37 @@ def test_a_full_disk_ends_a_simulation_without_half_a_commit(
     assert json.loads(continued.out)["head"] == json.loads(call("info", ledger, "--json").out)["head"]
 
 
+def test_a_full_disk_ends_whatif_without_half_a_commit(call: Call, ledger: Path, tmp_path: Path) -> None:
+    words = ("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", tmp_path / "forks")
+    called = limited_disk(*words, file_bytes_max=4096)
+    assert called.returncode == 1, called.stderr
+    assert "nothing was committed; make room" in called.stderr
+    assert len(called.stderr.splitlines()) == 1
+    assert list((tmp_path / "forks").glob("segments/*")) == []
+    assert call(*map(str, words)).code == 0
+    assert call("verify", tmp_path / "forks", "--replay").code == 0
+
+
+@pytest.mark.slow
+def test_an_interrupted_whatif_keeps_whole_pairs_and_the_same_call_goes_on(call: Call, tmp_path: Path) -> None:
+    ledger, out = tmp_path / "ledger", tmp_path / "forks"
+    assert call("simulate", ledger, "--architecture", "fsar", "--runs", "20").code == 0
+    arguments = [*COMMAND, "whatif", str(ledger), "--all-runs", "--change", "drop window:*", "--out", str(out)]
+    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while process.poll() is None and len(list(out.glob("commits/*.json"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.005)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, "the same call again makes what is missing" in err) == (130, True), err
+    held = json.loads(call("info", out, "--json").out)
+    runs = {group["changes"]: group["runs"] for group in held["groups"]}
+    assert 0 < runs["drop window:*"] == runs[None] < 100
+    assert call("verify", out, "--replay").code == 0
+    assert subprocess.run(arguments, capture_output=True, text=True, check=False).returncode == 0
+    assert json.loads(call("info", out, "--json").out)["runs"] == 200
+
+
 @pytest.mark.parametrize("name", ["events.csv", "events.parquet"])
 def test_a_full_disk_leaves_no_half_of_an_export(ledger: Path, tmp_path: Path, name: str) -> None:
     called = limited_disk("export", ledger, "--out", tmp_path / name, file_bytes_max=2048)

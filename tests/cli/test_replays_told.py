@@ -91,6 +91,12 @@ def test_a_fork_is_told_kept_and_replays(call: Call, ledger: Path, tmp_path: Pat
     assert call("prove", str(place), "2:0").code == 0
     told = json.loads(call("compare", str(place), "--first", "fsar+fork", "--second", "fsar@A/4", "--json").out)
     assert told["pairs"] == 1
+    info = call("info", str(place)).out
+    assert "2 runs; no plan is on record" in info
+    assert "1 fork among them; the query forks says of which runs" in info
+    assert "drop window:*" in info
+    groups = json.loads(call("info", str(place), "--json").out)["groups"]
+    assert {(group["changes"], group["runs_to_rectangle"]) for group in groups} == {("drop window:*", None), (None, 0)}
 
 
 def test_all_runs_of_an_architecture_are_compared_with_their_forks(call: Call, ledger: Path) -> None:
