@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per start against policy (violation), authority conflict (conflict), task that is not completed within
 --   its budget (late), and record that is not attributable (unattributed)
--- Key: run_id, verdict, seq, action_id, about
+-- Key: run_id, verdict, seq, about
 -- Units: time_us microseconds of run time; seq, made_by positions in the run
 -- NULL: action_id for a motion, a task, and a record that names none
 -- Example: fsar-ledger query facts/verdict_events LEDGER
