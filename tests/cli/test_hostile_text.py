@@ -80,24 +80,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("view", ledger, "--run", run, "--out", out / "page.html", "--perfetto", out / "trace.json"),
         ("view", ledger, "--run", EVIL, "--out", out / "page.html"),
     )
-    yield from (
-        ("state", ledger, "--run", run),
-        ("state", ledger, "--run", run, "--at", EVIL),
-        ("state", ledger, "--run", run, "--as-known-by", EVIL),
-        ("step", ledger, "--run", run, "--script", "next; state; record; last"),
-        ("step", ledger, "--run", run, "--script", EVIL),
-        ("why", ledger, f"{run}:1"),
-        ("why", ledger, EVIL),
-        ("diff", ledger, run, run),
-        ("diff", ledger, run, EVIL),
-    )
-    yield from (
-        ("whatif", ledger, "--run", run, "--change", "drop window:*"),
-        ("whatif", ledger, "--all-runs", "--change", EVIL),
-        ("cause", ledger, "--run", run, "--outcome", EVIL),
-        ("cause", ledger, "--run", run, "--outcome", "policy_violations > 0"),
-        ("bisect", ledger, "--first", EVIL, "--second", "fsar", "--outcome", "policy_violations > 0"),
-    )
+    yield from calls_of_replays(ledger, run)
     yield from (
         ("key", "new", key, "--name", EVIL),
         ("key", "new", key, "--name", "x/\u05d0"),
@@ -121,6 +104,28 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("multiverse", ledger, "--metric", EVIL),
         (EVIL,),
         (f"--{EVIL}",),
+    )
+
+
+def calls_of_replays(ledger: Path, run: str) -> Iterator[tuple[object, ...]]:
+    """Moments, differences and forks of a run, and names that they do not know."""
+    yield from (
+        ("state", ledger, "--run", run),
+        ("state", ledger, "--run", run, "--at", EVIL),
+        ("state", ledger, "--run", run, "--as-known-by", EVIL),
+        ("step", ledger, "--run", run, "--script", "next; state; record; last"),
+        ("step", ledger, "--run", run, "--script", EVIL),
+        ("why", ledger, f"{run}:1"),
+        ("why", ledger, EVIL),
+        ("diff", ledger, run, run),
+        ("diff", ledger, run, EVIL),
+    )
+    yield from (
+        ("whatif", ledger, "--run", run, "--change", "drop window:*"),
+        ("whatif", ledger, "--all-runs", "--change", EVIL),
+        ("cause", ledger, "--run", run, "--outcome", EVIL),
+        ("cause", ledger, "--run", run, "--outcome", "policy_violations > 0"),
+        ("bisect", ledger, "--first", EVIL, "--second", "fsar", "--outcome", "policy_violations > 0"),
     )
 
 

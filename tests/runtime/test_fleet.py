@@ -39,13 +39,13 @@ def test_a_robot_joins_and_neither_possesses_nor_trusts_anything_yet() -> None:
     assert (list(surface(state.registry, Robot("robot/E1"))), execution_state(state, Robot("robot/E1"))) == ([], "idle")
 
 
-def test_the_teams_of_robots_that_join_later_are_as_far_away_as_their_numbers_say() -> None:
+def test_robots_of_other_teams_come_by_name_whenever_they_joined() -> None:
     state = given(
         "fsar",
-        *(RobotJoined(robot=Robot(f"robot/E{team}"), role="E", team=team, supervisor=None) for team in (2, 3, 4)),
+        *(RobotJoined(robot=Robot(f"robot/E{team}"), role="E", team=team, supervisor=None) for team in (4, 3, 2)),
     )
     near = [Robot(f"robot/{name}") for name in ("B1", "E2", "E3", "E4")]
-    assert nearest_first(state.fleet, near, Robot("robot/E3")) == ("robot/E3", "robot/E4", "robot/B1", "robot/E2")
+    assert nearest_first(state.fleet, near, Robot("robot/E3")) == ("robot/E3", "robot/B1", "robot/E2", "robot/E4")
 
 
 def test_a_robot_without_a_supervisor_of_its_own_may_join() -> None:

@@ -91,7 +91,7 @@ def test_no_draw_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(Draws, "answer", drawn)
     with pytest.raises(AssertionError, match="a draw"):
-        simulate_run(RunSpec(1, "fsar", "full", "door-relay", 4, 0), CONSTANTS)
+        simulate_run(RunSpec(987_654, "fsar", "full", "door-relay", 4, 0), CONSTANTS)
     assert parts_at(HONEST, made_from_record(HONEST)) is None
 
 
