@@ -73,6 +73,7 @@ print(*sorted(name.rpartition("/")[2].removesuffix(".csv") for name in opened if
 """
 
 
+@pytest.mark.slow
 def test_the_fit_reads_the_table_that_it_aims_at_and_no_other() -> None:
     done = subprocess.run([sys.executable, "-c", OPENED], capture_output=True, text=True, check=True)
     assert done.stdout.split() == [PLAN.aims_at]

@@ -51,6 +51,7 @@ def test_a_violated_policy_comes_from_a_task_and_a_window() -> None:
     assert found.candidates == len(Search(base, VIOLATED).candidates)
 
 
+@pytest.mark.slow
 def test_without_a_necessary_cause_the_forked_run_does_not_have_the_outcome() -> None:
     base = again(simulated("fsar"))
     found = cause(base, VIOLATED)
@@ -60,6 +61,7 @@ def test_without_a_necessary_cause_the_forked_run_does_not_have_the_outcome() ->
         assert (metric(forked.record, "policy_violations") == 0) == one.is_necessary
 
 
+@pytest.mark.slow
 def test_with_a_cause_alone_the_forked_run_has_the_outcome() -> None:
     base = again(simulated("fsar"))
     kept = {one.name for one in cause(base, VIOLATED).elements}
@@ -163,6 +165,7 @@ def test_a_select_that_gives_no_runs_is_an_error(select: str) -> None:
         outcome_of(select).of([(run.times_us, run.caused_by, run.events)])
 
 
+@pytest.mark.slow
 def test_before_its_window_opens_a_violation_can_be_avoided_and_after_it_cannot() -> None:
     base = again(simulated("fsar"))
     found = curve(base, VIOLATED, futures=12, moments=8)

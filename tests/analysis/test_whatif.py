@@ -43,6 +43,7 @@ def effect(pairs: list[Pair], metric: str) -> Effect:
     return next(row for row in found.rows if row.metric == metric)
 
 
+@pytest.mark.slow
 def test_the_means_and_the_difference_are_those_of_the_runs(pairs: list[Pair]) -> None:
     for metric in ("policy_violations", "authority_conflicts", "coordination_success"):
         found = effect(pairs, metric)
@@ -108,6 +109,7 @@ def test_architectures_are_judged_apart(bases: list[Base]) -> None:
     assert [(one.architecture, one.pairs) for one in found] == [("fsar", 3), ("cfc", 2)]
 
 
+@pytest.mark.slow
 def test_many_pairs_judged_in_parts_are_judged_alike(pairs: list[Pair], monkeypatch: pytest.MonkeyPatch) -> None:
     at_once = effects(pairs)
     monkeypatch.setattr("fsar_ledger.analysis.whatif.EVENTS_AT_ONCE", 1_000)

@@ -57,12 +57,14 @@ def test_without_a_run_it_is_the_first_as_in_explain(ledger: Ledger) -> None:
     assert ledger.log().rows()[0]["run_id"] == ledger.requests().rows()[0]["run_id"]
 
 
+@pytest.mark.slow
 def test_a_span_of_time_takes_its_beginning_and_not_its_end(ledger: Ledger, lines: list[Row]) -> None:
     first, last = lines[60]["time_s"], lines[80]["time_s"]
     assert ledger.log(RUN, since=first, until=last).rows() == [row for row in lines if first <= row["time_s"] < last]
     assert ledger.log(RUN, "10s", "20000ms").rows() == ledger.log(RUN, 10, "20").rows() != []
 
 
+@pytest.mark.slow
 def test_a_robot_and_concerns_narrow_the_lines(ledger: Ledger, lines: list[Row]) -> None:
     about_b1 = ledger.log(RUN, robot="B1")
     assert {row["seq"] for row in about_b1} == {one.seq for one in ledger.events(RUN, robot="B1")}
@@ -76,6 +78,7 @@ def test_every_concern_can_be_asked_for(ledger: Ledger, concern: str) -> None:
     assert {row["concern"] for row in ledger.log("all", about=concern)} <= {concern}
 
 
+@pytest.mark.slow
 def test_all_runs_are_told_in_the_order_of_the_ledger(ledger: Ledger, every_line: list[Row]) -> None:
     runs = list(dict.fromkeys(one.run for one in ledger.events()))
     assert list(dict.fromkeys(row["run_id"] for row in every_line)) == runs
@@ -102,6 +105,7 @@ def test_what_is_no_time_is_an_error(ledger: Ledger, asked: str | float) -> None
         ledger.log(RUN, since=asked)
 
 
+@pytest.mark.slow
 def test_a_span_may_end_after_the_run_but_not_begin_there(ledger: Ledger) -> None:
     assert ledger.log(1, until=9000).rows() == ledger.log(1).rows()
     assert list(ledger.events(1, until=9000)) == list(ledger.events(1))

@@ -165,6 +165,7 @@ def test_a_number_that_is_itself_the_name_of_another_run_is_not_told() -> None:
         assert run_of(database, "2") == "2"
 
 
+@pytest.mark.slow
 def test_every_method_takes_the_number_of_a_run(ledger: fsar_ledger.Ledger) -> None:
     number, run = next((str(row["number"]), row["run_id"]) for row in ledger.runs() if RUN in row["run_id"])
     assert {one.run for one in ledger.events(number)} == {run}
@@ -232,7 +233,13 @@ def test_no_time_stays_none() -> None:
     assert microseconds("at", None) is None
 
 
-@pytest.mark.parametrize(("name", "one"), PARAMETERS, ids=[f"{name}:{one.name}" for name, one in PARAMETERS])
+@pytest.mark.parametrize(
+    ("name", "one"),
+    [
+        pytest.param(name, one, id=f"{name}:{one.name}", marks=[pytest.mark.slow] if at % 4 else [])
+        for at, (name, one) in enumerate(PARAMETERS)
+    ],
+)
 def test_a_typing_error_in_a_parameter_is_an_error_with_the_nearest(
     ledger: fsar_ledger.Ledger, name: str, one: Parameter
 ) -> None:

@@ -56,6 +56,7 @@ def batches(draw: st.DrawFn) -> pa.RecordBatch:
     return pa.record_batch(columns, names=names).slice(draw(st.integers(0, count)))
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(batches(), st.booleans())
 def test_csv_of_columns_is_csv_of_values(batch: pa.RecordBatch, raw: bool) -> None:
@@ -63,6 +64,7 @@ def test_csv_of_columns_is_csv_of_values(batch: pa.RecordBatch, raw: bool) -> No
     assert csv_lines(batch, raw=raw) == csv_text(rows, names, raw=raw)[len(csv_text([], names, raw=raw)) :]
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(batches())
 def test_json_of_columns_is_json_of_values(batch: pa.RecordBatch) -> None:

@@ -143,6 +143,7 @@ def is_found(command: Attack, evil: Invented) -> None:
             assert part in line, line
 
 
+@pytest.mark.slow
 def test_a_world_without_trouble_for_one_architecture_is_not_taken_for_the_one_that_was_drawn(
     command: Attack, tmp_path: Path
 ) -> None:

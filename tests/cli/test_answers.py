@@ -125,6 +125,7 @@ def test_metrics_by_scenario_have_a_row_for_each(call: Call, ledger: Path) -> No
     assert len(rows) == 2 * 3 * len(metrics())
 
 
+@pytest.mark.slow
 def test_statistics_compare_every_pair(call: Call, ledger: Path) -> None:
     rows = json.loads(call("statistics", ledger, "--json").out)["rows"]
     assert len(rows) == 3 * len(metrics())
@@ -147,6 +148,7 @@ def test_a_long_table_is_cut_and_says_so(call: Call, ledger: Path) -> None:
     assert len(call("query", "run_metrics", ledger, "--limit", "0").out.splitlines()) == 2 + 12 * len(metrics())
 
 
+@pytest.mark.slow
 def test_sql_answers_with_null_lists_and_text(call: Call, ledger: Path) -> None:
     select = "SELECT count(*) AS events, NULL AS nothing, ['a', 'b'] AS list, TRUE AS yes FROM events"
     size = json.loads(call("info", ledger, "--json").out)["head"]["size"]

@@ -44,6 +44,7 @@ def unlike(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_statistics_name_differing_worlds_before_any_number_and_fail(call: Call, unlike: Path) -> None:
     table = call("statistics", unlike)
     lines = table.out.splitlines()

@@ -174,6 +174,7 @@ def test_denials_of_a_robot_are_those_that_it_asked_for_was_asked_for_or_decided
     assert found == {"A1": [5.0, 6.0], "B1": [5.0, 6.0], "C1": [6.0], "D1": []}
 
 
+@pytest.mark.slow
 def test_denials_say_who_asked_as_the_story_of_the_action_does_where_the_denial_names_nobody(ledger: Path) -> None:
     opened = open_ledger(ledger)
     named = {(row["run_id"], row["action_id"]): row["asked_by"] for row in opened.query("audit/requests").rows()}
@@ -201,6 +202,7 @@ def test_the_supervisor_of_a_denial_is_the_actions_with_the_seq_of_its_records()
     assert row[3] == 1
 
 
+@pytest.mark.slow
 def test_the_call_that_a_story_suggests_proves_its_decisive_event(call: Call, ledger: Path) -> None:
     listed, opened = json.loads(call("explain", ledger, "--json").out), open_ledger(ledger)
     one = listed["requests"][0]

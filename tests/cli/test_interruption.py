@@ -123,6 +123,7 @@ def test_a_full_disk_ends_a_simulation_without_half_a_commit(
     assert json.loads(continued.out)["head"] == json.loads(call("info", ledger, "--json").out)["head"]
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_whatif_without_half_a_commit(call: Call, ledger: Path, tmp_path: Path) -> None:
     words = ("whatif", ledger, "--run", "1", "--change", "drop window:*", "--out", tmp_path / "forks")
     called = limited_disk(*words, file_bytes_max=4096)
@@ -162,6 +163,7 @@ def test_a_full_disk_leaves_no_half_of_an_export(ledger: Path, tmp_path: Path, n
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_progress_is_for_terminals(tmp_path: Path) -> None:
     assert in_a_process("simulate", tmp_path / "piped", *SMALL).err == ""
     terminal, child = pty.openpty()

@@ -73,6 +73,7 @@ def test_between_two_times_the_lines_of_a_robot_about_requests(call: Call, ledge
     assert call("log", ledger, *repeated).out == call("log", ledger, *asked).out
 
 
+@pytest.mark.slow
 def test_json_is_an_object_a_line_for_every_event_of_every_run(call: Call, ledger: Path) -> None:
     called = call("log", ledger, "--run", "all", "--json")
     found = [json.loads(line) for line in called.out.splitlines()]

@@ -41,6 +41,7 @@ def test_audit_says_of_each_of_the_ten_that_it_is_not_observable_and_passes_none
     assert said.code == 1
 
 
+@pytest.mark.slow
 def test_an_invariant_without_a_case_is_no_pass_although_all_is_observed(call: Call, tmp_path: Path) -> None:
     joined = [
         RobotJoined(

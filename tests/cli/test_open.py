@@ -99,6 +99,7 @@ def test_a_macro_takes_a_run_by_name(ledger: Path, opened: Opened, tmp_path: Pat
     assert sorted_rows(found) == sorted_rows(here.query("request_timeline", run=run).rows())
 
 
+@pytest.mark.slow
 def test_a_macro_takes_a_run_by_its_number_and_refuses_one_that_is_not_on_record(
     ledger: Path, opened: Opened, tmp_path: Path
 ) -> None:
@@ -151,6 +152,7 @@ def test_a_place_inside_a_ledger_is_refused(call: Call, ledger: Path) -> None:
     assert not (ledger / "l.duckdb").exists()
 
 
+@pytest.mark.slow
 def test_an_empty_ledger_has_every_relation_without_rows(call: Call, tmp_path: Path) -> None:
     with Writer(tmp_path / "empty", origin="fsar-ledger/empty"):
         pass

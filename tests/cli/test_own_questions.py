@@ -20,6 +20,7 @@ def question(tmp_path: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_a_file_is_answered_like_its_text(
     call: Call, ledger: Path, question: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

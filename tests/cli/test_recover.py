@@ -37,6 +37,7 @@ def copy(many: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(many, tmp_path / "ledger"))
 
 
+@pytest.mark.slow
 def test_a_whole_ledger_is_said_to_be_whole(call: Call, many: Path) -> None:
     said = call("recover", many)
     assert (said.code, said.err) == (0, "")

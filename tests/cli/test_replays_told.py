@@ -60,6 +60,7 @@ def test_a_moment_that_there_is_not_is_an_error(call: Call, ledger: Path, words:
     assert message in answer.err
 
 
+@pytest.mark.slow
 def test_the_same_run_has_no_differences_and_two_have_a_story(call: Call, ledger: Path) -> None:
     same = call("diff", str(ledger), "1", "1")
     assert same.code == 0
@@ -99,6 +100,7 @@ def test_a_fork_is_told_kept_and_replays(call: Call, ledger: Path, tmp_path: Pat
     assert {(group["changes"], group["runs_to_rectangle"]) for group in groups} == {("drop window:*", None), (None, 0)}
 
 
+@pytest.mark.slow
 def test_all_runs_of_an_architecture_are_compared_with_their_forks(call: Call, ledger: Path) -> None:
     words = ("whatif", str(ledger), "--all-runs", "--architecture", "fsar", "--change", "drop window:*")
     answer = call(*words)
@@ -150,6 +152,7 @@ def test_forks_are_not_stored_in_the_ledger_of_their_bases(call: Call, ledger: P
     assert (copy / "checkpoint").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_cause_is_told_with_the_call_that_takes_it_away(call: Call, ledger: Path) -> None:
     answer = call("cause", str(ledger), "--run", "1", "--outcome", VIOLATED, "--futures", "3")
     assert answer.code == 0
@@ -178,6 +181,7 @@ def test_an_outcome_that_has_no_cause_is_an_error(
     assert message in answer.err
 
 
+@pytest.mark.slow
 def test_the_first_pair_that_disagrees_is_told(call: Call, ledger: Path) -> None:
     answer = call("bisect", str(ledger), "--first", "fsar", "--second", "dhma", "--outcome", "authority_conflicts > 3")
     assert answer.code == 0

@@ -147,6 +147,7 @@ def test_a_wrong_answer_is_said_and_nothing_moves(steps: Steps) -> None:
     played(steps, look, "g", "x", "enter")
 
 
+@pytest.mark.slow
 def test_every_key_leads_where_it_says(steps: Steps) -> None:
     for keys, name, about in (
         (("d",), "next-decision", ""),

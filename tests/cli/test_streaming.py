@@ -46,6 +46,7 @@ def test_each_row_of_json_is_one_line(call: Call, ledger: Path, asked: tuple[str
     assert call(*words, "--ndjson").out == "".join(f"{line.removesuffix(',').strip()}\n" for line in lines)
 
 
+@pytest.mark.slow
 def test_an_answer_without_rows_is_an_empty_list(call: Call, ledger: Path) -> None:
     select = ("sql", ledger, "SELECT seq FROM events WHERE seq < 0")
     assert json.loads(call(*select, "--json").out)["rows"] == []

@@ -59,6 +59,7 @@ def test_two_runs_say_where_they_part(ledger: Path, call: Call, tmp_path: Path) 
     assert (picture.first_difference, len(picture.runs)) == (first, 2)
 
 
+@pytest.mark.slow
 def test_another_ledger_is_asked_for_the_run_of_the_same_name(ledger: Path, call: Call, tmp_path: Path) -> None:
     """And a run beside its like differs nowhere."""
     record = fsar_ledger.open_ledger(ledger).record(2)

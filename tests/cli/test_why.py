@@ -54,6 +54,7 @@ def test_an_event_is_told_with_its_triggers_reads_and_answers(call: Call, ledger
     assert f"`fsar-ledger prove {ledger} 1:{request_seq}` proves event {request_seq} to others" in lines
 
 
+@pytest.mark.slow
 def test_how_an_event_came_about_is_told_once(call: Call, ledger: Path, request_seq: int) -> None:
     deep = call("why", ledger, f"1:{request_seq}", "--depth", "30").out
     told = Ledger(ledger).why(f"1:{request_seq}", depth=None)
@@ -88,6 +89,7 @@ def test_json_has_the_head_and_what_python_answers(call: Call, ledger: Path, req
     assert {int(seq) for seq in answer["lines"]} == named
 
 
+@pytest.mark.slow
 def test_a_place_in_the_ledger_names_the_event_as_it_does_for_prove(ledger: Path, request_seq: int) -> None:
     asked = Ledger(ledger)
     place = asked.prove(f"1:{request_seq}").index

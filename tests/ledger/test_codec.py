@@ -56,6 +56,7 @@ def test_every_event_type_survives_arrow_and_parquet(
     assert list(decode(through_parquet(encode(runs), tmp_path / "s.parquet"))) == runs
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(runs=any_runs())
 def test_runs_survive_arrow_and_parquet(runs: list[LedgerRun], tmp_path: Path) -> None:

@@ -62,6 +62,7 @@ def test_a_flip_in_every_byte_of_json_and_notes_is_found_and_placed(tmp_path: Pa
         assert verify(path).ok
 
 
+@pytest.mark.slow
 def test_two_thousand_flips_in_segments_and_tiles_are_found_and_placed(path: Path) -> None:
     draw, originals = random.Random(11), contents(path)
     for kind in ("segments", "tile"):
@@ -110,6 +111,7 @@ def test_a_forged_signature_on_the_newest_record_is_placed_by_the_trusted_key(pa
     assert verify(path, asked=Asked(trusted=SIGNER.verifier)).signature == "signed"
 
 
+@pytest.mark.slow
 def test_flips_in_a_segment_are_found_even_where_a_forger_made_the_file_hash_fit(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     append_all(path, made_up_batches(1, runs=1, size=40))
@@ -129,6 +131,7 @@ def test_flips_in_a_segment_are_found_even_where_a_forger_made_the_file_hash_fit
 # --- files ---
 
 
+@pytest.mark.slow
 def test_every_file_removed_replaced_exchanged_or_added_is_found_and_placed(path: Path, snapshots: Path) -> None:
     found: dict[str, bool] = {}
     for case in list(cases(path)):

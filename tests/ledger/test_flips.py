@@ -37,6 +37,7 @@ def tried(ledger: Ledger, good: dict[str, Answer], count: int, kinds: dict[str, 
     )
 
 
+@pytest.mark.slow
 def test_no_flipped_bit_changes_an_answer(ledger: Ledger) -> None:
     good = undamaged(*ledger, SAMPLED)
 

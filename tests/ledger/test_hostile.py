@@ -161,6 +161,7 @@ def test_any_json_with_a_piece_replaced_is_found_and_never_raises(
 # --- Parquet ---
 
 
+@pytest.mark.slow
 def test_a_hostile_segment_is_never_passed_and_never_unpacked(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table, good, record = table_of(path, 0), segment_path(path, 0).read_bytes(), record_of(path, 0)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -344,6 +345,7 @@ def test_a_writer_neither_writes_nor_removes_through_a_link_among_the_tiles(
 # --- what a writer refuses to make ---
 
 
+@pytest.mark.slow
 def test_a_commit_that_readers_would_refuse_is_not_made(tmp_path: Path) -> None:
     long = msgspec.structs.replace(made_up_run("x", 520, 1), run_id="x" * (1 << 20))
     (batch,) = made_up_batches(1)

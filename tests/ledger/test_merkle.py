@@ -182,6 +182,7 @@ def test_a_proof_leads_to_the_root_from_no_other_place(start: int) -> None:
             assert others == [index]
 
 
+@pytest.mark.slow
 def test_a_proof_fits_another_size_only_where_the_way_up_is_the_same() -> None:
     """An inclusion proof alone does not hold the size; the checkpoint does, so its signature must cover both."""
     for size in range(1, 60):

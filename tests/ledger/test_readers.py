@@ -11,6 +11,7 @@ from tests.ledger.mutations import KINDS, Template, mutated
 from tests.ledger.readers_soak import Readers, difference, is_accepted, segments
 
 
+@pytest.mark.slow
 def test_each_kind_of_mutation_is_refused_or_read_alike() -> None:
     templates, accepted, refused = [Template(data) for data in segments()], [], 0
     for number in range(20 * len(KINDS)):

@@ -172,6 +172,7 @@ def test_what_was_committed_is_finished(
     assert_like_new(path, three)
 
 
+@pytest.mark.slow
 def test_a_whole_ledger_is_left_as_it_is(tmp_path: Path, three: Files) -> None:
     path = write(tmp_path / "ledger", three)
     found = recover(path, workers=2)

@@ -242,6 +242,7 @@ def at_all(examples: int, *, is_the_same: bool) -> None:
     assert min(FATES["refused"], FATES["accepted"]) > examples // 2, FATES
 
 
+@pytest.mark.slow
 def test_whatever_is_accepted_verifies_and_whatever_is_refused_leaves_no_trace() -> None:
     at_all(10, is_the_same=True)
 

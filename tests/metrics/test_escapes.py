@@ -339,6 +339,7 @@ def test_variables_of_python_are_no_tables_once_it_is_locked() -> None:
             database._connection.sql("SELECT * FROM secret")
 
 
+@pytest.mark.slow
 def test_duckdbs_locks_hold_by_themselves_where_the_caller_works(surrounded: Path) -> None:
     escaped = []
     for name, (sql, reason) in REACHES_OUT.items():

@@ -75,6 +75,7 @@ def test_a_file_that_duckdb_cannot_read_is_found(tmp_path: Path) -> None:
     assert "a segment that DuckDB cannot read" in found[0]
 
 
+@pytest.mark.slow
 def test_two_contents_are_found_even_where_the_layout_is_not_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

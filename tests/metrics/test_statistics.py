@@ -149,6 +149,7 @@ def test_paired_t_cohens_d_and_d_z_agree_with_scipy(samples: list[Sample]) -> No
         assert row.cohens_d == close(differences.mean() / math.sqrt((first.var(ddof=1) + second.var(ddof=1)) / 2))
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(SAMPLES)
 def test_wilcoxon_agrees_with_scipy_with_ties_and_zeros(samples: list[Sample]) -> None:

@@ -14,6 +14,7 @@ from fsar_ledger.metrics.untrusted import stream_untrusted
 from tests.untrusted import run_untrusted
 
 
+@pytest.mark.slow
 def test_a_select_over_events_views_and_metrics_is_answered_with_the_head(ledger: Path) -> None:
     answer = run_untrusted(
         ledger, "SELECT architecture, count(*) AS runs, sum(seq) AS zero FROM run_started GROUP BY ALL ORDER BY ALL"

@@ -92,6 +92,7 @@ def variants() -> Iterator[pa.Table]:
             yield left
 
 
+@pytest.mark.slow
 def test_a_claim_has_no_number_without_a_concern_that_it_rests_on_and_else_the_same_as_with_it() -> None:
     needed = {(judge, concern) for judge, concern, _ in answer("facts/judged_concerns")}
     with from_table(pa.concat_tables(variants())) as database:

@@ -178,6 +178,7 @@ def left(level: str, to_level: str, by: str = "service/recovery") -> Row:
     return recovery("RecoveryEscalated", by, level, to_level=to_level)
 
 
+@pytest.mark.slow
 def test_recovery_is_layered_when_the_robot_begins_and_all_four_levels_follow_in_order() -> None:
     whole = (left("local", "peer"), left("peer", "fleet"), left("fleet", "human"))
     assert grades(*failed(tried(B), *whole))["layered_recovery"] == "full"
@@ -245,6 +246,7 @@ def test_a_policy_is_heeded_when_the_decision_refuses_or_is_reviewed(
     assert f"the fleet's rule heeded {fleet}" in said
 
 
+@pytest.mark.slow
 def test_a_registry_governs_when_delegations_are_found_in_it_and_hidden_capabilities_stay_hidden() -> None:
     assert grades(OUTSIDER, FOUND, started())["governed_registry"] == "full"
     assert grades(OUTSIDER, FOUND, started(), started("x1/1"))["governed_registry"] == "none"

@@ -116,6 +116,7 @@ def test_undefined_metric_is_printed_as_a_dash_and_named(printed: dict[str, Any]
     )  # every failure of DHMA waits for a human in this ledger
 
 
+@pytest.mark.slow
 def test_missing_architectures_are_named_and_their_cells_are_empty(make_ledger: Make) -> None:
     found = gather(make_ledger(architectures=("fsar",)))
     said = answer(found)

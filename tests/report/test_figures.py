@@ -55,6 +55,7 @@ def test_figures_show_the_rows(cells: tuple[Row, ...], plain: bytes) -> None:
     assert figures.evaluation_results(moved) != plain
 
 
+@pytest.mark.slow
 def test_effects_are_drawn_beside_the_papers_and_what_has_none_leaves_the_papers_alone(findings: Findings) -> None:
     rows = [row | {"cohens_d": 1.5, "d_ci_low": 1.0, "d_ci_high": 2.0} for row in findings.tests]
     drawn = figures.effects(rows)

@@ -229,6 +229,7 @@ def test_a_number_far_out_stays_within_the_figure() -> None:
     assert overview(numbers(findings([far]))) == overview(numbers(findings([far | {"distance": -950.0}])))
 
 
+@pytest.mark.slow
 def test_what_goes_beyond_the_edge_of_the_figure_has_an_arrow_there() -> None:
     margin = MARGINS["governance_locality"]
 

@@ -34,6 +34,7 @@ def write(folder: Path, *holds: bool | None) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_first_page_says_which_registered_predictions_fail_and_a_table_says_all(
     findings: Findings, tmp_path: Path
 ) -> None:

@@ -94,6 +94,7 @@ def test_full_comes_first_then_one_mechanism_less_then_two() -> None:
     assert names[0] == FULL
 
 
+@pytest.mark.slow
 def test_without_policy_composition_and_layered_recovery_a_run_shows_what_each_of_them_takes_away() -> None:
     """Policy alone moves violations, recovery alone the calls to the supervisor; together both move, on the same
     worlds."""

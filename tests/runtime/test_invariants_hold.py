@@ -49,6 +49,7 @@ def test_all_ten_hold_on_fsar_in_every_scenario(fleet_size: int) -> None:
     )
 
 
+@pytest.mark.slow
 def test_nine_hold_where_robots_and_links_fail_and_i5_names_the_requests_that_found_nobody() -> None:
     """Reading R41: where the only robot that could serve is known to be silent, a request has no executor to name."""
     failing = Constants(outages=Outages(0.02, 8.0, 0.03, 6.0, 0.002))

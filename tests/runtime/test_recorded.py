@@ -143,6 +143,7 @@ def test_a_forged_decision_is_found_in_the_world_on_record(name: str) -> None:
     assert name in OPEN or (difference.seq, difference.field) == (forgery.seq, forgery.field)
 
 
+@pytest.mark.slow
 def test_what_is_left_out_or_late_is_missed_unless_the_world_may_have_made_it_so() -> None:
     left_out, late = set(), set()
     for seq in DECIDED[:: 1 if len(DECIDED) < 300 else 2]:

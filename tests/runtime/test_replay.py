@@ -77,6 +77,7 @@ def test_an_honest_ledger_is_as_the_handlers_decide(tmp_path: Path, name: str) -
     assert bool(report.remarks) == (experiment.constants != CONSTANTS)
 
 
+@pytest.mark.slow
 def test_workers_find_the_same_in_the_same_order_and_progress_is_told(tmp_path: Path) -> None:
     forged = [
         renamed(dropped(simulate_run(RunSpec(5, "cfc", "full", "door-relay", 4, run), CONSTANTS), 100 + run))

@@ -203,6 +203,7 @@ def rises(values: Sequence[float]) -> bool:
     return all(left < right for left, right in pairwise(values))
 
 
+@pytest.mark.slow
 def test_more_local_attempts_contain_more_failures() -> None:
     def contained(attempts: int) -> int:
         constants = Constants(structure=Structure(local_attempts=attempts))

@@ -13,6 +13,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ROOT / "fsar_ledger/view/src"
 
 
+@pytest.mark.slow
 def test_the_script_and_the_style_are_those_that_their_sources_give() -> None:
     if shutil.which("node") is None or not (ROOT / "build/page/installed.json").exists():
         pytest.skip("make test-all installs what builds the page")

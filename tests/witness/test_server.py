@@ -138,6 +138,7 @@ def test_a_client_that_waits_for_100_continue_is_answered(server: WitnessServer)
     assert raw(server, post(b"", "/add-checkpoint", 10**6, "Expect: 100-continue")).startswith(b"HTTP/1.1 413")
 
 
+@pytest.mark.slow
 def test_a_slow_client_is_dropped_however_steadily_it_sends(
     server: WitnessServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
