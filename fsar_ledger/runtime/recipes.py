@@ -40,6 +40,8 @@ FACTS_PER_ROBOT = 1_000
 The model's rates make 37 to 373. Recorded rates may come from an adversary: a world of a billion facts cannot be that
 of a record of a few events, and is not made to find that out.
 """
+_MAKERS = {"1": "fsar-ledger 0.2.0"}
+"""By an earlier model version, the last release that makes its runs."""
 _ROOT = re.compile(r"[0-9a-f]{64}")
 
 
@@ -55,7 +57,7 @@ class Unmade(Exception):
     """A run that this version cannot make: the field of event 0 that says so, what was expected, and what was found."""
 
     def __init__(self, field: str | None, expected: str, actual: str) -> None:
-        super().__init__(f"found {actual}, expected {expected}")
+        super().__init__(f"{field + ': ' if field else ''}found {actual}, expected {expected}")
         self.field, self.expected, self.actual = field, expected, actual
 
 
@@ -178,9 +180,8 @@ def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
     if started.kind != "simulated":
         raise Unmade("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
     if started.model_version != MODEL_VERSION:
-        raise Unmade(
-            "model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version)
-        )
+        maker = _MAKERS.get(started.model_version or "", "the version that wrote it")
+        raise Unmade("model_version", f"{MODEL_VERSION!r}; replay it with {maker}", repr(started.model_version))
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
         recipe = Recipe(spec, _constants(started.parameters or ""), parsed(started.changes or ()))

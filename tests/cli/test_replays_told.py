@@ -8,6 +8,7 @@ import pytest
 
 from tests.cli.conftest import Call, one_message
 
+ROOT = Path(__file__).resolve().parents[2]
 VIOLATED = "policy_violations > 0"
 
 
@@ -141,6 +142,24 @@ def test_a_call_of_whatif_that_makes_no_sense_is_an_error(
     one_message(answer, 2)
     assert message in answer.err
     assert not (tmp_path / "forks").exists()
+
+
+@pytest.mark.parametrize(
+    ("release", "run", "found"),
+    [
+        ("0.1.0", "1", "kind: found a live run, whose commands are not stored, expected a simulated run"),
+        ("0.6.0", "1", "kind: found a foreign run, whose commands are not stored, expected a simulated run"),
+        ("0.1.0", "2", "model_version: found '1', expected '2'; replay it with fsar-ledger 0.2.0"),
+    ],
+)
+def test_a_run_that_cannot_be_made_again_is_not_forked_and_nothing_is_written(
+    call: Call, tmp_path: Path, release: str, run: str, found: str
+) -> None:
+    kept = ROOT / "tests" / "ledgers" / release / "ledger"
+    words = ("--change", "drop window:*", "--out", tmp_path / "forks")
+    one_message(call("whatif", kept, "--run", run, *words), 2, found, "only such a run can be made again with a change")
+    one_message(call("cause", kept, "--run", run, "--outcome", "policy_violations > 0"), 2, found)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_forks_are_not_stored_in_the_ledger_of_their_bases(call: Call, ledger: Path, tmp_path: Path) -> None:
