@@ -68,7 +68,7 @@ def require_picture(out: Path, suffix: str, name: str) -> None:
 
 def write_page(source: Source, out: Path, run: Run | None, second: Run | None, other: Source | None) -> Picture:
     """Write the page. Raises: As `Ledger.view`."""
-    from fsar_ledger.view.drawn import first_difference
+    from fsar_ledger.runtime.forks import parts_at
     from fsar_ledger.view.page import page
 
     require_picture(out, PAGE, "out")
@@ -83,7 +83,7 @@ def write_page(source: Source, out: Path, run: Run | None, second: Run | None, o
                 f"{option('second', second)}: found run {printable.value(one.run_id)} twice, expected two runs; name "
                 "another one"
             )
-        first = first_difference(one, two)
+        first = parts_at(one, two)
     content = page(*(picture for picture, _ in shown))
     _write(out, content)
     runs = tuple(picture.drawn.run.run_id for picture, _ in shown)

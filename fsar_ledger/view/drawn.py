@@ -95,20 +95,6 @@ def drawn(run: LedgerRun, name: str, words: Sequence[Words]) -> Drawn:
     return Drawn(run, name, lanes, spans, arrows, told, lost)
 
 
-def first_difference(one: LedgerRun, other: LedgerRun) -> int | None:
-    """Return the first seq at which event, time or cause differ, or at which one run is over; None: they are the same.
-
-    Event 0 names the run, so it always differs and does not count.
-    """
-    shared = min(len(one.events), len(other.events))
-    for seq in range(1, shared):
-        if (one.times_us[seq], one.caused_by[seq]) != (other.times_us[seq], other.caused_by[seq]) or (
-            one.events[seq] != other.events[seq]
-        ):
-            return seq
-    return None if len(one.events) == len(other.events) else shared
-
-
 def _told(event: Event, words: Words) -> Told:
     fields = flat(event)
     mine = words.sender or words.receiver

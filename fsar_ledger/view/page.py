@@ -14,8 +14,9 @@ from typing import Any, Generic, TypeVar
 import msgspec
 
 from fsar_ledger.events.envelope import flat
+from fsar_ledger.runtime.forks import parts_at
 
-from .drawn import Drawn, concern_of, first_difference, type_name
+from .drawn import Drawn, concern_of, type_name
 from .spans import Span
 
 _ABOUT = ("architecture", "configuration", "scenario", "seed", "fleet_size", "kind", "source", "model_version")
@@ -41,7 +42,7 @@ class Shown(msgspec.Struct, frozen=True):
 def page(one: Shown, other: Shown | None = None) -> bytes:
     """Return the page for a run, or for two one above the other with their first difference marked."""
     shown = [one] if other is None else [one, other]
-    first = None if other is None else first_difference(one.drawn.run, other.drawn.run)
+    first = None if other is None else parts_at(one.drawn.run, other.drawn.run)
     document = {
         "is_same": other is not None and first is None,
         "first_difference": first,

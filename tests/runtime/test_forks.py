@@ -330,17 +330,33 @@ def test_hostile_changes_neither_crash_nor_hang_replay(changes: tuple[str, ...])
     assert replay_run(forged(forked("drop window:fleet/B1/1").record, changes=changes)) is not None
 
 
-def test_where_two_records_part_is_the_first_event_that_differs() -> None:
+def test_where_two_records_part_is_the_first_event_time_or_cause_that_is_not_the_same() -> None:
     _, record = base()
+    last = len(record.events) - 1
     assert parts_at(record, record) is None
+    for seq in (1, 200, last):
+        times, causes, events = [*record.times_us], [*record.caused_by], [*record.events]
+        times[seq] += 1
+        causes[seq] = None if causes[seq] == 0 else 0
+        events[seq] = record.events[0]
+        for other in (
+            LedgerRun(record.run_id, times, record.caused_by, record.events),
+            LedgerRun(record.run_id, record.times_us, causes, record.events),
+            LedgerRun(record.run_id, record.times_us, record.caused_by, events),
+        ):
+            assert parts_at(record, other) == parts_at(other, record) == seq
+
+
+def test_event_0_names_the_run_and_does_not_count() -> None:
+    _, record = base()
+    named = [msgspec.structs.replace(started(record), run=9), *record.events[1:]]
+    assert parts_at(record, LedgerRun("another", record.times_us, record.caused_by, named)) is None
+
+
+def test_a_run_that_is_over_parts_at_the_event_that_it_lacks() -> None:
+    _, record = base()
     shorter = LedgerRun(record.run_id, record.times_us[:-2], record.caused_by[:-2], record.events[:-2])
     assert parts_at(record, shorter) == parts_at(shorter, record) == len(record.events) - 2
-    times = [*record.times_us]
-    times[100] += 1
-    assert parts_at(record, LedgerRun(record.run_id, times, record.caused_by, record.events)) == 100
-    causes = [*record.caused_by]
-    causes[200] = 1
-    assert parts_at(record, LedgerRun(record.run_id, record.times_us, causes, record.events)) == 200
 
 
 def test_a_run_that_is_made_again_is_the_same_and_tells_what_it_asked() -> None:
