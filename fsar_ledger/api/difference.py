@@ -17,7 +17,7 @@ from .table import Table, of_structs
 
 
 class Parameter(msgspec.Struct, frozen=True):
-    """A field of event 0 in which two runs differ, as text."""
+    """A field of an event in which two runs differ, as text."""
 
     field: str
     first: str | None
@@ -45,12 +45,14 @@ class Parting(msgspec.Struct, frozen=True):
     """Where two runs part: the first event of each that is not the same in the other, with its chain of causes.
 
     Each chain begins with the event and goes back to a fact of the world; empty where all events of the run are the
-    same in the other. Units: `at_s` seconds of run time.
+    same in the other. `fields` are those that differ where both are the same event. Units: `at_s` seconds of run time;
+    what a field named `_us` holds, microseconds.
     """
 
     at_s: float
     first: tuple[Line, ...]
     second: tuple[Line, ...]
+    fields: tuple[Parameter, ...] = ()
 
 
 class Diff(msgspec.Struct, frozen=True, kw_only=True):
@@ -99,7 +101,8 @@ def difference_of(first: LedgerRun, second: LedgerRun, provenances: tuple[Proven
             after = consequences(database, first, second, found.pairs)
         told = tuple(_told(one, first, second, lines) for one in differing)
         both = [tuple(lines[(name, seq)] for seq in seqs) for name, seqs in zip((FIRST, SECOND), chains, strict=True)]
-        parting = Parting(min(one.time_s for side in both for one in side[:1]), both[0], both[1])
+        at_s = min(one.time_s for side in both for one in side[:1])
+        parting = Parting(at_s, both[0], both[1], _changed(first, second, starts, found.pairs))
     return Diff(
         first=first.run_id,
         second=second.run_id,
@@ -118,6 +121,16 @@ def _starts(differing: list[Difference]) -> tuple[int | None, int | None]:
     firsts = [one.first_seq for one in differing if one.first_seq is not None]
     seconds = [one.second_seq for one in differing if one.second_seq is not None]
     return min(firsts, default=None), min(seconds, default=None)
+
+
+def _changed(
+    first: LedgerRun, second: LedgerRun, starts: tuple[int | None, int | None], pairs: dict[int, int]
+) -> tuple[Parameter, ...]:
+    """Return the fields in which the first differing events differ, if they are the same event."""
+    one, other = starts
+    if one is None or other is None or pairs.get(one) != other:
+        return ()
+    return _parameters(first.events[one], second.events[other])
 
 
 def _told(one: Difference, first: LedgerRun, second: LedgerRun, lines: dict[tuple[str, int], Line]) -> Told:
@@ -140,7 +153,7 @@ def _told(one: Difference, first: LedgerRun, second: LedgerRun, lines: dict[tupl
 
 
 def _parameters(first: Event, second: Event) -> tuple[Parameter, ...]:
-    """Return the fields of event 0 in which two runs differ."""
+    """Return the fields in which two events differ."""
     firsts, seconds = flat(first), flat(second)
     return tuple(
         Parameter(name, _text(firsts.get(name)), _text(seconds.get(name)))

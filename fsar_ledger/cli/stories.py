@@ -34,6 +34,11 @@ def story(found: "Diff", names: tuple[str, str], *, wide: bool) -> Shown:
 
 
 def _parting(found: "Parting", names: tuple[str, str]) -> Iterator[str]:
+    for one in found.fields:
+        values = (
+            f"{name} {_value(one.field, text)}" for name, text in zip(names, (one.first, one.second), strict=True)
+        )
+        yield f"the same event with another {printable.value(one.field.removesuffix('_us'))}: {', '.join(values)}"
     for name, lines in zip(names, (found.first, found.second), strict=True):
         if not lines:
             yield f"{name}: does nothing that the other does not"
@@ -44,6 +49,12 @@ def _parting(found: "Parting", names: tuple[str, str]) -> Iterator[str]:
                 yield f"{'':>24}  ..."
             else:
                 yield f"{line.seq:>8} {line.time_s:>11.3f} s  {'' if not at else 'because '}{_words(line)}"
+
+
+def _value(field: str, text: str | None) -> str:
+    if text is None:
+        return "-"
+    return f"{int(text) / 1e6:.6f} s" if field.endswith("_us") else printable.value(text, 200)
 
 
 def _words(line: "Line") -> str:

@@ -1,6 +1,7 @@
 """`state`, `diff`, `whatif`, `cause` and `bisect` as people call them."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -102,6 +103,13 @@ def test_a_fork_is_told_kept_and_replays(call: Call, ledger: Path, tmp_path: Pat
 
 
 @pytest.mark.slow
+def test_where_the_same_event_holds_something_else_its_fields_are_told(call: Call, ledger: Path) -> None:
+    words = ("whatif", str(ledger), "--run", "1", "--change")
+    out = call(*words, "answer execution:A1-1/1.1 9s").out
+    assert re.search(r"^the same event with another ends: base [0-9.]+ s, fork [0-9.]+ s$", out, re.MULTILINE)
+    assert "the same event with another" not in call(*words, "drop window:*").out
+
+
 def test_all_runs_of_an_architecture_are_compared_with_their_forks(call: Call, ledger: Path) -> None:
     words = ("whatif", str(ledger), "--all-runs", "--architecture", "fsar", "--change", "drop window:*")
     answer = call(*words)
