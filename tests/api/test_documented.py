@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import fsar_ledger
+from tests.quick import few
 from tests.test_documentation import COMMANDS
 
 DOCS = Path(fsar_ledger.__file__).resolve().parent.parent / "docs"
@@ -74,7 +75,7 @@ def test_a_notebook_holds_no_output(name: str) -> None:
     assert [cell for cell in notebook["cells"] if cell.get("outputs") or cell.get("execution_count")] == []
 
 
-@pytest.mark.parametrize("name", NOTEBOOKS)
+@pytest.mark.parametrize("name", few(NOTEBOOKS, ["tour.ipynb"]))
 def test_a_notebook_runs_in_a_kernel(tmp_path: Path, name: str) -> None:
     client = pytest.importorskip("nbclient", reason="the notebook extra is not installed")
     nbformat = pytest.importorskip("nbformat", reason="the notebook extra is not installed")

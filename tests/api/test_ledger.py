@@ -102,6 +102,7 @@ def test_the_state_at_a_time_is_what_the_events_until_then_make(ledger: fsar_led
     assert ledger.state(RUN, at).state != ledger.state(RUN).state
 
 
+@pytest.mark.slow
 def test_a_time_of_a_question_is_in_seconds(ledger: fsar_ledger.Ledger) -> None:
     asked = {"run": RUN, "robot": "B1"}
     found = ledger.query("audit/robot_state_at", **asked, at=20).rows()

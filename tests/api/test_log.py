@@ -162,6 +162,7 @@ def test_a_stream_ends_when_the_ledger_is_no_longer_the_one_it_told(copy: Path, 
         list(Ledger(copy).stream_log(pause=pause))
 
 
+@pytest.mark.slow
 def test_a_stream_that_waits_cannot_demand_verified_rows(ledger: Ledger) -> None:
     with pytest.raises(UsageError, match="later"):
         fsar_ledger.open_ledger(ledger.path, verified=True).stream_log(pause=waits_once)

@@ -140,6 +140,7 @@ def test_a_plan_has_a_name_and_no_number() -> None:
         run_named("4", NAMES[:3], ["plan.n4.s42"])
 
 
+@pytest.mark.slow
 def test_numbers_of_runs_are_their_places_in_the_ledger(ledger: fsar_ledger.Ledger) -> None:
     rows = ledger.runs().rows()
     known = {row["run_id"] for row in rows}

@@ -28,6 +28,7 @@ def test_open_claims_cost_no_more_than_their_number(tmp_path: Path) -> None:
     assert cost.processor_s < PROCESSOR_S
 
 
+@pytest.mark.slow
 def test_the_largest_number_of_a_run_does_not_hang_the_report(tmp_path: Path) -> None:
     cost = exploded(tmp_path, "numbers as large as there are", "report", "ledger", "--out", "out.pdf")
     assert cost.code in (0, 3)

@@ -44,6 +44,7 @@ def test_an_unsigned_proof_does_not_show_that_it_is_signed(junk: Path, command: 
     assert (called.code, "unsigned" in called.out) == (0, True)
 
 
+@pytest.mark.slow
 def test_an_account_is_told_in_the_order_of_its_events(junk: Path, command: Attack) -> None:
     nothing_is_painted(command("explain", junk))
 
@@ -65,5 +66,6 @@ def test_an_answer_of_sql_is_its_rows(junk: Path, command: Attack) -> None:
     nothing_is_painted(command("sql", junk, "SELECT DISTINCT run_id, robot FROM events WHERE robot IS NOT NULL"))
 
 
+@pytest.mark.slow
 def test_an_error_quotes_and_does_not_obey(junk: Path, command: Attack) -> None:
     nothing_is_painted(command("sql", junk, "SELECT CAST(run_id AS INTEGER) FROM events"))

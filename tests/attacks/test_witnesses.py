@@ -40,6 +40,7 @@ def audited(command: Attack, folder: Path, ledger: Path) -> Called:
     return command("verify", ledger, "--trusted-key", folder / "log.pub", *policy)
 
 
+@pytest.mark.slow
 def test_dropped_tails_are_found_without_an_anchor(command: Attack, folder: Path) -> None:
     called = audited(command, folder, folder / "2")
     assert called.code == 3, called.out

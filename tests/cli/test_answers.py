@@ -64,6 +64,7 @@ def test_simulate_says_what_was_committed(call: Call, ledger: Path, tmp_path: Pa
     assert f"{head['size']:,} events" in call("simulate", tmp_path / "again", *SMALL).out
 
 
+@pytest.mark.slow
 def test_info_tells_a_complete_ledger_from_one_that_lacks_runs(call: Call, ledger: Path, tmp_path: Path) -> None:
     whole = json.loads(call("info", ledger, "--json").out)
     assert (whole["is_complete"], whole["runs"], {group["runs_to_rectangle"] for group in whole["groups"]}) == (
@@ -161,6 +162,7 @@ def test_sql_answers_with_null_lists_and_text(call: Call, ledger: Path) -> None:
     assert call("sql", ledger, select).out.splitlines()[2].split() == [str(size), "-", '["a","b"]', "true"]
 
 
+@pytest.mark.slow
 def test_an_answer_without_rows_keeps_its_columns(call: Call, ledger: Path) -> None:
     select = "SELECT run_id, seq FROM events WHERE seq < 0"
     assert call("sql", ledger, select, "--csv").out == "run_id,seq\n"

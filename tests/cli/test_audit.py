@@ -10,6 +10,7 @@ from tests.cli.conftest import Call, one_message
 NAMES = ["i1", "i2", "i3", "i4", "i5", "a1", "a2", "a3", "a4", "a5"]
 
 
+@pytest.mark.slow
 def test_fsar_satisfies_all_ten(call: Call, ledger: Path) -> None:
     said = call("audit", ledger, "--architecture", "fsar")
     assert (said.code, said.err) == (0, "")
@@ -50,6 +51,7 @@ def test_the_footer_counts_for_each_architecture_and_names_the_ledger(call: Call
     )
 
 
+@pytest.mark.slow
 def test_json_has_a_row_for_each_invariant_and_architecture(call: Call, ledger: Path) -> None:
     answer = json.loads(call("audit", ledger, "--json").out)
     assert [(row["invariant"][:2], row["architecture"]) for row in answer["rows"]] == [

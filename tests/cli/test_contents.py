@@ -93,6 +93,7 @@ def test_a_ledger_with_all_that_was_planned_is_complete(call: Call, ledger: Path
     assert "12 runs, complete: all that was planned is there" in said(call, ledger)
 
 
+@pytest.mark.slow
 def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_told(
     call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

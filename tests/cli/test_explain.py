@@ -24,6 +24,7 @@ DOOR, RECOVERY, SUPERVISION = (
 )
 
 
+@pytest.mark.slow
 def test_without_a_request_the_requests_of_the_first_run_are_listed(call: Call, ledger: Path) -> None:
     said = call("explain", ledger)
     listed = json.loads(call("explain", ledger, "--json").out)
@@ -36,6 +37,7 @@ def test_without_a_request_the_requests_of_the_first_run_are_listed(call: Call, 
         assert f"{row['action_id']} " in said.out
 
 
+@pytest.mark.slow
 def test_the_call_that_the_list_suggests_runs(call: Call, ledger: Path) -> None:
     hint = call("explain", ledger).out.splitlines()[-1].partition("`")[2].partition("`")[0]
     said = call(*hint.split()[1:])
@@ -43,6 +45,7 @@ def test_the_call_that_the_list_suggests_runs(call: Call, ledger: Path) -> None:
     assert "asked by" in said.out
 
 
+@pytest.mark.slow
 def test_an_action_of_several_runs_asks_for_the_run(call: Call, ledger: Path) -> None:
     listed = json.loads(call("query", "audit/requests", ledger, "--json").out)["rows"]
     numbers = {row["run_id"]: row["number"] for row in json.loads(call("query", "runs", ledger, "--json").out)["rows"]}

@@ -87,6 +87,7 @@ def test_nothing_is_left_behind_where_libraries_keep_their_files(ledger: Path, t
     assert list((tmp_path / "scratch").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_an_unbuffered_answer_that_fits_in_part_is_said_to_be_incomplete(ledger: Path, tmp_path: Path) -> None:
     call = (
         f'ulimit -f 8; exec {sys.executable} -m fsar_ledger sql "{ledger}" "SELECT * FROM events" --csv > '

@@ -49,6 +49,7 @@ def test_a_whole_ledger_is_said_to_be_whole(call: Call, many: Path) -> None:
     assert "--anchor FILE does" not in anchored.out
 
 
+@pytest.mark.slow
 def test_what_was_mended_is_named(call: Call, copy: Path) -> None:
     (copy / "checkpoint").unlink()
     (copy / "stray").write_bytes(b"?")
@@ -58,6 +59,7 @@ def test_what_was_mended_is_named(call: Call, copy: Path) -> None:
     assert call("verify", copy).code == 0
 
 
+@pytest.mark.slow
 def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, many: Path, tmp_path: Path) -> None:
     (copy / "segments" / "000000000002.parquet").unlink()
     before = contents(copy)
@@ -83,6 +85,7 @@ def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, man
     assert contents(copy) == before
 
 
+@pytest.mark.slow
 def test_programs_get_everything_as_json(call: Call, copy: Path) -> None:
     whole = json.loads(call("recover", copy, "--json").out)
     assert (whole["outcome"], whole["head"]["commits"], whole["steps"], whole["into"]) == ("whole", 4, [], None)
@@ -101,6 +104,7 @@ def test_long_lists_are_cut_for_people(call: Call, copy: Path) -> None:
     assert "  ... and 3 more; --json names all\n" in call("recover", copy).out
 
 
+@pytest.mark.slow
 def test_with_a_key_the_answer_says_who_signed(call: Call, tmp_path: Path) -> None:
     key, path = tmp_path / "fleet.key", tmp_path / "ledger"
     public = call("key", "new", key).out.strip()

@@ -119,6 +119,7 @@ def test_rows_take_little_more_room_than_duckdb_needs(written: Path, kind: str) 
     assert own < MOST * copy
 
 
+@pytest.mark.slow
 def test_duckdb_reads_the_same_rows_from_each_file_as_from_its_own(written: Path) -> None:
     reads = {"csv": "read_csv('{}')", "ndjson": "read_json('{}')", "parquet": "read_parquet('{}')"}
     for kind, read in reads.items():

@@ -96,6 +96,7 @@ def test_a_place_in_the_ledger_names_the_event_as_it_does_for_prove(ledger: Path
     assert (asked.why(f"{place}").run, asked.why(f"{place}").seq) == (asked.why((1, request_seq)).run, request_seq)
 
 
+@pytest.mark.slow
 def test_the_figure_is_drawn_beside_the_text(call: Call, ledger: Path, tmp_path: Path, request_seq: int) -> None:
     file = tmp_path / "why.svg"
     called = call("why", ledger, f"1:{request_seq}", "--svg", file)
@@ -251,7 +252,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_live_run_is_refused_because_its_commands_are_not_stored(call: Call, live: Path) -> None:
-    one_message(call("why", live, "night:1"), 2, "run night: found a live run", "expected a simulated run")
+    one_message(call("why", live, "night:1"), 2, "run night: kind: found a live run", "expected a simulated run")
 
 
 def test_a_verdict_that_was_not_observed_is_not_said_to_be_absent(call: Call, live: Path) -> None:

@@ -88,6 +88,7 @@ def check_leaves(runs: list[LedgerRun]) -> None:
     assert leaves == b"".join(map(merkle.leaf_hash, expected))
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(runs=any_runs())
 def test_structs_columns_and_the_standard_library_give_the_same_canonical_bytes(runs: list[LedgerRun]) -> None:
@@ -109,6 +110,7 @@ def test_canonical_bytes_are_the_same_when_a_type_has_more_rows_than_are_encoded
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(runs=any_runs())
 def test_coded_and_plain_strings_are_the_same_rows_and_the_same_segment(runs: list[LedgerRun]) -> None:

@@ -249,6 +249,7 @@ def test_a_field_of_any_struct_is_there_once_and_in_its_place(way: str) -> None:
         tried += 1
 
 
+@pytest.mark.slow
 def test_no_byte_of_the_footer_makes_the_check_fail_otherwise() -> None:
     draw, accepted, good = random.Random(5), 0, read_layout(DATA)
     first = len(DATA) - 8 - int.from_bytes(DATA[-8:-4], "little")

@@ -167,6 +167,7 @@ def test_wilcoxon_agrees_with_scipy_with_ties_and_zeros(samples: list[Sample]) -
         assert (row.wilcoxon_p, abs(row.wilcoxon_z or 0)) == close((expected.pvalue, abs(expected.zstatistic)))
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(SAMPLES)
 def test_hedges_g_and_its_interval_follow_their_formulas(samples: list[Sample]) -> None:
@@ -325,6 +326,7 @@ def test_comparisons_are_three_per_metric_in_the_order_of_the_paper() -> None:
     assert [row.mean_difference for row in rows] == close([-1 / 3, -2 / 3, -1 / 3])
 
 
+@pytest.mark.slow
 def test_runs_pair_only_with_the_run_of_the_same_world() -> None:
     (row,) = compared(run_metrics({(METRIC, "fsar"): [1.0, 2.0, 3.0, 4.0], (METRIC, "cfc"): [2.0, 4.0]}))
     assert (row.n, row.first_mean, row.second_mean) == (2, 1.5, 3.0)

@@ -187,6 +187,7 @@ def test_no_runs_of_other_seeds_change_the_rows_of_the_first(
     assert_only_rows_are_added(calls, others)
 
 
+@pytest.mark.slow
 def test_all_seeds_are_taken_together_only_when_that_is_asked_for() -> None:
     runs = [*called(0, 1, seed=42), *called(1, 1, 1, seed=43)]
     metrics, statistics = judged(runs, pools_seeds=True)

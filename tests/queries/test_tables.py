@@ -206,6 +206,7 @@ REVIEW = event(
 APPROVED = event("SupervisorResponded", 3 * S, **about("supervisor/fleet"), purpose="review", approves=True)
 
 
+@pytest.mark.slow
 def test_policy_is_composed_when_executor_requester_and_fleet_are_each_heeded() -> None:
     decided = (BEGAN, OWN, RULE, DENIED)
     assert (

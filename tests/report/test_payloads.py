@@ -134,6 +134,7 @@ def test_a_long_timeline_says_what_it_leaves_out() -> None:
     assert len(sequence.drawable(TIMELINE)[0]) == len(TIMELINE)
 
 
+@pytest.mark.slow
 def test_no_answer_holds_a_formula_or_paints() -> None:
     rows = [{payload: payload, "n": -1.5, "list": [payload]} for payload in PAYLOADS]
     for row in rows:

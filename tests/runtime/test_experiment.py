@@ -81,6 +81,7 @@ def test_other_parameters_are_other_runs() -> None:
     assert all(name.startswith("fsar.full.door-relay.n4.s1.r0000-") for name in names)
 
 
+@pytest.mark.slow
 def test_an_interrupted_experiment_goes_on_at_the_first_missing_batch(tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
 
@@ -102,6 +103,7 @@ def test_an_interrupted_experiment_goes_on_at_the_first_missing_batch(tmp_path: 
     assert verify(tmp_path / "ledger").ok
 
 
+@pytest.mark.slow
 def test_an_experiment_that_another_process_finishes_meanwhile_stops_and_takes_nothing_back(tmp_path: Path) -> None:
     def finish_elsewhere(done: int, _total: int) -> None:
         if done == 0:

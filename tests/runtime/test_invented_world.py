@@ -170,6 +170,7 @@ def test_a_run_in_an_invented_world_is_found_where_it_leaves_its_own(name: str, 
     assert "of this run does not have" in difference.actual or difference.handler == "world.schedule.schedule"
 
 
+@pytest.mark.slow
 def test_no_kind_of_fact_can_be_left_out() -> None:
     tried = set()
     for spec in SPECS:

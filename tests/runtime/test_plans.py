@@ -134,6 +134,7 @@ def test_wherever_an_enlargement_is_interrupted_its_plans_decide_the_bytes(
     assert plans(tmp_path / "stopped") == [4, 7]
 
 
+@pytest.mark.slow
 def test_the_number_of_workers_changes_no_byte_of_an_enlargement(tmp_path: Path, enlarged: tuple[Path, Head]) -> None:
     simulate(tmp_path / "ledger", SMALL, 1)
     assert simulate(tmp_path / "ledger", LARGE, 2) == enlarged[1]

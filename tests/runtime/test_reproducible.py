@@ -65,6 +65,7 @@ def test_the_bytes_do_not_depend_on_hash_seed_time_zone_locale_or_workers(
     assert fingerprint(tmp_path / "ledger") == expected
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_ledger(tmp_path: Path, expected: dict[str, str]) -> None:
     subprocess.run(
         [sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "5", "--seed", "10"],

@@ -91,6 +91,7 @@ def test_the_table_names_the_cell_that_each_of_the_dozen_moves_furthest(found: S
     assert rows[0]["mu_star_margins"] == pytest.approx(6 / 0.02, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_the_heat_map_is_the_same_again_and_another_where_an_effect_is_another(found: Sensitivity) -> None:
     drawn = heat_map(found)
     assert drawn == heat_map(found)
