@@ -39,13 +39,13 @@ class Walk:
         self.words = words
         self.seq = seq
 
-    def move(self, name: str, about: str = "", at_us: Callable[[str], int] | None = None) -> str | None:
+    def move(self, name: str, about: str = "", seq_at: Callable[[str], int] | None = None) -> str | None:
         """Make a move; return why it leads nowhere, or None.
 
         Args:
             name: One of `MOVES`.
             about: The robot, text, time or seq that it needs.
-            at_us: Reads a time.
+            seq_at: Reads a time, and finds the last event that has happened by then.
 
         Raises:
             UsageError: There is no such move, or it lacks what it needs.
@@ -57,13 +57,13 @@ class Walk:
             )
         if name in ("next-of", "go", "find") and not about:
             raise UsageError(f"move {name}: expected what to look for, {MOVES[name]}")
-        found = self._found(name, about, at_us)
+        found = self._found(name, about, seq_at)
         if found is None:
             return f"found none: {MOVES[name].partition(':')[0]}"
         self.seq = found
         return None
 
-    def _found(self, name: str, about: str, at_us: Callable[[str], int] | None) -> int | None:
+    def _found(self, name: str, about: str, seq_at: Callable[[str], int] | None) -> int | None:
         last = len(self.record.events) - 1
         match name:
             case "next" | "previous":
@@ -78,7 +78,7 @@ class Walk:
             case "go" if _SEQ.fullmatch(about):
                 return int(about) if int(about) <= last else None
             case "go":
-                return None if at_us is None else self._at(at_us(about))
+                return None if seq_at is None else seq_at(about)
             case "find":
                 return next((seq for seq in self._later() if about.casefold() in self.words[seq].casefold()), None)
         kinds: dict[str, Callable[[Event], bool]] = {
@@ -93,10 +93,6 @@ class Walk:
 
     def _first(self, is_it: Callable[[Event], bool], seqs: range) -> int | None:
         return next((seq for seq in seqs if is_it(self.record.events[seq])), None)
-
-    def _at(self, time_us: int) -> int:
-        """Return the last event that has happened by then."""
-        return max((seq for seq, at in enumerate(self.record.times_us) if at <= time_us), default=0)
 
 
 def _is_decision(event: Event) -> bool:

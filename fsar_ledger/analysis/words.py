@@ -11,7 +11,7 @@ from fsar_ledger.metrics.results import typed
 LINES = """
     SELECT run_id, seq, time_s, action_id, sender, receiver, message, note
     FROM log_lines
-    WHERE list_contains($places, run_id || ' ' || seq)
+    WHERE run_id || ' ' || seq IN (SELECT unnest($places))
 """
 
 

@@ -47,7 +47,7 @@ class Steps:
         Raises:
             UsageError: There is no such move, it lacks what it needs, or a time is none.
         """
-        return self._walk.move(name, about, _time)
+        return self._walk.move(name, about, self._seq_at)
 
     def fields(self) -> Iterator[tuple[str, object]]:
         """Yield the fields of the event at which the walk is, its type, time and cause first."""
@@ -61,9 +61,8 @@ class Steps:
         """Return how things stand after the event at which the walk is."""
         return standing(self._record, self.seq, self._timeline.after(self.seq), robot)
 
-
-def _time(text: str) -> int:
-    found = microseconds("go", text)
-    if found is None:
-        raise UsageError("go: found no time, expected one, as 46.6s")
-    return found
+    def _seq_at(self, text: str) -> int:
+        time_us = microseconds("go", text)
+        if time_us is None:
+            raise UsageError("go: found no time, expected one, as 46.6s")
+        return self._timeline.seq_at(time_us)

@@ -230,6 +230,15 @@ RunOption = Annotated[
         autocompletion=completing.runs,
     ),
 ]
+OneRunOption = Annotated[
+    str,
+    typer.Option(
+        "--run",
+        metavar="RUN",
+        help="A run: its number, its name, or a unique part of it.",
+        autocompletion=completing.runs,
+    ),
+]
 RequestOption = Annotated[
     str | None,
     typer.Option(
@@ -308,15 +317,6 @@ WitnessPolicyOption = Annotated[
             "Ask the witnesses in this C2SP tlog-policy what they saw of the ledger; enough of them must have seen "
             "it, as it is or before it grew."
         ),
-        show_default=False,
-    ),
-]
-CosignedOption = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--cosigned",
-        metavar="FILE",
-        help="With --witness-policy: ask nobody, and take what this note shows; may be repeated.",
         show_default=False,
     ),
 ]

@@ -28,8 +28,8 @@ class Member(msgspec.Struct, frozen=True, gc=False):
 class Fleet(msgspec.Struct, frozen=True, gc=False):
     """The run's structure, the mechanisms that its configuration lacks, and its robots in order of joining.
 
-    `bodies` are the roles whose robots can clear an obstruction; `substitutes` maps
-    a capability to the one that can replace it. Units: `answer_us` microseconds that a robot waits for an answer.
+    `bodies` are the roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can
+    replace it. Units: `answer_us` microseconds that a robot waits for an answer.
     """
 
     without: frozenset[str] = frozenset()

@@ -156,11 +156,11 @@ class Kernel:
         The events must begin with the founding batch with which this kernel was made.
         """
         end = len(events) - 1
-        while end > 0 and _is_same_batch(times_us, caused_by, end):
+        while end > 0 and is_same_batch(times_us, caused_by, end):
             end -= 1
         for seq in range(len(self.events), end):
             cause = caused_by[seq]
-            if not _is_same_batch(times_us, caused_by, seq):
+            if not is_same_batch(times_us, caused_by, seq):
                 self._discard_until(times_us[seq], cause)
             if cause == 0 and times_us[seq] > 0:
                 self._happened(events[seq], times_us[seq])
@@ -281,7 +281,7 @@ def _is_message(scheduled: Scheduled) -> bool:
     return scheduled.after_us <= 1 and bool(scheduled.waits) and all(ask.sender is not None for ask in scheduled.waits)
 
 
-def _is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:
+def is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:
     """Return whether the event belongs to the batch of the event before it."""
     cause = caused_by[seq]
     return cause is not None and times_us[cause] == times_us[seq]

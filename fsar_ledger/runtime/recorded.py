@@ -22,11 +22,12 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 
 from .architectures.handler_table import HandlerTable
 from .handlers.commands import Scheduled
-from .kernel import Kernel, Pending
+from .kernel import Kernel, Pending, is_same_batch
 from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact
 from .world.draws import FOREVER_US
 
-_FACTS = frozenset(get_args(WorldEvent))
+FACTS = frozenset(get_args(WorldEvent))
+"""The types of events that the world makes by itself."""
 _SPAN_US = 1 << 42
 """Longer than any run: what is due after some spans is due at a time to be found."""
 _MOST_WAITS = 20
@@ -74,7 +75,7 @@ def recorded(record: LedgerRun, table: HandlerTable) -> Recorded:
     facts = tuple(
         (record.times_us[seq], event)
         for seq, event in enumerate(record.events)
-        if type(event) in _FACTS and record.caused_by[seq] == 0
+        if type(event) in FACTS and record.caused_by[seq] == 0
     )
     end = next((seq for seq, time_us in enumerate(record.times_us) if time_us > 0), len(record.events))
     found = _Finding(table, record.events[:end])
@@ -131,12 +132,12 @@ class _Finding(Kernel):
         while seq < count:
             time_us, cause = record.times_us[seq], record.caused_by[seq]
             end = seq + 1
-            while end < count and record.caused_by[end] == seq and record.times_us[end] == time_us:
+            while end < count and is_same_batch(record.times_us, record.caused_by, end):
                 end += 1
             batch = tuple(record.events[seq:end])
             while self._pending and self._pending[0][0] < time_us:
                 self._pass(heappop(self._pending))
-            if cause == 0 and type(batch[0]) in _FACTS:
+            if cause == 0 and type(batch[0]) in FACTS:
                 self._happened(batch[0], time_us)
             else:
                 self._find(batch, time_us, cause)
@@ -152,7 +153,7 @@ class _Finding(Kernel):
         if one[1] in self._released:
             self._passed.append(one)
 
-    def _find(self, batch: tuple[Event, ...], time_us: int, cause: int | None) -> None:
+    def _find(self, batch: Batch, time_us: int, cause: int | None) -> None:
         """Take the pending command that makes the batch, or one of its kind, and note what it had been answered."""
         able = [
             one

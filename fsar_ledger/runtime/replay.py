@@ -30,14 +30,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import repeat
 from pathlib import Path
-from typing import get_args
 
 import msgspec
 
 from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.store.read import open_ledger
@@ -50,13 +48,12 @@ from .handler_tables import handler_table_of
 from .handlers.commands import Command, Decide
 from .plan import misnamed
 from .recipes import Recipe, Unmade, recorded_recipe, started_of
-from .recorded import Recorded, RecordedKernel, recorded
+from .recorded import FACTS, Recorded, RecordedKernel, recorded
 from .simulation import founding_of, run_id
 from .world.founding import founding
 from .world.schedule import schedule
 from .worlds import Played, played, remarks_on
 
-_FACTS = frozenset(get_args(WorldEvent))
 _END = "the end of the run"
 
 MAX_SILENT = 100_000
@@ -301,7 +298,7 @@ class _Replay(RecordedKernel):
         return noted
 
     def _record(self, event: Event, time_us: int, cause: int | None) -> None:
-        if cause == 0 and type(event) in _FACTS:
+        if cause == 0 and type(event) in FACTS:
             self._deciding = schedule
         self._require(len(self.events), event, time_us, cause)
         self._silent.clear()
@@ -327,14 +324,14 @@ class _Replay(RecordedKernel):
         expected_values, actual_values = flat(event), flat(stored)
         pairs += [(name, value, actual_values[name]) for name, value in expected_values.items()]
         name, expected, actual = next(pair for pair in pairs if pair[1] != pair[2])
-        if type(event) in _FACTS and name != "caused_by":
+        if type(event) in FACTS and name != "caused_by":
             return name, self.handler(), _at(event, time_us), self._actual(seq)
         return name, self.handler(), f"{expected!r:.300}", f"{actual!r:.300}"
 
     def _actual(self, seq: int) -> str:
         """Return what is recorded there; for a fact of the world, also say if the world does not have it."""
         event, time_us = self._stored.events[seq], self._stored.times_us[seq]
-        invented = type(event) in _FACTS and (time_us, event) not in self._facts
+        invented = type(event) in FACTS and (time_us, event) not in self._facts
         return _at(event, time_us) + (", which the world of this run does not have" if invented else "")
 
     def _unasked(self, seq: int) -> _Differs | None:
@@ -353,7 +350,7 @@ def _name(function: Callable[..., object]) -> str:
 
 def _at(event: Event, time_us: int) -> str:
     """Describe the event; for a fact of the world, with its fields."""
-    about = ", ".join(f"{name} {value!r:.80}" for name, value in flat(event).items()) if type(event) in _FACTS else ""
+    about = ", ".join(f"{name} {value!r:.80}" for name, value in flat(event).items()) if type(event) in FACTS else ""
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 

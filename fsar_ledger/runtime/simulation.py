@@ -76,12 +76,8 @@ def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = Non
     return Kernel(table, environment_of(spec, constants), *founding_of(spec, constants))
 
 
-@lru_cache(maxsize=4)
 def environment_of(spec: RunSpec, constants: Constants) -> Simulated:
-    """Return the world of the run; the durations of an own fleet's capabilities are among its draws.
-
-    Cached, because a run is played in it again and again with something otherwise.
-    """
+    """Return the world of the run; the durations of an own fleet's capabilities are among its draws."""
     facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), _world(constants.world, constants.fleet))
     return Simulated(facts, draws)

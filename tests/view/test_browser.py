@@ -289,27 +289,27 @@ def test_ctrl_and_the_wheel_zoom_and_the_wheel_alone_does_not(one: Page) -> None
     assert view(one) != before
 
 
+def drag(page: Page, place: str, begin: int, end: int, height: int) -> None:
+    """Drag the mouse there from one x to another. Units: pixels from the corner of the place."""
+    box = page.locator(place).bounding_box()
+    page.mouse.move(box["x"] + begin, box["y"] + height)
+    page.mouse.down()
+    page.mouse.move(box["x"] + end, box["y"] + height, steps=4)
+    page.mouse.up()
+    settle(page)
+
+
 def test_a_drag_moves_what_is_in_view_and_selects_nothing(one: Page) -> None:
     press(one, "+", "+", "+")
     before = view(one)
-    box = one.locator("#runs").bounding_box()
-    one.mouse.move(box["x"] + 600, box["y"] + 100)
-    one.mouse.down()
-    one.mouse.move(box["x"] + 300, box["y"] + 100, steps=4)
-    one.mouse.up()
-    settle(one)
+    drag(one, "#runs", 600, 300, 100)
     assert view(one) != before
     assert title(one) == "Event"
 
 
 def test_a_drag_over_the_strip_chooses_what_is_in_view(one: Page) -> None:
     before = view(one)
-    box = one.locator("#overview").bounding_box()
-    one.mouse.move(box["x"] + 300, box["y"] + 20)
-    one.mouse.down()
-    one.mouse.move(box["x"] + 400, box["y"] + 20, steps=4)
-    one.mouse.up()
-    settle(one)
+    drag(one, "#overview", 300, 400, 20)
     assert view(one) != before
     assert one.locator("#overview .window").count() == 1
 

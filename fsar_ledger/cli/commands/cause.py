@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.cli import completing
-from fsar_ledger.cli.options import JsonOption, LedgerArgument, VerifiedOption, WideOption, examples
+from fsar_ledger.cli.options import JsonOption, LedgerArgument, OneRunOption, VerifiedOption, WideOption, examples
 from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 from fsar_ledger.printable import Shown, counted
@@ -30,15 +29,7 @@ BAR = 40
 
 def cause(
     ledger: LedgerArgument,
-    run: Annotated[
-        str,
-        typer.Option(
-            "--run",
-            metavar="RUN",
-            help="A run: its number, its name, or a unique part of it.",
-            autocompletion=completing.runs,
-        ),
-    ],
+    run: OneRunOption,
     outcome: Annotated[
         str,
         typer.Option(

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.cli import completing
-from fsar_ledger.cli.options import JsonOption, LedgerArgument, VerifiedOption, examples
+from fsar_ledger.cli.options import JsonOption, LedgerArgument, OneRunOption, VerifiedOption, examples
 from fsar_ledger.cli.terminal import show
 from fsar_ledger.printable import Shown
 
@@ -27,15 +26,7 @@ BESIDE = "    "
 
 def state(
     ledger: LedgerArgument,
-    run: Annotated[
-        str,
-        typer.Option(
-            "--run",
-            metavar="RUN",
-            help="A run: its number, its name, or a unique part of it.",
-            autocompletion=completing.runs,
-        ),
-    ],
+    run: OneRunOption,
     at: Annotated[
         str | None,
         typer.Option("--at", metavar="TIME", help="Within the run: 46.6, 46.6s or 46600ms.", show_default="its end"),

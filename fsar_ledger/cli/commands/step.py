@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.cli import completing
-from fsar_ledger.cli.options import LedgerArgument, VerifiedOption, examples
+from fsar_ledger.cli.options import LedgerArgument, OneRunOption, VerifiedOption, examples
 from fsar_ledger.cli.terminal import has_keys, show
 from fsar_ledger.errors import UsageError
 
@@ -17,21 +16,11 @@ EXAMPLES = examples(
     'fsar-ledger step out/ledger --run 1 --script "go 40s; next-decision; cause; state"',
     'fsar-ledger step out/ledger --run 2 --script "next-of B1; next-refusal; record"',
 )
-SHOWING = ("state", "record")
-"""What a script shows besides its moves: how things stand, and the record of the event."""
 
 
 def step(
     ledger: LedgerArgument,
-    run: Annotated[
-        str,
-        typer.Option(
-            "--run",
-            metavar="RUN",
-            help="A run: its number, its name, or a unique part of it.",
-            autocompletion=completing.runs,
-        ),
-    ],
+    run: OneRunOption,
     at: Annotated[
         str | None,
         typer.Option("--at", metavar="TIME", help="Begin there: 46.6, 46.6s or 46600ms.", show_default="event 0"),

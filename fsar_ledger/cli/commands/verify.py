@@ -7,7 +7,6 @@ import typer
 
 from fsar_ledger import printable
 from fsar_ledger.cli.options import (
-    CosignedOption,
     JsonOption,
     LedgerArgument,
     ReplayOption,
@@ -53,7 +52,15 @@ def verify(
     ] = None,
     trusted_key: TrustedKeyOption = None,
     witness_policy: WitnessPolicyOption = None,
-    cosigned: CosignedOption = None,
+    cosigned: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--cosigned",
+            metavar="FILE",
+            help="With --witness-policy: ask nobody, and take what this note shows; may be repeated.",
+            show_default=False,
+        ),
+    ] = None,
     replay: ReplayOption = False,
     recorded: Annotated[
         bool,

@@ -8,7 +8,7 @@ import typer
 
 from fsar_ledger import printable
 from fsar_ledger.cli import completing
-from fsar_ledger.cli.options import JsonOption, LedgerArgument, VerifiedOption, WideOption, examples
+from fsar_ledger.cli.options import JsonOption, LedgerArgument, SvgOption, VerifiedOption, WideOption, examples
 from fsar_ledger.cli.terminal import show
 from fsar_ledger.errors import UsageError
 
@@ -45,10 +45,7 @@ def why(
             help="1: how the event came about; 2: and how the events came about that it rests on; and so on.",
         ),
     ] = 2,
-    svg: Annotated[
-        Path | None,
-        typer.Option("--svg", metavar="FILE", help="Also draw it, as SVG; replaced if it exists.", show_default=False),
-    ] = None,
+    svg: SvgOption = None,
     run: Annotated[
         str | None,
         typer.Option(
