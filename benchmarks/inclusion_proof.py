@@ -25,8 +25,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, leaf_hash, root_of_inclusion
 from fsar_ledger.ledger.log.note import Checkpoint, checkpoint_of, parse_note
-from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile, partial_tiles
-from fsar_ledger.ledger.store.derived import read_checkpoint
+from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile, node_of, partial_tiles
+from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
 from fsar_ledger.ledger.store.proof import prove_inclusion
 
 BATCH = 1 << 16
@@ -59,7 +59,7 @@ def proof_ms(ledger: Path, index: int) -> float:
     """Return the time of one proof, from reading the checkpoint on."""
     began = time.perf_counter_ns()
     tree = parse_note("checkpoint", read_checkpoint(ledger) or "").checkpoint
-    found, hashes = prove_inclusion(ledger, tree, index)
+    found, hashes = prove_inclusion(ledger, node_of(tile_reader(ledger), tree.size), tree, index)
     spent = time.perf_counter_ns() - began
     if found != leaf(index) or root_of_inclusion(found, index, tree.size, hashes) != tree.root:
         raise SystemExit(

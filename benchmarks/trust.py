@@ -24,7 +24,8 @@ from fsar_ledger.ledger.rows import canonical, codec
 from fsar_ledger.ledger.rows.segment import read_table
 from fsar_ledger.ledger.store import append
 from fsar_ledger.ledger.store.read import LedgerView, open_ledger
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.experiment import simulate
 
 

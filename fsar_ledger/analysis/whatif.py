@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.read import Head
+from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import typed
 from fsar_ledger.metrics.sides import beside

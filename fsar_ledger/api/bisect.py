@@ -9,7 +9,7 @@ import msgspec
 
 from fsar_ledger.analysis.outcomes import Outcome, outcome_of
 from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.store.view import View
 from fsar_ledger.metrics.sides import Side, chosen, sides
 
 from .difference import Diff, difference_of
@@ -87,7 +87,7 @@ def bisect_sides(
 
 
 def bisect_changes(
-    view: LedgerView, provenance: Provenance, changes: Asked, architectures: Sequence[str], outcome: str
+    view: View, provenance: Provenance, changes: Asked, architectures: Sequence[str], outcome: str
 ) -> Bisected:
     """Compare the runs of a ledger with their forks by an outcome. Raises: as `bisect_sides` and `Ledger.whatif`."""
     asked = outcome_of(outcome)

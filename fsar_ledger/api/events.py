@@ -10,9 +10,9 @@ import pyarrow.compute as pc
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA
-from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.verified import is_verified
 

@@ -17,8 +17,8 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from fsar_ledger.errors import UsageError, WriteFailed, option
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.memory import unfinished
 from fsar_ledger.metrics.progress import Progress, each
@@ -56,7 +56,7 @@ def write_events(
     require_place(out)
     view = open_for_answers(ledger)
     rows_verified = is_verified(view, demanded)
-    tables = (table for table, _ in zip(view.tables(), each(view.records, progress), strict=True))
+    tables = (table for table, _ in zip(view.tables(), each(view.releases, progress), strict=True))
     return Written(_write_tables(out, SCHEMA, tables, raw=raw), Provenance(view.head, rows_verified))
 
 

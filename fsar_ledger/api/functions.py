@@ -47,6 +47,7 @@ def simulate(
     origin: str | None = None,
     key: Place | None = None,
     adopt: bool = False,
+    format: int | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Simulated:
@@ -68,6 +69,7 @@ def simulate(
         task_sets: How often each team gets the tasks of its scenario, 30 s apart.
         without: Mechanisms to remove, a configuration for each; names joined by + are removed together.
         origin: The name under which the ledger is published.
+        format: The format of a new ledger, 1 or 2; None: 1. In format 2 runs may span commits.
         key: A file of `key_new`, to sign with.
         adopt: Continue a ledger that another key signed, or none.
         workers: Processes at once; None: one per core, if there is enough to do. The ledger does not depend on it.
@@ -95,7 +97,9 @@ def simulate(
     )
     signer = signer_of(key, adopts=adopt)
     processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)
-    made = carry_out(Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt)
+    made = carry_out(
+        Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt, version=format
+    )
     return Simulated(Ledger(out), made)
 
 

@@ -12,7 +12,7 @@ import msgspec
 from msgspec import structs
 
 from fsar_ledger import printable
-from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.models import Model, lettered, models
 from fsar_ledger.metrics.observing import Unobserved, never_observed, shown

@@ -87,7 +87,7 @@ class Integrity:
             WriteFailed: Another writer is at work, or a write failed.
         """
         from fsar_ledger.ledger.verify.recover import recover
-        from fsar_ledger.ledger.verify.verify import Asked
+        from fsar_ledger.ledger.verify.report import Asked
 
         from .keys import anchor_of, trusted_of
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.opening import open_for_answers
 
 from .integrity import Integrity
 from .lookup import parameters_of, robot_of, run_of, time_of
@@ -18,7 +18,7 @@ from .workload import Progress, readers_of
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from fsar_ledger.ledger.store.read import Head
+    from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.progress import Showing
     from fsar_ledger.metrics.sandbox import Limits

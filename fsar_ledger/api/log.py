@@ -12,9 +12,9 @@ import pyarrow as pa
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST
-from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.store.view import View
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
 from fsar_ledger.metrics.database import Database
@@ -105,8 +105,9 @@ def stream(ledger: Path, asked: Asked, about: Provenance, demanded: str | None, 
     """
     for view, first in _growth(ledger, pause):
         provenance = Provenance(view.head, is_verified(view, demanded), None, about.not_observed)
-        for number in range(first, len(view.records)):
-            yield Table(_lines_in(view, number, asked), provenance)
+        for number in range(len(view.releases)):
+            if view.first(number) >= first:
+                yield Table(_lines_in(view, number, asked), provenance)
 
 
 def _lines(database: Database, asked: Asked) -> pa.Table:
@@ -124,11 +125,11 @@ def _lines(database: Database, asked: Asked) -> pa.Table:
     return database.table(f"SELECT * FROM log_lines {where} ORDER BY list_position($runs, run_id), seq", bound)
 
 
-def _lines_in(view: LedgerView, number: int, asked: Asked) -> pa.Table:
+def _lines_in(view: View, number: int, asked: Asked) -> pa.Table:
     """Return the lines of one commit."""
-    segment, record = view.segment(number), view.records[number]
+    segment = view.segment(number)
     with Database(view.head, [segment]) as database:
-        relation.hold_segments(database, [segment], [record.release])
+        relation.hold_segments(database, [segment], [view.releases[number]])
         return _lines(database, asked)
 
 
@@ -142,8 +143,8 @@ def _require_in_run(database: Database, run: str | None, since: Time, since_us: 
     raise UsageError(f"{option('since', since)}: {where} ends at {end_us / 1_000_000:.3f} s, expected an earlier time")
 
 
-def _growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[LedgerView, int]]:
-    """Yield the ledger as it is, then, with `pause`, each time it has grown; and the first commit not yet yielded.
+def _growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[View, int]]:
+    """Yield the ledger as it is, then, with `pause`, each time it has grown; and the first event not yet yielded.
 
     Between two looks only the state of three files is read. Raises: As `open_for_answers` and `_require_same`.
     """
@@ -156,8 +157,8 @@ def _growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[LedgerView, int
             continue
         state, grown = found, open_for_answers(ledger)
         _require_same(view, grown)
-        if len(grown.records) > len(view.records):
-            yield grown, len(view.records)
+        if grown.head.size > view.head.size:
+            yield grown, view.head.size
         view = grown
 
 
@@ -174,11 +175,11 @@ def _state(ledger: Path) -> tuple[tuple[int, int, int] | None, ...]:
     return tuple(found)
 
 
-def _require_same(view: LedgerView, grown: LedgerView) -> None:
+def _require_same(view: View, grown: View) -> None:
     """Require that the ledger still begins with the commits that it had. Raises: LedgerCorrupted."""
-    count = len(view.records)
-    if grown.manifest_sha256 != view.manifest_sha256 or grown.records[:count] != view.records:
+    count = len(view.commits)
+    if grown.manifest_sha256 != view.manifest_sha256 or grown.commits[:count] != view.commits:
         raise LedgerCorrupted(
-            f"{view.path}: found another ledger of {len(grown.records):,} commits, expected the one of {count:,} whose "
+            f"{view.path}: found another ledger of {len(grown.commits):,} commits, expected the one of {count:,} whose "
             "lines were told, or more of it; it was replaced; run fsar-ledger verify"
         )

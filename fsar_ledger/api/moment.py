@@ -1,14 +1,17 @@
 """A moment of a run: how things stood, what a decider had been told, and what the ledger had recorded."""
 
+from bisect import bisect_right
+from operator import itemgetter
+
 import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.analysis.beliefs import Belief, beliefs
 from fsar_ledger.analysis.moments import Timeline
-from fsar_ledger.analysis.records import commit_of, record_of
+from fsar_ledger.analysis.records import commits_of, record_of
 from fsar_ledger.analysis.standing import Standing, standing
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.store.view import View
 from fsar_ledger.projections.fold import State
 
 from .provenance import Provenance
@@ -35,7 +38,7 @@ class Moment(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def moment(
-    view: LedgerView,
+    view: View,
     provenance: Provenance,
     run: str,
     at_us: int | None,
@@ -48,17 +51,17 @@ def moment(
     Raises:
         UsageError: The ledger did not hold the run after that commit, or there is no such decider.
     """
-    commits = len(view.records)
-    commit = commit_of(view, run) + 1
+    commits = len(view.commits)
+    found = commits_of(view, run)
     if by_commit is not None:
         if not 0 <= by_commit <= commits:
             raise UsageError(f"{option('by_commit', by_commit)}: expected 0 to {commits}, the commits of the ledger")
-        if by_commit < commit:
+        if by_commit < (commit := found[0][1] + 1):
             raise UsageError(
                 f"{option('by_commit', by_commit)}: by then the ledger had recorded nothing of run "
                 f"{printable.value(run)}, which came with commit {commit}"
             )
-    timeline = Timeline(record_of(view, run))
+    timeline = Timeline(record_of(view, run, None if by_commit is None else view.commits[by_commit - 1].tree_size))
     times_us = timeline.record.times_us
     at_us = times_us[-1] if at_us is None else at_us
     seq = timeline.seq_at(at_us)
@@ -70,7 +73,7 @@ def moment(
         seq=seq,
         event_s=times_us[seq] / 1e6,
         ends_s=times_us[-1] / 1e6,
-        commit=commit,
+        commit=found[bisect_right(found, seq, key=itemgetter(0)) - 1][1] + 1,
         standing=standing(timeline.record, seq, state, robot),
         beliefs=known,
         state=state,

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.metrics.verified import is_remembered, required_look
 
 from .ledger import Ledger

@@ -10,7 +10,7 @@ from fsar_ledger.analysis.records import record_of
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.events import ALONE
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.observing import Unobserved

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.errors import InvalidExperiment, UsageError
-from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.store.view import View
 from fsar_ledger.metrics.plans import EXPERIMENTS
 
 from .experiments import RUNS, experiment_of
@@ -27,7 +27,7 @@ class Shown(NamedTuple):
     """A ledger, by the path that the user gave, and its content."""
 
     path: Path
-    view: LedgerView
+    view: View
 
 
 def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
@@ -72,8 +72,9 @@ def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
     return found
 
 
-def _is_signed(view: LedgerView) -> bool:
-    return bool(view.records and view.records[-1].signed_note().signatures)
+def _is_signed(view: View) -> bool:
+    note = view.note()
+    return note is not None and bool(note.signatures)
 
 
 def shape(plan: Mapping[str, Any]) -> str:
@@ -156,7 +157,7 @@ def _options(asked: Mapping[str, Any]) -> Iterator[str]:
             yield f"{option} {value}"
 
 
-def _name(view: LedgerView) -> Iterator[str]:
+def _name(view: View) -> Iterator[str]:
     """Yield the option that this ledger must be written with: its key if it is signed, else an unusual origin."""
     from fsar_ledger.runtime.experiment import ORIGIN
 

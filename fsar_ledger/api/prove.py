@@ -4,9 +4,9 @@ from pathlib import Path
 
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.proof import Proof, Proven, blocks, check_proof, prove
-from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.store.view import View
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.verified import is_verified
 
@@ -44,11 +44,11 @@ def asked_event(ledger: Path, event: str, demanded: str | None = None) -> tuple[
     return _run(ledger, asked, demanded) if asked else None, seq
 
 
-def found_event(view: LedgerView, run: str | None, seq: str) -> tuple[str, int]:
+def found_event(view: View, run: str | None, seq: str) -> tuple[str, int]:
     """Return run and seq of the event that `asked_event` gave. Raises: UsageError if there is no such event."""
     place = _index_of(view, run, seq)
     block = next(block for block in blocks(view) if block.first <= place < block.first + block.events)
-    return block.run, place - block.first
+    return block.run, block.seq + place - block.first
 
 
 def _run(ledger: Path, asked: str, demanded: str | None) -> str:
@@ -57,7 +57,7 @@ def _run(ledger: Path, asked: str, demanded: str | None) -> str:
         return run_of(database, asked, ledger)
 
 
-def _index_of(view: LedgerView, run: str | None, seq: str) -> int:
+def _index_of(view: View, run: str | None, seq: str) -> int:
     """Return the place in the ledger, from 0, of this event of the run; without a run it is its place already.
 
     Raises:
@@ -69,16 +69,18 @@ def _index_of(view: LedgerView, run: str | None, seq: str) -> int:
                 f"EVENT {seq}: found {view.head.size:,} events in {view.path}, expected a number below that, or RUN:SEQ"
             )
         return int(seq)
-    block = next(block for block in blocks(view) if block.run == run)
-    if len(seq) > MAX_DIGITS or int(seq) >= block.events:
-        raise UsageError(
-            f"EVENT {printable.value(run)}:{seq}: found {block.events:,} events in the run, expected a seq from 0 to "
-            f"{block.events - 1}"
-        )
-    return block.first + int(seq)
+    events = 0
+    for block in blocks(view):
+        if block.run == run:
+            events = block.seq + block.events
+            if len(seq) <= MAX_DIGITS and block.seq <= int(seq) < events:
+                return block.first + int(seq) - block.seq
+    raise UsageError(
+        f"EVENT {printable.value(run)}:{seq}: found {events:,} events in the run, expected a seq from 0 to {events - 1}"
+    )
 
 
-def _require_asked(view: LedgerView, run: str | None, seq: str, proven: Proven) -> None:
+def _require_asked(view: View, run: str | None, seq: str, proven: Proven) -> None:
     """Check that the proven event has the run and seq asked for: its place came from rows that no proof covers.
 
     Raises: LedgerCorrupted if it is not.

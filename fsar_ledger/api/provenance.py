@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from fsar_ledger.ledger.store.read import Head
+from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.metrics.observing import Unobserved, unobserved
 from fsar_ledger.metrics.plans import Completeness, completeness
 

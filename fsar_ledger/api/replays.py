@@ -11,7 +11,7 @@ from .names import Place, Run, Time, names_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
-    from fsar_ledger.ledger.store.read import LedgerView
+    from fsar_ledger.ledger.store.view import View
 
     from .bisect import Bisected
     from .causes import Caused
@@ -48,8 +48,8 @@ class Replays:
         view, _ = self._view()
         return record_of(view, self._name(run))
 
-    def _view(self) -> "tuple[LedgerView, Provenance]":
-        from fsar_ledger.ledger.store.opening import open_for_answers
+    def _view(self) -> "tuple[View, Provenance]":
+        from fsar_ledger.ledger.opening import open_for_answers
         from fsar_ledger.metrics.verified import is_verified
 
         from .provenance import Provenance

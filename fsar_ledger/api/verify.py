@@ -8,7 +8,7 @@ import msgspec
 
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.verify.verify import Asked, VerifyReport
+from fsar_ledger.ledger.verify.report import Asked, VerifyReport
 from fsar_ledger.metrics.verified import whole_look
 
 from .keys import anchor_of, trusted_of

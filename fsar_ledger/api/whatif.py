@@ -12,7 +12,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.ledger.store.read import Head, LedgerView
+from fsar_ledger.ledger.store.view import Head, View
 from fsar_ledger.printable import did_you_mean, value
 from fsar_ledger.runtime.change_texts import parsed, read_changes
 from fsar_ledger.runtime.changes import Changes
@@ -75,7 +75,7 @@ def changes_of(asked: Asked) -> Changes:
     return found
 
 
-def fork_of(view: LedgerView, record: LedgerRun, asked: Asked) -> Fork:
+def fork_of(view: View, record: LedgerRun, asked: Asked) -> Fork:
     """Return the fork of a record of this ledger, in which every change has an effect. Raises: UsageError."""
     pair = _one(view, record, changes_of(asked))
     started = pair.fork.record.events[0]
@@ -84,7 +84,7 @@ def fork_of(view: LedgerView, record: LedgerRun, asked: Asked) -> Fork:
 
 
 def what_if(
-    view: LedgerView,
+    view: View,
     provenance: Provenance,
     record: LedgerRun | None,
     asked: Asked,
@@ -119,7 +119,7 @@ def what_if(
     return WhatIf(texts, tuple(found), judged, None, provenance, kept)
 
 
-def runs_of(view: LedgerView, architectures: Sequence[str]) -> list[str]:
+def runs_of(view: View, architectures: Sequence[str]) -> list[str]:
     """Return the simulated runs of these architectures, or all, but no forks.
 
     Raises:
@@ -140,13 +140,13 @@ def runs_of(view: LedgerView, architectures: Sequence[str]) -> list[str]:
     return found
 
 
-def fork_pairs(view: LedgerView, runs: Sequence[str], changes: Changes) -> Iterator[Pair]:
+def fork_pairs(view: View, runs: Sequence[str], changes: Changes) -> Iterator[Pair]:
     """Yield these runs of a ledger, each with its fork. Raises: UsageError if one cannot be made again."""
     asked = set(runs)
     records = (record for record in view.runs() if record.run_id in asked)
     return forked((base_of_record(record, view.head.root) for record in records), changes)
 
 
-def _one(view: LedgerView, record: LedgerRun, changes: Changes) -> Pair:
+def _one(view: View, record: LedgerRun, changes: Changes) -> Pair:
     base = base_of_record(record, view.head.root)
     return Pair(base, repeated(base).fork_with_effect(changes))

@@ -18,7 +18,7 @@ from fsar_ledger import memory
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_table
-from fsar_ledger.ledger.store.read import Head
+from fsar_ledger.ledger.store.view import Head
 
 from .functions import NAMES, register
 from .library import Library, Query, library

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store.opening import open_for_answers
 
 from . import relation
 from .connection import (
@@ -63,7 +63,7 @@ def connect(
     database = Database(view.head, segments, threads, rows_verified=rows_verified, file=file)
     try:
         if segments:
-            relation.hold_segments(database, segments, [record.release for record in view.records])
+            relation.hold_segments(database, segments, view.releases)
         else:
             database.hold("events", SCHEMA.empty_table())
     except BaseException:

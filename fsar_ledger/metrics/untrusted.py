@@ -22,8 +22,8 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.ledger.store.opening import open_for_answers
-from fsar_ledger.ledger.store.read import Head
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.view import Head
 
 from .database import SHOWN, first_damage
 from .sandbox import GRACE_S, Limits, Question, Refusal

@@ -26,8 +26,9 @@ from fsar_ledger import __version__
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict, UsageError
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.ledger.store.read import LedgerView
-from fsar_ledger.ledger.verify.verify import Asked, VerifyReport, verify
+from fsar_ledger.ledger.store.view import View
+from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.verify import verify
 
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
@@ -68,7 +69,7 @@ def required_look(ledger: Path, workers: int = 1, progress: Callable[[int, int],
     return report.record_sha256
 
 
-def is_verified(view: LedgerView, demanded: str | None = None) -> bool:
+def is_verified(view: View, demanded: str | None = None) -> bool:
     """Tell whether the rows of this head, if its segments are as committed, are known to be those under its root.
 
     Args:
@@ -83,7 +84,7 @@ def is_verified(view: LedgerView, demanded: str | None = None) -> bool:
             f"{view.path}: found another newest commit than a moment ago, when its rows were compared with its root; "
             "run it again"
         )
-    return demanded is not None or not view.records or is_remembered(view.record_sha256)
+    return demanded is not None or not view.head.size or is_remembered(view.record_sha256)
 
 
 def is_remembered(record_sha256: str) -> bool:

@@ -1,13 +1,10 @@
 """Experiments: runs over architectures, configurations and scenarios, in canonical order, committed in batches."""
 
-import gc
-from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
+from functools import partial
 from itertools import filterfalse
-from math import ceil
 from pathlib import Path
-from typing import ParamSpec, TypeAlias
+from typing import ParamSpec
 
 import msgspec
 
@@ -19,14 +16,16 @@ from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_O
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
-from fsar_ledger.ledger.store.append import Staged, Writer, stage
-from fsar_ledger.ledger.store.read import Head
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.record import CHAINED
+from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.writing import open_writer, version_for
 from fsar_ledger.runtime.plan import plan_record
-from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run
-from fsar_ledger.workers import WorkerPool
+from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started
 
 from .architectures import REGISTERED
 from .capacity import Cell, Expected, expected, fits, largest_fleet
+from .staging import COMMIT_EVENTS, Batch, Staging
 from .world.checks import problems_of_design, problems_of_fleet
 from .world.founding import team_size
 from .world.schedule import happening
@@ -39,11 +38,9 @@ MAX_OWN = 60_000
 
 Without either, they have about 2,000.
 """
-IN_FLIGHT = 2  # batches in progress per worker at most, so that memory stays flat
 
 _P = ParamSpec("_P")
 Progress = Callable[[int, int], None]
-Batch: TypeAlias = tuple[RunSpec, ...]
 
 
 class Experiment(msgspec.Struct, frozen=True):
@@ -85,7 +82,6 @@ class Experiment(msgspec.Struct, frozen=True):
         self._require_workflows_as_written()
         self._require_possible_load()
         self._put_in_order()
-        self.require_fits(1)
 
     def require_fits(self, runs_at_once: int = BATCH_RUNS) -> None:
         """Check that a commit can hold this many runs with this fleet, or all runs if there are fewer.
@@ -110,7 +106,7 @@ class Experiment(msgspec.Struct, frozen=True):
             f"fleet size: found {self.fleet_size}, "
             f"expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and so large a fleet makes "
             "more; take a smaller fleet, "
-            f"{'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
+            f"{'' if at_once == 1 else 'fewer runs or architectures, '}fewer --teams-working, or a ledger of --format 2"
         )
 
     def _known_scenarios(self) -> tuple[str, ...]:
@@ -214,14 +210,18 @@ class Experiment(msgspec.Struct, frozen=True):
         """Return the number of runs."""
         return len(self.scenarios) * self.runs * len(self.architectures) * len(self.configurations)
 
-    def batches(self, is_there: Callable[[RunSpec], bool] | None = None) -> list[Batch]:
-        """Return the missing runs of each commit: `BATCH_RUNS`, or as many in a row as a commit is expected to hold.
+    def batches(self, is_there: Callable[[RunSpec], bool] | None = None, *, spans_commits: bool = False) -> list[Batch]:
+        """Return the missing runs of each batch: `BATCH_RUNS`, or as many in a row as a commit is expected to hold.
 
         When all runs are missing, architectures take turns, and `require_fits` ensures that a batch fits. When a ledger
-        is enlarged, a batch may hold runs of a single architecture.
+        is enlarged, a batch may hold runs of a single architecture. Where runs may span commits, a batch has as many
+        runs as a commit of `COMMIT_EVENTS` is expected to hold, and one run at least.
         """
         sizes: dict[Cell, Expected] = {}
         found: list[list[RunSpec]] = []
+        most, most_events, most_values = BATCH_RUNS, MAX_ROWS, MAX_LIST_VALUES
+        if spans_commits:
+            most, most_events, most_values = COMMIT_EVENTS, COMMIT_EVENTS, MAX_LIST_VALUES // 2
         events = list_values = 0.0
         for spec in self.specs() if is_there is None else filterfalse(is_there, self.specs()):
             cell = (spec.scenario, spec.architecture, spec.configuration)
@@ -229,7 +229,7 @@ class Experiment(msgspec.Struct, frozen=True):
                 sizes[cell] = expected(cell, self.fleet_size, self.constants)
             one = sizes[cell]
             events, list_values = events + one.events, list_values + one.list_values
-            if not found or len(found[-1]) == BATCH_RUNS or events > MAX_ROWS or list_values > MAX_LIST_VALUES:
+            if not found or len(found[-1]) == most or events > most_events or list_values > most_values:
                 found.append([])
                 events, list_values = one
             found[-1].append(spec)
@@ -313,6 +313,7 @@ def carry_out(
     origin: str | None = None,
     *,
     adopts: bool = False,
+    version: int | None = None,
 ) -> Made:
     """Commit the experiment's plan and the runs that the ledger lacks.
 
@@ -321,7 +322,7 @@ def carry_out(
     canonical order, in `batches`. Each commit follows from those before it, so neither `workers` nor an interruption
     changes a byte. `progress` is called with (batches done, batches in all). New commits are signed by `signer`, whose
     key stays in this process; with `adopts` even where another key or none signed the existing ones. A new ledger gets
-    `origin`, else the name of the signer, else `ORIGIN`.
+    `origin`, else the name of the signer, else `ORIGIN`, and this format `version`, by default the first.
 
     Raises:
         InvalidExperiment: a commit cannot hold this many runs of so large a fleet.
@@ -329,28 +330,36 @@ def carry_out(
             then.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
-    experiment.require_fits()
     constants, plan = experiment.constants, plan_record(experiment.plan())
     name = origin or (signer.verifier.name if signer is not None else ORIGIN)
-    with Writer(out, name, signer, adopts=adopts) as writer:
+    spans_commits = version_for(out, version) == CHAINED
+    if not spans_commits:
+        experiment.require_fits()
+    with open_writer(out, name, signer, adopts=adopts, version=version) as writer:
         found = writer.held()
-        missing = (
-            experiment.batches(lambda spec: run_id(run_started(spec, constants)) in found.runs)
-            if found.runs
-            else experiment.batches()
-        )
+        going_on = {} if isinstance(writer, Writer) else writer.going_on()
+        held = found.runs - going_on.keys()
+        is_there = partial(_is_there, constants, held) if held else None
+        missing = experiment.batches(is_there, spans_commits=spans_commits)
         if missing and plan.run_id not in found.plans:
             writer.append(stage(out, [plan]))
-        made, done = sum(map(len, missing)), max(0, ceil(experiment.size / BATCH_RUNS) - len(missing))
+        made = sum(map(len, missing))
+        done = max(0, len(experiment.batches(spans_commits=spans_commits)) - len(missing))
         batches = done + len(missing)
         if progress is not None:
             progress(done, batches)
-        for staged in _staged(out, missing, constants, min(workers, len(missing))):
-            writer.append(staged)
+        staging = Staging(out, constants, going_on, spans_commits)
+        for batch in staging.of_all(missing, min(workers, len(missing))):
+            for staged in batch:
+                writer.append(staged)
             done += 1
             if progress is not None:
                 progress(done, batches)
-        return Made(writer.head, experiment.size, made, len(found.runs) + made)
+        return Made(writer.head, experiment.size, made, len(held) + made)
+
+
+def _is_there(constants: Constants, held: frozenset[str], spec: RunSpec) -> bool:
+    return run_id(run_started(spec, constants)) in held
 
 
 def _head_of(function: Callable[_P, Made]) -> Callable[_P, Head]:
@@ -362,32 +371,3 @@ def _head_of(function: Callable[_P, Made]) -> Callable[_P, Head]:
 
 simulate = _head_of(carry_out)
 """Does the same as `carry_out`, and returns the head of the ledger."""
-
-
-def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:
-    """Simulate and stage the batch, without garbage collection: a run makes no cyclic garbage."""
-    gc.disable()
-    try:
-        return stage(out, [simulate_run(spec, constants) for spec in batch])
-    except ValueError as error:
-        if "in one commit" not in str(error):
-            raise
-        raise InvalidExperiment(f"fleet size {batch[0].fleet_size}: {error}, or a smaller fleet") from error
-    finally:
-        gc.enable()
-
-
-def _staged(out: Path, batches: list[Batch], constants: Constants, workers: int) -> Iterator[Staged]:
-    """Yield the staged batches in order, made by this process or by `workers` worker processes."""
-    if workers <= 1:
-        for batch in batches:
-            yield _stage(out, batch, constants)
-        return
-    with WorkerPool(workers) as pool:
-        queue: deque[Future[Staged]] = deque()
-        for batch in batches:
-            queue.append(pool.submit(_stage, out, batch, constants))
-            if len(queue) >= IN_FLIGHT * workers:
-                yield queue.popleft().result()
-        while queue:
-            yield queue.popleft().result()

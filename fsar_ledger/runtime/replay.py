@@ -36,10 +36,11 @@ import msgspec
 from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
-from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.verify.verify import MAX_PROBLEMS
+from fsar_ledger.ledger.rows.pieces import joined
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
 from fsar_ledger.projections.fold import State
 from fsar_ledger.workers import WorkerPool
 
@@ -143,8 +144,8 @@ def replay(
         NotALedger, FormatVersionMismatch, LedgerCorrupted: as `open_ledger`, and where a segment is missing.
     """
     view = open_ledger(path)
-    numbers = range(len(view.records))[:commits]
-    files = [str(view.segment(number).relative_to(path)) for number in numbers]
+    groups = view.groups()[:commits]
+    files = [tuple(_within(path, view.segment(number)) for number in group) for group in groups]
     found: list[Difference] = []
     worlds: list[Played] = []
     whole = runs = events = 0
@@ -157,8 +158,13 @@ def replay(
     return ReplayReport(not found, tuple(found[:MAX_PROBLEMS]), whole, runs, events, remarks_on(worlds))
 
 
-def _replayed(path: str, files: list[str], workers: int, is_recorded: bool) -> Iterator[CommitReport]:
-    """Yield the report of each commit, in order."""
+def _within(path: Path, file: Path) -> str:
+    """Return the name of a file within the ledger; of one outside, its path."""
+    return str(file.relative_to(path) if file.is_relative_to(path) else file)
+
+
+def _replayed(path: str, files: list[tuple[str, ...]], workers: int, is_recorded: bool) -> Iterator[CommitReport]:
+    """Yield the report of each group of segments, in order."""
     asked = repeat(path), range(len(files)), files, repeat(is_recorded)
     with ExitStack() as stack:
         if workers > 1 and len(files) > 1:
@@ -168,8 +174,10 @@ def _replayed(path: str, files: list[str], workers: int, is_recorded: bool) -> I
             yield from map(replay_commit, *asked)
 
 
-def replay_commit(path: str, number: int, file: str, is_recorded: bool = False) -> CommitReport:
-    """Return the report on the runs of one commit, in `file` of the ledger; other arguments as of `replay`.
+def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: bool = False) -> CommitReport:
+    """Return the report on the runs of one commit, in these files of the ledger; other arguments as of `replay`.
+
+    In format 2, files are those that share runs, and `number` counts such groups.
 
     Never raises.
     """
@@ -178,7 +186,7 @@ def replay_commit(path: str, number: int, file: str, is_recorded: bool = False) 
     runs = events = 0
     gc.disable()  # a run makes no cyclic garbage
     try:
-        for record in decode(segment.read_table(Path(path) / file)):
+        for record in _records(Path(path), files):
             difference = replay_run(record, is_recorded)
             if difference is None and type(record.events[0]) in ALONE:
                 continue
@@ -186,12 +194,24 @@ def replay_commit(path: str, number: int, file: str, is_recorded: bool = False) 
                 runs, events = runs + 1, events + len(record.events)
                 starts += [event for event in record.events[:1] if isinstance(event, RunStarted)]
             else:
-                found.append(msgspec.structs.replace(difference, commit=number, segment=file))
+                found.append(msgspec.structs.replace(difference, commit=number, segment=files[0]))
     except Exception as error:  # a check that fails in an unforeseen way is still a finding
-        found.append(Difference(None, None, None, None, "runs that can be replayed", _told(error), number, file))
+        found.append(Difference(None, None, None, None, "runs that can be replayed", _told(error), number, files[0]))
     finally:
         gc.enable()
     return CommitReport(tuple(found), played(starts), runs, events)
+
+
+def _records(path: Path, files: tuple[str, ...]) -> Iterator[LedgerRun]:
+    """Yield the runs in these files of the ledger, which share them with no others."""
+    if len(files) == 1:
+        yield from decode(segment.read_table(path / files[0]))
+        return
+    pieces: dict[str, list[LedgerRun]] = {}
+    for file in files:
+        for piece in decode(segment.read_table(path / file), is_whole=False):
+            pieces.setdefault(piece.run_id, []).append(piece)
+    yield from map(joined, pieces.values())
 
 
 def _replay_plan(record: LedgerRun) -> Difference | None:

@@ -9,8 +9,9 @@ from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.merkle import consistency_proof
 from fsar_ledger.ledger.log.note import Note, Signature
 from fsar_ledger.ledger.log.tiles import node_of
-from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
-from fsar_ledger.ledger.store.read import LedgerView, open_ledger
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.view import View
 from fsar_ledger.witness.client import NoAnswer, ask, ask_all
 from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness
@@ -31,17 +32,15 @@ class Cosigned(msgspec.Struct, frozen=True):
     silent: dict[str, str]
 
 
-def published_note(view: LedgerView) -> Note:
+def published_note(view: View) -> Note:
     """Return the note of the newest commit, or of the one before it if the newest one's tiles are not yet written.
 
     Raises:
         UsageError: There is no commit, or its checkpoint is unsigned.
     """
-    *_, before, newest = (None, None, *view.records)
-    if newest is None:
+    note = view.published()
+    if note is None:
         raise UsageError(f"{view.path}: found no commit, expected one whose checkpoint can be cosigned")
-    is_behind = before is not None and read_checkpoint(view.path) == before.note
-    note = (before if before is not None and is_behind else newest).signed_note()
     if not note.signatures:
         raise UsageError(
             f"{view.path}: found an unsigned checkpoint, expected one signed by the ledger's key: "

@@ -18,7 +18,8 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.keys import read_signer
-from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate
 from fsar_ledger.runtime.experiments import named

@@ -13,7 +13,7 @@ from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.cli.output import json_text, table_text
 from fsar_ledger.cli.streaming import KEPT_BYTES, Form, Kept
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.store.read import Head
+from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.printable import Shown, ascii_json
 
 ABOUT = Provenance(Head(3, 1000, "ab" * 32), rows_verified=False)

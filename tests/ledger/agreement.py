@@ -28,7 +28,8 @@ from fsar_ledger.ledger.store.paths import commit_path, segment_path
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
 from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.hostile import stage_anything
 from tests.ledger.samples import IN_RUNS, ORIGIN, made_up_run
 

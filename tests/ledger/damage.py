@@ -10,7 +10,8 @@ from typing import NamedTuple
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.verify.verify import Asked, VerifyReport, verify
+from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, made_up_run
 
 SIGNER = Signer(ORIGIN, bytes(range(32)))

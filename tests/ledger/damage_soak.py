@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER, cases, files_of, flips, is_placed, kind_of, write_ledger
 from tests.ledger.forgery import examined_once
 

@@ -78,7 +78,7 @@ class Examined:
         self._known: dict[tuple[object, ...], SegmentFacts] = {}
         for number in range(len(list((path / "commits").iterdir()))):
             file, record = segment_path(path, number), record_of(path, number)
-            facts = examine(str(path), number, _Watched(record, self._fields))  # type: ignore[arg-type]
+            facts = examine(str(path), number, _Watched(record, self._fields))
             assert not facts.problems
             self._known[self._key(file.read_bytes(), number, record)] = facts
 

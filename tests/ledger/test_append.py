@@ -16,7 +16,8 @@ from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import encode_hashed
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.paths import segment_path
-from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches

@@ -19,8 +19,9 @@ from fsar_ledger.errors import (
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.paths import commit_path
-from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
+from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.store.record import Manifest, sha256_hex
+from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_append import BATCHES

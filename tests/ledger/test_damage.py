@@ -8,7 +8,8 @@ import pytest
 from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.verify.derived import BEHIND, LEFT_OVER
 from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER, cases, files_of, is_placed, kind_of, write_ledger
 from tests.ledger.forgery import examined_once, forge_segment
 from tests.ledger.samples import append_all, contents, made_up_batches

@@ -234,8 +234,8 @@ def test_an_unknown_event_type_is_refused_with_its_place_and_what_to_do(
 def test_a_newer_format_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], code: int, command: str) -> None:
     path = shutil.copytree(OLD, tmp_path / "ledger")
     manifest = path / "ledger.json"
-    manifest.write_bytes(manifest.read_bytes().replace(b'"version":1', b'"version":2'))
+    manifest.write_bytes(manifest.read_bytes().replace(b'"version":1', b'"version":3'))
     assert app.run([command, str(path)]) == code
     printed = "".join(capsys.readouterr())
-    assert "found format version 2, expected 1; read it with the version that wrote it" in printed
+    assert "found format version 3, expected 1 or 2; read it with the version that wrote it" in printed
     assert "Traceback" not in printed

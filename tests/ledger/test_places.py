@@ -218,7 +218,7 @@ def test_a_note_of_a_record_is_signed_by_the_ledgers_own_key_or_by_nobody(path: 
 def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise ZeroDivisionError("nobody thought of this")
 
     for module, name, place in (
@@ -246,7 +246,7 @@ def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place
 def test_what_is_wrong_with_the_installation_is_no_problem_of_the_ledger(
     path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise error
 
     monkeypatch.setattr(verify_segment, "first_flaw", fail)

@@ -8,8 +8,8 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
 from tests.ledger.samples import ORIGIN, made_up_run

@@ -14,12 +14,14 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.paths import commit_path, segment_path
-from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
+from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
+from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.recover import Recovery, recover
+from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.trusted_prefix import FITS, NO_RECORD, NO_SEGMENT
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import examined_once
 from tests.ledger.hostile import append_again
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches

@@ -21,7 +21,8 @@ from fsar_ledger.ledger.rows.releases import RELEASE, parse_columns
 from fsar_ledger.ledger.rows.schema import LAYOUTS, RETIRED, SCHEMA, described
 from fsar_ledger.ledger.store.keys import read_verifier
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.library import staging_sql, view_name
 from tests.ledger.bomb_trial import cost_of

@@ -19,7 +19,8 @@ from fsar_ledger.ledger.store.paths import commit_path, segment_path
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.store.record import CommitRecord, Manifest
-from fsar_ledger.ledger.verify.verify import MAX_PROBLEMS, verify
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed, examined_once, forge, forge_segment, record_of, table_of
 from tests.ledger.hostile import append_again
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches, made_up_run
@@ -250,7 +251,7 @@ def test_another_origin_is_found(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "manifest",
-    [Manifest("fsar-ledger", ORIGIN, 2), Manifest("photos", ORIGIN, 1), Manifest("fsar-ledger", "two words", 1)],
+    [Manifest("fsar-ledger", ORIGIN, 3), Manifest("photos", ORIGIN, 1), Manifest("fsar-ledger", "two words", 1)],
 )
 def test_another_format_is_found(path: Path, manifest: Manifest) -> None:
     (path / "ledger.json").write_bytes(canonical.document(manifest))

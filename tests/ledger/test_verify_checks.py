@@ -24,7 +24,8 @@ from fsar_ledger.ledger.verify import verify as verification
 from fsar_ledger.ledger.verify import walk
 from fsar_ledger.ledger.verify.derived import BEHIND
 from fsar_ledger.ledger.verify.notes import read_anchor
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER, only_problem
 from tests.ledger.forgery import forge, forge_segment, record_of, table_of
 from tests.ledger.samples import ORIGIN
@@ -55,7 +56,7 @@ def test_only_a_look_that_found_something_is_made_again_where_a_writer_was_at_wo
     looks: list[Path] = []
     look = verification._look
 
-    def counted(path: Path, workers: int, progress: None, asked: Asked) -> verification.VerifyReport:
+    def counted(path: Path, workers: int, progress: None, asked: Asked) -> VerifyReport:
         looks.append(path)
         return look(path, workers, progress, asked)
 

@@ -15,7 +15,8 @@ from fsar_ledger.ledger.store.derived import tile_reader
 from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.verify.derived import BEHIND
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
-from fsar_ledger.ledger.verify.verify import Asked, VerifyReport, verify
+from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed, examined_once, forge, forge_segment, record_of, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 

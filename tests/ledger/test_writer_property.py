@@ -23,7 +23,8 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, contents, made_up_run
 
 

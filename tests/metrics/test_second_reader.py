@@ -12,7 +12,8 @@ from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_coded
 from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.verify import segment as verify_segment
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.second_reader import read_again
 from tests.ledger.forgery import changed, forge_segment
 from tests.ledger.parts import two_faced

@@ -12,7 +12,8 @@ import pytest
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.verify.verify import Asked, verify
+from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics import verified
 from fsar_ledger.metrics.database import connect, from_rows
 from fsar_ledger.metrics.verified import is_remembered, required_look, whole_look

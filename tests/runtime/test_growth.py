@@ -233,9 +233,9 @@ def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_
     with pytest.raises(
         InvalidExperiment, match=f"found 1000000000, expected at most {largest}: a commit holds 25 runs"
     ):
-        asked(10**9)
+        asked(10**9).require_fits()
     with pytest.raises(InvalidExperiment, match="a commit holds one run"):
-        Experiment(("dhma",), SCENARIOS[:1], 1, fleet_size=1024)
+        Experiment(("dhma",), SCENARIOS[:1], 1, fleet_size=1024).require_fits()
 
 
 def test_the_runs_that_enlarge_a_ledger_are_as_many_a_commit_as_it_holds() -> None:

@@ -184,7 +184,7 @@ def test_an_experiment_that_is_not_of_its_fleet_is_refused(
     constants: Constants, scenarios: tuple[str, ...], size: int, message: str
 ) -> None:
     with pytest.raises(InvalidExperiment) as refused:
-        Experiment(("fsar",), scenarios, 1, 7, size, constants=constants)
+        Experiment(("fsar",), scenarios, 1, 7, size, constants=constants).require_fits()
     assert message in str(refused.value)
 
 

@@ -13,7 +13,8 @@ from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.read import Head, open_ledger
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows

@@ -116,7 +116,7 @@ def test_odd_constants_end_in_a_finding_and_not_in_a_hang(architecture: Architec
 
 
 def test_a_segment_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
-    report = replay_commit(str(committed(tmp_path / "ledger", HONEST)), 0, "segments/000000000001.parquet")
+    report = replay_commit(str(committed(tmp_path / "ledger", HONEST)), 0, ("segments/000000000001.parquet",))
     assert [(one.commit, one.segment, one.run) for one in report.differences] == [
         (0, "segments/000000000001.parquet", None)
     ]

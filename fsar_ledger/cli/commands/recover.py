@@ -15,8 +15,8 @@ from fsar_ledger.printable import Shown
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.verify.recover import Recovery, Step
+    from fsar_ledger.ledger.verify.report import Asked
     from fsar_ledger.ledger.verify.trusted_prefix import Later
-    from fsar_ledger.ledger.verify.verify import Asked
 
 DAMAGED = 3
 SHOWN = 10
@@ -58,7 +58,7 @@ def recover(
     """
     from fsar_ledger.api.keys import anchor_of, trusted_of
     from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.ledger.verify.verify import Asked
+    from fsar_ledger.ledger.verify.report import Asked
 
     asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
     with Progress("examined", "segments") as progress:

@@ -65,6 +65,17 @@ def simulate(
     origin: OriginOption = None,
     key: KeyOption = None,
     adopt: AdoptOption = False,
+    format_: Annotated[
+        int | None,
+        typer.Option(
+            "--format",
+            metavar="N",
+            min=1,
+            max=2,
+            help="The format of a new ledger: in format 2 runs may span commits, and fleets have any size.",
+            show_default="1",
+        ),
+    ] = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -92,6 +103,7 @@ def simulate(
             origin=origin,
             key=key,
             adopt=adopt,
+            format=format_,
             workers=workers,
             progress=progress,
         ).made
@@ -136,11 +148,11 @@ def before(made: "Made") -> list[str]:
 def _signed(ledger: Path, key: Path) -> list[str]:
     """Return a line on whether this key signed the newest commit."""
     from fsar_ledger.ledger.log.note import signers_of
+    from fsar_ledger.ledger.opening import open_ledger
     from fsar_ledger.ledger.store.keys import read_signer
-    from fsar_ledger.ledger.store.read import open_ledger
 
-    records = open_ledger(ledger).records
-    signers = signers_of(records[-1].signed_note()) if records else None
+    note = open_ledger(ledger).note()
+    signers = None if note is None else signers_of(note)
     if signers == read_signer(key).verifier.key:
         return [f"signed by {printable.value(signers)}"]
     return [

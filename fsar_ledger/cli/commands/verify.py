@@ -22,7 +22,7 @@ from fsar_ledger.printable import counted
 
 if TYPE_CHECKING:
     from fsar_ledger.api.verify import Verification
-    from fsar_ledger.ledger.verify.verify import VerifyReport
+    from fsar_ledger.ledger.verify.report import VerifyReport
     from fsar_ledger.runtime.replay import ReplayReport
 
 EXAMPLES = examples(

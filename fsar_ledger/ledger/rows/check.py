@@ -44,10 +44,12 @@ _LITERALS: dict[str, list[tuple[int, Field]]] = {
 }
 
 
-def first_flaw(table: pa.Table) -> Flaw | None:
+def first_flaw(table: pa.Table, *, is_whole: bool = True) -> Flaw | None:
     """Return the flaw in the earliest bad row; None if every row is a valid event of its type, retired or not.
 
-    String columns may be dictionaries.
+    String columns may be dictionaries. Unless the table `is_whole`, its runs may begin or end elsewhere: then a block
+    of rows of a run begins with any seq, a run may have several blocks, and what its event 0 says is not compared
+    where that is elsewhere (see `blocks_of`).
     """
     if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
         return Flaw(
@@ -66,7 +68,8 @@ def first_flaw(table: pa.Table) -> Flaw | None:
         return None
     columns = {name: whole(table.column(name)) for name in COLUMNS}
     valid = {name: validity(column) for name, column in columns.items()}
-    suspects = [*_envelope(columns, valid), *_payload(columns, valid), *_company(columns), *_unobserved(columns)]
+    envelope = _envelope(columns, valid, is_whole=is_whole)
+    suspects = [*envelope, *_payload(columns, valid), *_company(columns), *_unobserved(columns)]
     first = min(suspects, key=lambda suspect: suspect[0], default=None)
     if first is None:
         return None
@@ -119,13 +122,15 @@ def disordered(table: pa.Table) -> Flaw | None:
     `CODED_SCHEMA`, each run in one block.
     """
     columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes")}
-    is_first = np.zeros(len(table), bool)
-    is_first[run_starts(columns["run_id"])] = True
+    starts = run_starts(columns["run_id"])
+    is_first, begins = np.zeros(len(table), bool), np.zeros(len(table), bool)
+    is_first[starts] = True
+    begins[starts] = numbers(whole(table.column("seq")))[starts] == 0
     types, times_us = columns["type"], numbers(columns["time_us"])
     is_opening = np.array([tag in OPENINGS for tag in types.dictionary.to_pylist()])[numbers(types.indices)]
     suspects = [
-        *_first(is_first & ~is_opening, "type", f"one of {sorted(OPENINGS)}, with which a run begins"),
-        *_first(is_opening & ~is_first, "type", "no second beginning of a run"),
+        *_first(begins & ~is_opening, "type", f"one of {sorted(OPENINGS)}, with which a run begins"),
+        *_first(is_opening & ~begins, "type", "no second beginning of a run"),
         *_first(
             (np.diff(times_us, prepend=times_us[:1]) < 0) & ~is_first, "time_us", "no less than at the event before"
         ),
@@ -163,7 +168,7 @@ def _first(bad: Mask, field: str, expected: str) -> list[tuple[int, str, str]]:
     return [(int(np.argmax(bad)), field, expected)] if bad.any() else []
 
 
-def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:
+def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask], *, is_whole: bool) -> list[tuple[int, str, str]]:
     suspects = [
         suspect
         for field in ENVELOPE
@@ -176,11 +181,13 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tupl
     sizes = np.diff(starts, append=len(columns["run_id"]))
     expected_seqs = np.arange(len(columns["run_id"])) - np.repeat(starts, sizes)
     seqs = columns["seq"].to_numpy()
+    if not is_whole:
+        expected_seqs += np.repeat(np.maximum(0, seqs[starts]), sizes)
     is_wrong = seqs != expected_seqs
     if is_wrong.any():
         suspects += _first(is_wrong, "seq", f"{expected_seqs[np.argmax(is_wrong)]}")
     seen: set[str] = set()
-    for start in starts.tolist():
+    for start in starts.tolist() if is_whole else ():
         run = columns["run_id"][start].as_py()
         if run in seen:
             suspects.append((start, "run_id", "each run in one block of rows"))

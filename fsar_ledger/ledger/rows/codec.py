@@ -43,7 +43,7 @@ from fsar_ledger.ledger.rows.schema import (
     StoredType,
 )
 
-__all__ = ["SCHEMA", "LedgerRun", "decode", "encode", "encode_coded", "encode_hashed", "upcast_rows"]
+__all__ = ["SCHEMA", "LedgerRun", "decode", "encode", "encode_coded", "encode_hashed", "encode_lines", "upcast_rows"]
 
 Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
@@ -96,7 +96,9 @@ class _Rows:
         self.causes = list(chain.from_iterable(run.caused_by for run in runs))
         if not are_allowed(self.times_us, TIME) or not are_allowed(self.causes, CAUSE):
             raise ValueError("found times or causes that are no integers, expected integers")
-        self.seqs = np.concatenate([np.empty(0, np.int64), *map(np.arange, self.sizes)])
+        self.seqs = np.concatenate(
+            [np.empty(0, np.int64), *(np.arange(run.first, run.first + len(run.events)) for run in runs)]
+        )
         events = list(chain.from_iterable(run.events for run in runs))
         self.codes = np.fromiter(map(_CODES.__getitem__, map(type, events)), np.uint16, self.size)
         self.order = np.argsort(self.codes, kind="stable")  # position of each row when rows are sorted by type
@@ -190,15 +192,37 @@ class _Rows:
             column.type, self.size, [_bits(is_valid), pa.py_buffer(ends)], children=[column.flatten()]
         )
 
+    def lines(self) -> list[bytes]:
+        """Return the canonical bytes of the rows, in row order.
+
+        Raises: ValueError for an integer beyond 2^53 - 1, or a cause that is not an earlier event.
+        """
+        self._integers()
+        for layout, _, values in self.blocks:
+            for field, column in zip(layout.fields, values, strict=True):
+                if field.kind == "integer":
+                    _require_exact(field.name, np.array([value for value in column if value is not None] or [0]))
+        found: list[bytes] = [b""] * self.size
+        for lines, block in self._lines():
+            for place, line in zip(self.order[block].tolist(), lines, strict=True):
+                found[place] = line[1:]
+        return found
+
     def leaves(self) -> bytes:
         """Return the packed RFC 6962 leaf hashes in row order."""
+        packed = np.empty((self.size, HASH_BYTES), np.uint8)
+        hashed = [b"".join(canonical.hashes(lines)) for lines, _ in self._lines()]
+        packed[self.order] = np.frombuffer(b"".join(hashed), np.uint8).reshape(-1, HASH_BYTES)
+        return packed.tobytes()
+
+    def _lines(self) -> Iterator[tuple[list[bytes], slice]]:
+        """Yield canonical bytes of rows sorted by type, some at a time, each after the 0x00 of a leaf, and which."""
         order = self.order.tolist()
         times_us, causes = (list(map(rows.__getitem__, order)) for rows in (self.times_us, self.causes))
         run_ids = list(
             map(self.runs.__getitem__, np.repeat(np.arange(len(self.runs)), self.sizes)[self.order].tolist())
         )
         seqs = self.seqs[self.order].tolist()
-        hashed: list[bytes] = []
         for layout, block, values in self.blocks:
             columns = {field.name: column for field, column in zip(layout.fields, values, strict=True)}
             columns |= {
@@ -208,10 +232,10 @@ class _Rows:
                 "caused_by": causes[block],
             }
             columns["type"] = [layout.tag] * (block.stop - block.start)
-            hashed += [b"".join(canonical.hashes(lines)) for lines in canonical.lines(layout.tag, columns)]
-        packed = np.empty((self.size, HASH_BYTES), np.uint8)
-        packed[self.order] = np.frombuffer(b"".join(hashed), np.uint8).reshape(-1, HASH_BYTES)
-        return packed.tobytes()
+            at = block.start
+            for lines in canonical.lines(layout.tag, columns):
+                yield lines, slice(at, at + len(lines))
+                at += len(lines)
 
 
 def _positions(parts: list[_Part]) -> Positions:
@@ -288,21 +312,32 @@ def encode_hashed(runs: Sequence[LedgerRun]) -> tuple[pa.Table, bytes]:
         return rows.table(), rows.leaves()
 
 
-def decode(table: pa.Table) -> Iterator[LedgerRun]:
+def encode_lines(runs: Sequence[LedgerRun]) -> list[bytes]:
+    """Encode these runs as the canonical bytes of their rows. Raises: As `encode`."""
+    with _refusals(runs):
+        return _Rows(runs).lines()
+
+
+def decode(table: pa.Table, *, is_whole: bool = True) -> Iterator[LedgerRun]:
     """Decode every run of the table, in order, upcasting events of retired types; the inverse of `encode`.
+
+    Unless the table `is_whole`, its runs may begin or end elsewhere, and each block of rows of a run is yielded.
 
     Raises:
         UnknownEventTag: A row has a type that this version does not know.
         LedgerCorrupted: The columns are not those of `SCHEMA`; a row lacks a value that its type requires, has one that
             it does not allow, or has a seq that does not follow the one before.
     """
-    _require_valid(table)
+    _require_valid(table, is_whole=is_whole)
     events = _events(table)
+    seqs = table.column("seq").to_pylist()
     run_ids = table.column("run_id").combine_chunks()
     times_us = table.column("time_us").to_pylist()
     causes = table.column("caused_by").to_pylist()
     for start, end in pairwise([*run_starts(run_ids).tolist(), table.num_rows]):
-        yield LedgerRun(run_ids[start].as_py(), times_us[start:end], causes[start:end], events[start:end].tolist())
+        yield LedgerRun(
+            run_ids[start].as_py(), times_us[start:end], causes[start:end], events[start:end].tolist(), seqs[start]
+        )
 
 
 def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Table | None:
@@ -321,9 +356,9 @@ def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Tab
     )
 
 
-def _require_valid(table: pa.Table) -> None:
+def _require_valid(table: pa.Table, *, is_whole: bool = True) -> None:
     """Check the rows. Raises: As `decode`."""
-    flaw = first_flaw(table)
+    flaw = first_flaw(table, is_whole=is_whole)
     if flaw is not None:
         if flaw.field == "type":
             raise UnknownEventTag(f"{flaw}; read it with the version that wrote it, or restore the segment")

@@ -19,12 +19,18 @@ from fsar_ledger.parameters import BadParameters, read_parameters
 
 
 class LedgerRun(msgspec.Struct, frozen=True):
-    """One finished run in memory: its events, and one time and one cause for each. The seq of an event is its index."""
+    """One run in memory, or a part of it: its events, and one time and one cause for each.
+
+    The seq of an event is its index, counted from `first`; that is 0 unless the run continues what an earlier commit
+    holds, as runs of a ledger of format 2 may. `goes_on` says that later commits may hold more of it.
+    """
 
     run_id: str
     times_us: Sequence[int]
     caused_by: Sequence[int | None]
     events: Sequence[Event]
+    first: int = 0
+    goes_on: bool = False
 
 
 class Flaw(msgspec.Struct, frozen=True):
@@ -128,10 +134,10 @@ def first_unfit(runs: Sequence[LedgerRun]) -> Flaw | None:
     """Find the first value that no row can hold, run by run and event by event."""
     return next(
         (
-            Flaw(-1, run.run_id, seq, *unfit)
+            Flaw(-1, run.run_id, run.first + at, *unfit)
             for run in runs
-            for seq in range(len(run.events))
-            for unfit in _unfit(run, seq)
+            for at in range(len(run.events))
+            for unfit in _unfit(run, at)
         ),
         None,
     )
@@ -152,11 +158,11 @@ def unreadable(runs: Sequence[LedgerRun]) -> Flaw | None:
     return None
 
 
-def _unfit(run: LedgerRun, seq: int) -> Iterator[tuple[str, str, str]]:
-    """Yield what is wrong with this event: field, found, expected."""
-    for name, value, allowed in (("time_us", run.times_us[seq], TIME), ("caused_by", run.caused_by[seq], CAUSE)):
+def _unfit(run: LedgerRun, at: int) -> Iterator[tuple[str, str, str]]:
+    """Yield what is wrong with the event at this index: field, found, expected."""
+    for name, value, allowed in (("time_us", run.times_us[at], TIME), ("caused_by", run.caused_by[at], CAUSE)):
         yield from _unfit_value(name, value, allowed)
-    cause, event = run.caused_by[seq], run.events[seq]
+    cause, event, seq = run.caused_by[at], run.events[at], run.first + at
     if cause is not None and seq == 0:
         yield "caused_by", f"{cause!r:.80}", "None, as nothing came before"
     if seq > 0 and (cause is None or not 0 <= cause < seq):

@@ -26,6 +26,7 @@ from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.log.note import Note, Signer, checkpoint_of, is_name
 from fsar_ledger.ledger.log.tiles import Tile
 from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES, MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
 from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
@@ -45,8 +46,9 @@ from fsar_ledger.ledger.store.paths import (
     staged_path,
 )
 from fsar_ledger.ledger.store.prepare import clean, confirm, create, lock, require_own, roll_forward
-from fsar_ledger.ledger.store.read import Head, open_ledger, read_manifest
+from fsar_ledger.ledger.store.read import open_ledger, read_manifest
 from fsar_ledger.ledger.store.record import CommitRecord, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.store.walk import commit_names
 
 
@@ -54,6 +56,7 @@ class Staged(msgspec.Struct, frozen=True):
     """What the parent must know of a segment that waits to be committed.
 
     Units: `segment_bytes` bytes, `rows` events. `leaves` are the packed RFC 6962 leaf hashes, 32 bytes per row.
+    `blocks` are those of the rows; `goes_on` are the runs of which later commits may hold more.
     """
 
     segment_sha256: str
@@ -62,6 +65,8 @@ class Staged(msgspec.Struct, frozen=True):
     first_run: str
     last_run: str
     leaves: bytes
+    blocks: tuple[Block, ...] = ()
+    goes_on: tuple[str, ...] = ()
 
 
 def stage(ledger: Path, runs: Sequence[LedgerRun]) -> Staged:
@@ -117,7 +122,16 @@ def stage_rows(ledger: Path, runs: Sequence[LedgerRun], table: pa.Table, leaves:
         raise InvalidRun(
             f"found {error} in a segment of {len(runs)} runs, so no reader would take it; commit fewer runs at once"
         ) from error
-    staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].run_id, runs[-1].run_id, leaves)
+    staged = Staged(
+        sha256_hex(data),
+        data.size,
+        table.num_rows,
+        runs[0].run_id,
+        runs[-1].run_id,
+        leaves,
+        tuple(blocks_of(table)),
+        tuple(sorted(run.run_id for run in runs if run.goes_on)),
+    )
     path = staged_path(ledger, staged.segment_sha256)
     with disk.refusals(path, "writing a segment"):
         disk.write_durably(path, memoryview(data))

@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
@@ -16,8 +17,10 @@ from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, partia
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING, commit_file
 from fsar_ledger.ledger.store.problem import Problem, refusal
-from fsar_ledger.ledger.store.read import LedgerView
 from fsar_ledger.ledger.store.record import CommitRecord
+
+if TYPE_CHECKING:
+    from fsar_ledger.ledger.store.read import LedgerView
 
 
 def write_derived(ledger: Path, before: Edge, made: Mapping[Tile, bytes], record: CommitRecord) -> None:
@@ -55,7 +58,7 @@ def check_folders(ledger: Path, tiles: Iterable[Tile]) -> None:
             )
 
 
-def catch_up(view: LedgerView) -> Edge:
+def catch_up(view: "LedgerView") -> Edge:
     """Bring the derived files up to the view's head, durably; return the edge of its tree.
 
     The last writer may have stopped at any moment.

@@ -47,6 +47,21 @@ def read_document(path: Path | str) -> bytes:
         close(handle)
 
 
+def read_large(path: Path | str, most: int) -> bytes:
+    """Read a regular file of at most this many bytes.
+
+    Raises: OSError if it is missing, not a regular file (a link is not), larger or unreadable.
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    with open(handle, "rb") as file:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError(0, "it is not a regular file")
+        data = file.read(most + 1)
+    if len(data) > most:
+        raise OSError(0, f"it is larger than {most} bytes")
+    return data
+
+
 def read_given(path: Path | str) -> bytes:
     """Read a small file that a user names: a regular one, a link to one, or a pipe.
 
@@ -174,6 +189,64 @@ def _write_all(handle: int, data: bytes | memoryview) -> None:
         if written == 0:
             raise OSError(errno.EIO, "the disk took no more bytes")
         rest = rest[written:]
+
+
+def size_of(path: Path | str) -> int:
+    """Return the bytes of this file; 0 if there is none. Raises: OSError."""
+    try:
+        return os.lstat(path).st_size
+    except FileNotFoundError:
+        return 0
+
+
+def inode_of(path: Path | str) -> int:
+    """Return the number of this file on its disk; 0 if there is none. Raises: OSError."""
+    try:
+        return os.lstat(path).st_ino
+    except FileNotFoundError:
+        return 0
+
+
+def read_at(path: Path | str, place: int, most: int) -> bytes:
+    """Read at most so many bytes at this place of a file; none if there is no file. Raises: OSError."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except FileNotFoundError:
+        return b""
+    try:
+        return os.pread(handle, most, place)
+    finally:
+        close(handle)
+
+
+def append_durably(path: Path, data: bytes, end: int) -> None:
+    """Append these bytes to a file that ends there, and sync them, once; make the file if it is new.
+
+    When that fails, the file is cut off again where it ended, if the disk allows it. Raises: OSError.
+    """
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    try:
+        try:
+            write_at(handle, data, end)
+            os.fdatasync(handle)
+            if not end:
+                sync_folder(path.parent)
+        except BaseException:
+            with suppress(OSError):
+                os.ftruncate(handle, end)
+            raise
+    finally:
+        os.close(handle)
+
+
+def write_at(handle: int, data: bytes | memoryview, place: int) -> None:
+    """Write all these bytes at this place of an open file. Raises: OSError."""
+    rest = memoryview(data).cast("B")
+    while rest:
+        written = os.pwrite(handle, rest, place)
+        if written == 0:
+            raise OSError(errno.EIO, "the disk took no more bytes")
+        rest, place = rest[written:], place + written
 
 
 def link_new(temporary: Path, path: Path) -> None:

@@ -14,6 +14,7 @@ fsar-ledger/simulated                        the checkpoint, signed or not
 
 import base64
 from bisect import bisect_right
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,15 +22,12 @@ import msgspec
 import pyarrow.compute as pc
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, inclusion_proof, leaf_hash, root_of_inclusion
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Node, inclusion_proof, leaf_hash, root_of_inclusion
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, parse_note, signers_of
-from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
-from fsar_ledger.ledger.store.read import LedgerView
-from fsar_ledger.ledger.store.record import CommitRecord
+from fsar_ledger.ledger.store.view import View
 
 TITLE = "c2sp.org/tlog-proof@v1"
 SUFFIX = ".tlog-proof"
@@ -68,14 +66,15 @@ class Proven(msgspec.Struct, frozen=True):
 
 
 class Block(msgspec.Struct, frozen=True):
-    """The events of one run: the index of the first in the ledger, and how many."""
+    """Events of one run that lie together: the index of the first in the ledger, its seq, and how many."""
 
     run: str
     first: int
+    seq: int
     events: int
 
 
-def prove(view: LedgerView, index: int) -> Proof:
+def prove(view: View, index: int) -> Proof:
     """Prove that the ledger holds the event with this index, from 0.
 
     The proof leads to the root of the newest commit whose tiles are there.
@@ -86,57 +85,52 @@ def prove(view: LedgerView, index: int) -> Proof:
     """
     if not 0 <= index < view.head.size:
         raise ValueError(f"found index {index}, expected one of {view.head.size} events")
-    number = bisect_right(view.records, index, key=lambda record: record.tree_size)
-    event = view.row(number, index - (view.records[number - 1].tree_size if number else 0))
-    note = _published(view, index).signed_note()
-    leaf, hashes = prove_inclusion(view.path, note.checkpoint, index)
+    event = view.event(index)
+    note = view.published(index)
+    assert note is not None  # as there is an event
+    leaf, hashes = prove_inclusion(view.path, view.node(note.checkpoint.size), note.checkpoint, index)
     if leaf_hash(event) != leaf:
         raise LedgerCorrupted(
-            f"{view.segment(number)}: event {index} has leaf hash {leaf_hash(event).hex()}, expected {leaf.hex()} as "
-            "the ledger's root says: "
+            f"{_segment_of(view, index)}: event {index} has leaf hash {leaf_hash(event).hex()}, expected {leaf.hex()} "
+            "as the ledger's root says: "
             "the row was altered; run fsar-ledger verify"
         )
     return Proof(event, index, hashes, note)
 
 
-def prove_inclusion(ledger: Path, tree: Checkpoint, index: int) -> tuple[bytes, tuple[bytes, ...]]:
-    """Return the leaf hash at this index and its inclusion proof to the root of this tree, from the tiles alone.
+def prove_inclusion(ledger: Path, node: Node, tree: Checkpoint, index: int) -> tuple[bytes, tuple[bytes, ...]]:
+    """Return the leaf hash at this index and its inclusion proof to the root of this tree, from its stored hashes.
 
     Raises:
         ValueError: The tree has no such leaf.
-        LedgerCorrupted: A tile is missing, or the tiles do not lead to that root.
+        LedgerCorrupted: A hash is missing, or they do not lead to that root.
     """
-    node = node_of(tile_reader(ledger), tree.size)
     hashes = inclusion_proof(node, index, tree.size)
     leaf = node(0, index)
     found = root_of_inclusion(leaf, index, tree.size, hashes)
     if found != tree.root:
         raise LedgerCorrupted(
-            f"{ledger}: the tiles lead from event {index} to the root {found.hex() if found else 'of no tree'}, "
-            f"expected {tree.root.hex()} of {tree.size} "
-            "events; run fsar-ledger verify, and fsar-ledger recover if only tiles are damaged"
+            f"{ledger}: the stored hashes lead from event {index} to the root "
+            f"{found.hex() if found else 'of no tree'}, expected {tree.root.hex()} of {tree.size} "
+            "events; run fsar-ledger verify, and fsar-ledger recover if only these are damaged"
         )
     return leaf, hashes
 
 
-def _published(view: LedgerView, index: int) -> CommitRecord:
-    """Return the newest commit whose tiles are written.
-
-    While a writer is still at work, that is the one before the newest, if it has the event.
-    """
-    *_, before, newest = (None, *view.records)
-    is_behind = before is not None and index < before.tree_size and read_checkpoint(view.path) == before.note
-    return before if before is not None and is_behind else newest
+def _segment_of(view: View, index: int) -> Path:
+    """Return the segment that holds the event at this index. Raises: LedgerCorrupted if it is not as committed."""
+    return view.segment(bisect_right(range(len(view.releases)), index, key=view.first) - 1)
 
 
-def blocks(view: LedgerView) -> Iterator[Block]:
-    """Yield the runs of the ledger, in order. Raises: LedgerCorrupted for a segment that cannot be read."""
+def blocks(view: View) -> Iterator[Block]:
+    """Yield the runs of the ledger, block by block. Raises: LedgerCorrupted for a segment that cannot be read."""
+    seqs: Counter[str] = Counter()
     for number, table in enumerate(view.tables(["run_id"])):
-        first = view.records[number - 1].tree_size if number else 0
+        first, start = view.first(number), 0
         runs = pc.run_end_encode(table.column("run_id").combine_chunks())
-        start = 0
         for run, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
-            yield Block(run, first + start, end - start)
+            yield Block(run, first + start, seqs[run], end - start)
+            seqs[run] += end - start
             start = end
 
 

@@ -3,7 +3,8 @@
 Readers never write, never see half a commit, and never get a segment other than the committed one.
 """
 
-from collections.abc import Iterator
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
@@ -13,12 +14,16 @@ import pyarrow as pa
 
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.log.note import Note
+from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.layout import check_layout
 from fsar_ledger.ledger.rows.releases import is_later
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
 from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, require_created
 from fsar_ledger.ledger.store.record import CommitRecord, Manifest, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
 from fsar_ledger.ledger.store.walk import (
     Commit,
     check_folders,
@@ -32,18 +37,6 @@ from fsar_ledger.ledger.store.walk import (
 _THREADS = 4
 _WORTH_THREADS_BYTES = 1 << 25
 """Hashing this much takes some 20 ms; below that, threads gain nothing."""
-
-
-class Head(msgspec.Struct, frozen=True):
-    """How far a ledger goes: commits, events, the Merkle root over them in hex, and the last run."""
-
-    commits: int
-    size: int
-    root: str
-    last_run: str | None = None
-
-
-EMPTY_HEAD = Head(0, 0, merkle.EMPTY_ROOT.hex())
 
 
 class Checked(NamedTuple):
@@ -70,6 +63,20 @@ class LedgerView(msgspec.Struct, frozen=True):
     record_sha256: str
     records: tuple[CommitRecord, ...]
     checked: dict[int, Checked] = msgspec.field(default_factory=dict)
+
+    @property
+    def commits(self) -> Sequence[CommitRecord]:
+        """Return what each commit says, in order."""
+        return self.records
+
+    @property
+    def releases(self) -> list[str]:
+        """Return for each segment the release that has its columns."""
+        return [record.release for record in self.records]
+
+    def first(self, number: int) -> int:
+        """Return the index in the ledger of the first event of this segment."""
+        return self.records[number - 1].tree_size if number else 0
 
     @property
     def head(self) -> Head:
@@ -153,6 +160,38 @@ class LedgerView(msgspec.Struct, frozen=True):
             if path.exists():
                 raise
             return segment.read_table(self.segment(number), columns)  # a writer moved it into place meanwhile
+
+    def event(self, index: int) -> bytes:
+        """Return the canonical bytes of the event at this index. Raises: As `row`."""
+        number = bisect_right(self.records, index, key=lambda record: record.tree_size)
+        return self.row(number, index - self.first(number))
+
+    def groups(self) -> list[tuple[int, ...]]:
+        """Return the segments in groups that share no run: each by itself."""
+        return [(number,) for number in range(len(self.records))]
+
+    def note(self) -> Note | None:
+        """Return the note of the newest commit; None if there is none."""
+        return self.records[-1].signed_note() if self.records else None
+
+    def published(self, index: int = 0) -> Note | None:
+        """Return the newest note whose tree has this event, and the tiles for proofs.
+
+        While a writer is still at work, that is the one before the newest, if it has the event.
+
+        Raises: LedgerCorrupted if the file `checkpoint` cannot be read.
+        """
+        *_, before, newest = (None, None, *self.records)
+        is_behind = before is not None and index < before.tree_size and read_checkpoint(self.path) == before.note
+        found = before if is_behind else newest
+        return None if found is None else found.signed_note()
+
+    def node(self, size: int) -> merkle.Node:
+        """Return a function that gives the complete subtrees of the tree of this many events, from the tiles.
+
+        It raises LedgerCorrupted if a tile is missing.
+        """
+        return node_of(tile_reader(self.path), size)
 
     def row(self, number: int, at: int) -> bytes:
         """Return the canonical bytes of one row of this commit.

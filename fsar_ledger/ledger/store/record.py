@@ -5,7 +5,7 @@ first: of ledger.json), so the last record vouches for all.
 """
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -21,6 +21,8 @@ from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 
 FORMAT = "fsar-ledger"
 VERSION = 1
+CHAINED = 2
+"""The version of ledgers whose runs may span commits (see `ledger.chain`)."""
 _SIGNATURE_BYTES = 64  # RFC 8032
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)]
@@ -74,12 +76,12 @@ def sha256_hex(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def parse_manifest(path: Path, data: bytes) -> Manifest:
+def parse_manifest(path: Path, data: bytes, versions: Sequence[int] = (VERSION,)) -> Manifest:
     """Parse these bytes of `path` as a manifest.
 
     Raises:
         NotALedger: They are the JSON of something else.
-        FormatVersionMismatch: They describe a ledger of another format version.
+        FormatVersionMismatch: They describe a ledger of a format version that is not among these.
         LedgerCorrupted: They are not the canonical JSON of a manifest.
     """
     try:
@@ -92,10 +94,10 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
         raise NotALedger(
             f"{path}: found format {header.get('format')!r:.80}, expected {FORMAT!r}; this is no FSAR ledger"
         )
-    if header.get("version") != VERSION:
+    if header.get("version") not in versions:
         raise FormatVersionMismatch(
-            f"{path}: found format version {header.get('version')!r:.80}, expected {VERSION}; read it with the "
-            "version that wrote it"
+            f"{path}: found format version {header.get('version')!r:.80}, expected {' or '.join(map(str, versions))}; "
+            "read it with the version that wrote it"
         )
     manifest = _parse(path, data, Manifest)
     if not is_name(manifest.origin):

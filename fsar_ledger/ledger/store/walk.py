@@ -28,7 +28,7 @@ import os
 import stat
 from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import msgspec
 
@@ -48,7 +48,15 @@ from fsar_ledger.ledger.store.paths import (
     staged_file,
 )
 from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
-from fsar_ledger.ledger.store.record import CommitRecord, contradictions, parse_manifest, parse_record, sha256_hex
+from fsar_ledger.ledger.store.record import (
+    CHAINED,
+    VERSION,
+    CommitRecord,
+    contradictions,
+    parse_manifest,
+    parse_record,
+    sha256_hex,
+)
 
 FOLDERS = frozenset({COMMITS, SEGMENTS, STAGING, TILE})
 FILES = frozenset({MANIFEST, CHECKPOINT})
@@ -70,6 +78,42 @@ class Commit(msgspec.Struct, frozen=True):
     record: CommitRecord | None
     before: Frontier | None
     problems: tuple[Problem, ...] = ()
+
+
+class Stored(Protocol):
+    """What is on record about a segment: a record of a commit, or of a placement in a ledger of format 2."""
+
+    @property
+    def release(self) -> str:
+        """Return the release that has its columns."""
+
+    @property
+    def schema_sha256(self) -> str:
+        """Return the fingerprint of its columns."""
+
+    @property
+    def segment_sha256(self) -> str:
+        """Return the hash of its file."""
+
+    @property
+    def segment_bytes(self) -> int:
+        """Return the size of its file in bytes."""
+
+    @property
+    def rows(self) -> int:
+        """Return the number of its events."""
+
+
+class Names(NamedTuple):
+    """Where a segment is within the ledger once it is in place, and the file that says so."""
+
+    place: str
+    said_by: str
+
+
+def names_of(number: int) -> Names:
+    """Return the names of the segment of this commit of a ledger of format 1."""
+    return Names(segment_file(number), commit_file(number))
 
 
 class FoundSegment(NamedTuple):
@@ -139,9 +183,10 @@ def _doubts(
         yield Problem(commit_file(number), f"{found!r}", wanted, commit=number, field=name)
 
 
-def find_segment(ledger: Path, number: int, record: CommitRecord) -> FoundSegment:
-    """Find the segment of this commit without reading it. Never raises."""
-    place, staged = segment_file(number), staged_file(record.segment_sha256)
+def find_segment(ledger: Path, number: int, record: Stored, names: Names | None = None) -> FoundSegment:
+    """Find the segment of this commit, or with these names, without reading it. Never raises."""
+    names = names or names_of(number)
+    place, staged = names.place, staged_file(record.segment_sha256)
     for file in (place, staged, place):  # a writer may move it meanwhile
         try:
             status = os.lstat(f"{ledger}/{file}")
@@ -151,36 +196,37 @@ def find_segment(ledger: Path, number: int, record: CommitRecord) -> FoundSegmen
             continue
         except OSError as error:
             return FoundSegment(file, None, _no_segment(file, number, record, f"an unreadable file ({error.strerror})"))
-        return FoundSegment(file, status, _unfit(file, number, record, status))
+        return FoundSegment(file, status, _unfit(file, number, record, status, names.said_by))
     return FoundSegment(place, None, _no_segment(place, number, record, "no segment"))
 
 
-def _no_segment(file: str, number: int, record: CommitRecord, found: str) -> Problem:
+def _no_segment(file: str, number: int, record: Stored, found: str) -> Problem:
     return Problem(file, found, f"a segment of {record.rows} events", commit=number, field="segment_sha256")
 
 
-def _unfit(file: str, number: int, record: CommitRecord, status: os.stat_result) -> Problem | None:
+def _unfit(file: str, number: int, record: Stored, status: os.stat_result, said_by: str) -> Problem | None:
     """Return why a file of this kind and size cannot be the segment; None if it can."""
     if not stat.S_ISREG(status.st_mode):
         return _no_segment(file, number, record, "a link or something else than a file")
     if status.st_size != record.segment_bytes:
-        expected = f"{record.segment_bytes}, as {commit_file(number)} says"
+        expected = f"{record.segment_bytes}, as {said_by} says"
         return Problem(file, f"{status.st_size} bytes", expected, commit=number, field="segment_bytes")
     return None
 
 
 def read_segment(
-    ledger: Path, file: str, number: int, record: CommitRecord, *, is_kept: bool = True
+    ledger: Path, file: str, number: int, record: Stored, names: Names | None = None, *, is_kept: bool = True
 ) -> tuple[bytes, Problem | None]:
     """Read this file and check that it is the one that the record names; return its bytes, if `is_kept`, and a problem.
 
     Raises:
         FileNotFoundError: It is not there, or no longer.
     """
+    said_by = (names or names_of(number)).said_by
     try:
         handle = os.open(f"{ledger}/{file}", _NO_LINK)
         with open(handle, "rb") as opened:
-            problem = _unfit(file, number, record, os.fstat(handle))
+            problem = _unfit(file, number, record, os.fstat(handle), said_by)
             if problem is not None:
                 return b"", problem
             data = opened.read(record.segment_bytes + 1) if is_kept else b""
@@ -190,7 +236,7 @@ def read_segment(
     except OSError as error:
         return b"", _no_segment(file, number, record, f"an unreadable file ({error.strerror})")
     if digest.hexdigest() != record.segment_sha256:
-        expected = f"{record.segment_sha256}, as {commit_file(number)} says"
+        expected = f"{record.segment_sha256}, as {said_by} says"
         return b"", Problem(file, f"SHA-256 {digest.hexdigest()}", expected, commit=number, field="segment_sha256")
     return data, None
 
@@ -261,7 +307,7 @@ def check_manifest(ledger: Path) -> tuple[str | None, bytes | None, Problem | No
         found = f"an unreadable file ({error.strerror})" if os.path.lexists(ledger / MANIFEST) else MISSING
         return None, None, Problem(MANIFEST, found, "the description of the ledger")
     try:
-        return parse_manifest(Path(MANIFEST), data).origin, data, None
+        return parse_manifest(Path(MANIFEST), data, (VERSION, CHAINED)).origin, data, None
     except FsarLedgerError as error:
         found = f"no description of a ledger {refusal(MANIFEST, error)}"
         return None, data, Problem(MANIFEST, found, "one as it is written")

@@ -1,7 +1,7 @@
 """Who signed a ledger, and whether it only grew since an earlier checkpoint: a part of `verify`."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -12,7 +12,7 @@ from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, d
 from fsar_ledger.ledger.log.tiles import TILE, node_of
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import tile_reader
-from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, commit_file
+from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import CommitRecord
 
@@ -48,12 +48,13 @@ def read_anchor(path: Path) -> Anchor:
         return Anchor(str(path), None, (error.strerror or str(error)) if isinstance(error, OSError) else str(error))
 
 
-def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -> tuple[list[Problem], Signatures]:
+def check_signatures(
+    notes: Sequence[Note], place: Callable[[int], str], trusted: VerifierKey | None
+) -> tuple[list[Problem], Signatures]:
     """Check that the trusted key signed the newest note, and that no note falsely claims its signature.
 
-    Without a key, only tell whether the newest note is signed at all.
+    Without a key, only tell whether the newest note is signed at all. `place` names the file of a commit's record.
     """
-    notes = [record.signed_note() for record in records]
     signers = signers_of(notes[-1]) if notes else None
     if trusted is None:
         return [], Signatures(
@@ -63,13 +64,13 @@ def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -
         return [Problem(MANIFEST, "no commit, so no note", f"one signed by {trusted.key}")], Signatures("unsigned")
     problems = [
         Problem(
-            commit_file(record.number),
+            place(number),
             found,
             f"one of {trusted.key}, the trusted key",
-            commit=record.number,
+            commit=number,
             field="note",
         )
-        for record, note in zip(records, notes, strict=True)
+        for number, note in enumerate(notes)
         if (found := doubt(note, trusted)) is not None and (note is notes[-1] or names(note, trusted))
     ]
     if problems:

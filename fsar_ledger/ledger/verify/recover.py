@@ -25,10 +25,12 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, SEGMENTS, STAGING, commit_path, segment_path
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.read import Head, open_ledger
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.verify.rederive import Redo, derive, is_tile, put
+from fsar_ledger.ledger.verify.report import Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.trusted_prefix import Later, TrustedPrefix, find_prefix
-from fsar_ledger.ledger.verify.verify import Asked, Progress, VerifyReport, verify
+from fsar_ledger.ledger.verify.verify import verify
 
 Outcome = Literal["whole", "mended", "damaged", "continued"]
 

@@ -14,7 +14,8 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import read_checkpoint, tile_files, tile_reader
 from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.read import Head, LedgerView
+from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.store.view import Head
 
 SetAside = Callable[[str], None]
 """Moves the file with this name within the ledger out of it, to where nothing is lost."""

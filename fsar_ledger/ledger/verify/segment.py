@@ -13,21 +13,21 @@ import pyarrow.parquet as pq
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.arrow import places, whole
+from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts, standing_alone
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_layout
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.rows.segment import read_coded, to_parquet
-from fsar_ledger.ledger.store.paths import commit_file, segment_file
 from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
-from fsar_ledger.ledger.store.record import CommitRecord
-from fsar_ledger.ledger.store.walk import find_segment, read_segment
+from fsar_ledger.ledger.store.walk import Names, Stored, find_segment, names_of, read_segment
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
     """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None if the rows are in doubt.
 
-    `alone` are those of `runs` that are not runs but one event that stands alone.
+    `alone` are those of `runs` that are not runs but one event that stands alone. `blocks` are those of a segment of a
+    ledger of format 2.
     """
 
     file: str
@@ -36,6 +36,7 @@ class SegmentFacts(msgspec.Struct, frozen=True):
     runs: tuple[str, ...] | None = None
     leaves: bytes | None = None
     alone: frozenset[str] = frozenset()
+    blocks: tuple[Block, ...] = ()
 
 
 SecondReader = Callable[[str, pa.Table, bool], tuple[str, str] | None]
@@ -45,69 +46,76 @@ or None if it holds them. True as the last argument: the file is what these rows
 
 
 def examine(
-    ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None
+    ledger: str,
+    number: int,
+    record: Stored | None,
+    second_reader: SecondReader | None = None,
+    names: Names | None = None,
 ) -> SegmentFacts:
-    """Compare the segment of this commit with its record and with what the second reader finds.
+    """Compare the segment of this commit, or with these names, with its record and what the second reader finds.
+
+    Where names are given, the ledger has format 2, whose runs may begin or end in other segments.
 
     Raises: Only what `unexpected` raises.
     """
-    return _guarded(partial(_examine, second_reader), Path(ledger), number, record)
+    return _guarded(partial(_examine, second_reader), Path(ledger), number, record, names)
 
 
-def examine_file(ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
-    """Compare the file of this commit's segment with its record, without reading the rows.
+def examine_file(ledger: str, number: int, record: Stored | None, names: Names | None = None) -> SegmentFacts:
+    """Compare the file of this commit's segment, or with these names, with its record, without reading the rows.
 
     Raises: Only what `unexpected` raises.
     """
-    return _guarded(_examine_file, Path(ledger), number, record)
+    return _guarded(_examine_file, Path(ledger), number, record, names)
 
 
-_Check = Callable[[Path, str, int, CommitRecord], SegmentFacts]
+_Check = Callable[[Path, str, int, Stored, Names | None], SegmentFacts]
 
 
-def _guarded(check: _Check, ledger: Path, number: int, record: CommitRecord | None) -> SegmentFacts:
+def _guarded(check: _Check, ledger: Path, number: int, record: Stored | None, names: Names | None) -> SegmentFacts:
+    place = (names or names_of(number)).place
     if record is None:
-        return SegmentFacts(segment_file(number))
+        return SegmentFacts(place)
     try:
-        return _checked(check, ledger, number, record)
+        return _checked(check, ledger, number, record, names)
     except FileNotFoundError:  # its writer moved it into place meanwhile
         try:
-            return _checked(check, ledger, number, record)
+            return _checked(check, ledger, number, record, names)
         except FileNotFoundError as error:
-            return SegmentFacts(segment_file(number), (unexpected(segment_file(number), number, error),))
+            return SegmentFacts(place, (unexpected(place, number, error),))
 
 
-def _checked(check: _Check, ledger: Path, number: int, record: CommitRecord) -> SegmentFacts:
+def _checked(check: _Check, ledger: Path, number: int, record: Stored, names: Names | None) -> SegmentFacts:
     """Check the segment where it is found.
 
     Raises:
         FileNotFoundError: It was found, and then was no longer there.
     """
-    found = find_segment(ledger, number, record)
+    found = find_segment(ledger, number, record, names)
     if found.problem is not None:
         return SegmentFacts(found.file, (found.problem,))
     try:
-        return check(ledger, found.file, number, record)
+        return check(ledger, found.file, number, record, names)
     except FileNotFoundError:
         raise
     except (Exception, RecursionError) as error:
         return SegmentFacts(found.file, (unexpected(found.file, number, error),))
 
 
-def _examine_file(ledger: Path, file: str, number: int, record: CommitRecord) -> SegmentFacts:
-    _, problem = read_segment(ledger, file, number, record, is_kept=False)
+def _examine_file(ledger: Path, file: str, number: int, record: Stored, names: Names | None) -> SegmentFacts:
+    _, problem = read_segment(ledger, file, number, record, names, is_kept=False)
     return SegmentFacts(file, (problem,)) if problem is not None else SegmentFacts(file, rows=record.rows)
 
 
 def _examine(
-    second_reader: SecondReader | None, ledger: Path, file: str, number: int, record: CommitRecord
+    second_reader: SecondReader | None, ledger: Path, file: str, number: int, record: Stored, names: Names | None
 ) -> SegmentFacts:
-    data, problem = read_segment(ledger, file, number, record)
+    data, problem = read_segment(ledger, file, number, record, names)
     if problem is not None:
         return SegmentFacts(file, (problem,))
     if record.release not in FINGERPRINTS:  # its rows cannot be judged; the record is a problem already
         return SegmentFacts(file, rows=record.rows)
-    says = f"as {commit_file(number)} says"
+    says = f"as {(names or names_of(number)).said_by} says"
 
     def fail(found: object, expected: object, field: str) -> SegmentFacts:
         return SegmentFacts(file, (Problem(file, str(found), str(expected), commit=number, field=field),))
@@ -122,7 +130,7 @@ def _examine(
     if fingerprint(layout.schema) != record.schema_sha256:
         return fail(fingerprint(layout.schema), f"{record.schema_sha256}, {says}", "schema_sha256")
     table = read_coded(path, data, layout)
-    flaw = first_flaw(table)
+    flaw = first_flaw(table, is_whole=names is None)
     problems = (
         () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
     )
@@ -141,7 +149,8 @@ def _examine(
     )
     leaves = canonical.leaves(table)
     alone = frozenset(run_ids.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
-    return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone)
+    blocks = tuple(blocks_of(table)) if names is not None and flaw is None else ()
+    return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone, blocks)
 
 
 def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tuple[str, str] | None]:

@@ -16,8 +16,8 @@ from fsar_ledger.ledger.log.note import VerifierKey, names
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, commit_file, segment_file
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.read import EMPTY_HEAD, Head
 from fsar_ledger.ledger.store.record import FORMAT, VERSION, CommitRecord, Manifest, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
 from fsar_ledger.ledger.store.walk import (
     MISSING,
     Commit,
@@ -32,8 +32,8 @@ from fsar_ledger.ledger.store.walk import (
 )
 from fsar_ledger.ledger.verify.notes import Anchor, check_anchor
 from fsar_ledger.ledger.verify.rederive import Redo, TilePlan, begins_with, checkpoint_note, grown_beyond, tile_strays
+from fsar_ledger.ledger.verify.report import Asked, Progress
 from fsar_ledger.ledger.verify.segment import examine_file
-from fsar_ledger.ledger.verify.verify import Asked, Progress
 from fsar_ledger.ledger.verify.walk import RowWalk
 
 FITS = "record and segment fit each other"

@@ -6,17 +6,22 @@ else can sign other records) and by an anchor, an earlier checkpoint kept elsewh
 """
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-
-import msgspec
 
 from fsar_ledger.errors import FsarLedgerError, NotALedger, WorkerDied
 from fsar_ledger.ledger.log import merkle
-from fsar_ledger.ledger.log.note import Signed, VerifierKey
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import check_checkpoint, read_checkpoint
-from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, SEGMENTS, STAGING, require_created, segment_file
+from fsar_ledger.ledger.store.paths import (
+    COMMITS,
+    MANIFEST,
+    SEGMENTS,
+    STAGING,
+    commit_file,
+    require_created,
+    segment_file,
+)
 from fsar_ledger.ledger.store.problem import Problem, unexpected
 from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
 from fsar_ledger.ledger.store.walk import (
@@ -30,62 +35,11 @@ from fsar_ledger.ledger.store.walk import (
     strays,
     walk,
 )
+from fsar_ledger.ledger.verify.chain import ChainVerification, chain_moment, is_chained
 from fsar_ledger.ledger.verify.derived import BEHIND, TileCheck
 from fsar_ledger.ledger.verify.notes import Anchor, ByTiles, Signatures, check_anchor, check_signatures, root_by_tiles
-from fsar_ledger.ledger.verify.segment import SecondReader
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.walk import RowWalk, Standing
-
-MAX_PROBLEMS = 100
-"""The most problems that a report names; a ledger with more is lost anyway."""
-
-Progress = Callable[[int, int], None]
-
-
-class Asked(msgspec.Struct, frozen=True):
-    """What `verify` is asked to check beyond the ledger itself.
-
-    With `is_quick`, no rows are read: only the chain of records, the hashes of the files and the notes are checked.
-    `witnessed` are more anchors, whose signatures were checked where they came from. `second_reader` reads the rows of
-    each segment again, with other code, and compares them; it can be pickled.
-    """
-
-    is_quick: bool = False
-    trusted: VerifierKey | None = None
-    anchor: Anchor | None = None
-    witnessed: tuple[Anchor, ...] = ()
-    second_reader: SecondReader | None = None
-
-    def sizes(self) -> set[int]:
-        """Return the sizes of the anchors' trees."""
-        anchors = (self.anchor, *self.witnessed)
-        return {anchor.note.checkpoint.size for anchor in anchors if anchor is not None and anchor.note is not None}
-
-
-class VerifyReport(msgspec.Struct, frozen=True):
-    """The findings of `verify`.
-
-    Units: `commits`, `events` and `runs` count what was read without doubt; `signed` counts commits.
-
-    `root` is the Merkle root in hex over the rows themselves (as recorded, if rows were not read), None if there is any
-    doubt. `signer` is the trusted key (`name+id`) if one was given, else the one that the newest note names; `anchored`
-    counts the events of the anchor. `remarks` are not doubts: what a crash may leave behind, and what a quick look
-    leaves open. `record_sha256` is the hash of the newest commit record (of ledger.json if there is none), which
-    vouches for all before; None if there is any doubt.
-    """
-
-    ok: bool
-    problems: tuple[Problem, ...]
-    commits: int
-    events: int
-    runs: int
-    root: str | None
-    signature: Signed = "unsigned"
-    signer: str | None = None
-    signed: int = 0
-    is_quick: bool = False
-    anchored: int | None = None
-    remarks: tuple[str, ...] = ()
-    record_sha256: str | None = None
 
 
 def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None) -> VerifyReport:
@@ -114,7 +68,7 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
     if (
         not report.ok and _moment(path) != before
     ):  # a writer was at work: what was read late need not fit what was read early
-        with disk.turn(path / COMMITS, is_shared=True):
+        with disk.turn(path / (SEGMENTS if is_chained(path) else COMMITS), is_shared=True):
             report = _look(path, workers, progress, asked or Asked())
     return report
 
@@ -122,6 +76,8 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
 def _moment(path: Path) -> tuple[list[str], list[str], str | None] | None:
     """Return what changes while a writer is at work; None where it cannot be read."""
     try:
+        if is_chained(path):
+            return list(map(str, chain_moment(path))), [], read_checkpoint(path)
         commits, staged = ([entry.name for entry in disk.entries(path / folder)] for folder in (COMMITS, STAGING))
         return commits, staged, read_checkpoint(path)
     except (OSError, FsarLedgerError):
@@ -130,7 +86,7 @@ def _moment(path: Path) -> tuple[list[str], list[str], str | None] | None:
 
 def _look(path: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
     """Look at the whole ledger once. Raises: WorkerDied, and what `unexpected` raises: then nothing is known."""
-    verification = _Verification(path, asked)
+    verification = ChainVerification(path, asked) if is_chained(path) else _Verification(path, asked)
     try:
         return verification.run(max(1, workers), progress)
     except WorkerDied:
@@ -179,7 +135,9 @@ class _Verification:
     def _report(self, origin: str | None, records: list[CommitRecord], newest: str | None) -> VerifyReport:
         signed = Signatures("signer not checked")
         if not self.problems:
-            doubts, signed = check_signatures(records, self.asked.trusted)
+            doubts, signed = check_signatures(
+                [record.signed_note() for record in records], commit_file, self.asked.trusted
+            )
             self.problems += doubts
         remarks = self._check_derived(records)
         anchored, proved = self._check_anchor(origin, records)

@@ -1,0 +1,16 @@
+"""A ledger of format 2: runs of any length, commits of any size.
+
+```
+record     the lines of a chain: commits, and placements of their rows
+links      follow a chain line by line
+journal    commits whose rows are not in a segment yet
+tables     rows of a journal as columns
+nodes      the pack of the tree on disk
+paths      where the files are
+read       ChainView: what is committed
+checkpoint the file `checkpoint`, which may be behind
+prepare    what a writer does before it appends
+held       which runs a ledger holds, and how far
+append     ChainWriter
+```
+"""

@@ -1,0 +1,309 @@
+"""Append commits to a ledger of format 2. Each is added whole or not at all, and is on disk when the call returns.
+
+Many events at once go into a segment of their own, and each step is durable before the next:
+1. `stage` (any number of workers) writes the segment to `staging/`, under its SHA-256.
+2. `append` (one parent) writes two lines to the chain, the commit and where its rows are: this is the commit.
+3. The segment moves to `segments/`. Until then readers look in `staging/`.
+4. The pack of the tree and the checkpoint follow.
+
+A few events go into the journal (`add`): record and rows in one write, and one sync. `seal` turns the journal into a
+segment: steps 1 to 4 for all of its commits at once; then the journal is removed.
+
+Writers take turns, under an exclusive lock on `segments/`. Each begins its turn with what others have added meanwhile,
+so no work is done again: leaves and segments do not depend on where in the ledger they go.
+"""
+
+import base64
+import fcntl
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+from fsar_ledger.errors import NotALedger, UsageError, WriteFailed, option
+from fsar_ledger.ledger.chain import paths
+from fsar_ledger.ledger.chain.held import HeldRuns
+from fsar_ledger.ledger.chain.journal import Frame, JournalFile, leaf_hashes
+from fsar_ledger.ledger.chain.nodes import append_nodes
+from fsar_ledger.ledger.chain.prepare import create, repair
+from fsar_ledger.ledger.chain.read import ChainView, open_chain
+from fsar_ledger.ledger.chain.record import Commit, Placement
+from fsar_ledger.ledger.chain.tables import stage_table
+from fsar_ledger.ledger.log import pack
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import Checkpoint, Signer, doubt
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.blocks import Block
+from fsar_ledger.ledger.rows.releases import RELEASE
+from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
+from fsar_ledger.ledger.rows.schema import FINGERPRINT
+from fsar_ledger.ledger.rows.small import rows_of
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Staged
+from fsar_ledger.ledger.store.held import Held
+from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING, staged_path
+from fsar_ledger.ledger.store.prepare import lock
+from fsar_ledger.ledger.store.read import read_manifest
+from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.ledger.store.view import Head
+
+SEAL_ROWS, SEAL_BYTES = 1 << 16, 1 << 23
+"""A journal is sealed before it holds more events or bytes; so many fit into a segment, whatever they are."""
+
+
+class ChainWriter:
+    """Appends to one ledger of format 2, which it creates if there is none. Use it as a context manager.
+
+    Args:
+        signer: The key that signs the notes of new commits, and whose name must be the origin. Without one they are
+            unsigned.
+        adopts: The signer vouches for a ledger whose newest commit is unsigned or signed by another key.
+
+    Raises:
+        NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as
+            it was.
+        LedgerCorrupted: Its records contradict each other, or a segment is missing.
+        UsageError: The key has another origin, or did not sign the newest commit and does not adopt it; or the path is
+            in another ledger.
+        WriteFailed: The disk refused.
+    """
+
+    def __init__(self, ledger: Path, origin: str, signer: Signer | None = None, *, adopts: bool = False):
+        create(ledger, origin)
+        self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
+        self._is_broken = False
+        self._journal = JournalFile(ledger / paths.JOURNAL)
+        self._lock, is_alone = lock(ledger)
+        try:
+            with disk.turn(ledger / SEGMENTS):
+                self._view = self._opened(is_alone=is_alone)
+            with suppress(OSError):  # the file system has no locks
+                fcntl.flock(self._lock, fcntl.LOCK_SH)
+        except BaseException:
+            self.close()
+            raise
+        self._held: HeldRuns | None = None  # read when the first batch is appended
+
+    def _opened(self, *, is_alone: bool = False) -> ChainView:
+        """Open the ledger, finish what an interrupted writer left, and check who signed it."""
+        view = open_chain(self._path, read_manifest(self._path))
+        if view.manifest.origin != self._origin:
+            raise NotALedger(
+                f"{self._path}: found a ledger of origin {view.manifest.origin!r}, expected {self._origin!r}; give "
+                f"another path, or that origin with {option('origin')}"
+            )
+        if self._signer is not None and not self._adopts:
+            self._require_own(view)
+        return repair(view, is_alone=is_alone)
+
+    def _require_own(self, view: ChainView) -> None:
+        note, key = view.note(), self._signer.verifier if self._signer else None
+        if note is not None and key is not None and (found := doubt(note, key)) is not None:
+            raise UsageError(
+                f"{self._path}: found a newest checkpoint with {found}, expected one of {key.key}; its next signature "
+                f"would vouch for all that is there: verify the ledger, and say {option('adopt')} to sign on from here"
+            )
+
+    @property
+    def head(self) -> Head:
+        """Return how far the ledger goes."""
+        return self._view.head
+
+    def __enter__(self) -> "ChainWriter":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Release the lock, after the checkpoint covers what is in the journal. What was appended stays."""
+        if self._lock < 0:
+            return
+        try:
+            if self._journal.is_open and not self._is_broken:
+                with disk.turn(self._path / SEGMENTS):
+                    if self._view.is_current():
+                        self._journal.trim(self._view.journal.end)
+                        self._write_checkpoint()
+        except OSError as error:
+            raise WriteFailed(
+                f"{self._path}: every commit is safe, but the disk refused the checkpoint ({error.strerror}); the next "
+                "writer writes it"
+            ) from error
+        finally:
+            self._journal.close()
+            disk.close(self._lock)
+            self._lock = -1
+
+    def held(self) -> Held:
+        """Read from the rows which runs and plans the ledger holds. Raises: LedgerCorrupted if they cannot be read."""
+        return self._runs().told()
+
+    def going_on(self) -> dict[str, int]:
+        """Return the runs of which later commits may hold more, and how many events the ledger holds of each."""
+        return {run: self._runs().events(run) for run in sorted(self._view.chain.going_on)}
+
+    def _runs(self) -> HeldRuns:
+        if self._held is None:
+            self._held = HeldRuns(self._view)
+        return self._held
+
+    def append(self, staged: Staged) -> Head:
+        """Commit the staged segment, durably. Appending a segment that is there already changes nothing.
+
+        Raises:
+            InvalidRun: Its events do not continue those that the ledger holds of a run, or repeat some. The staged file
+                is removed; the ledger is unchanged.
+            LedgerCorrupted: Another writer made the ledger contradict itself.
+            WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
+        """
+        self._require_usable()
+        with disk.turn(self._path / SEGMENTS):
+            self._catch_up()
+            if any(one.segment_sha256 == staged.segment_sha256 for one in self._view.chain.placements):
+                disk.remove(staged_path(self._path, staged.segment_sha256))
+                return self._view.head
+            self._require_staged(staged)
+            continues = self._continued(staged)
+            if self._view.journal.frames:
+                self._seal()
+            tree, nodes = pack.grow(self._view.tree(), staged.leaves)
+            commit = self._commit(staged.rows, tree, continues, staged.goes_on)
+            self._place(staged, [canonical.document(commit)], tree, nodes)
+            self._runs().add(staged.blocks)
+        return self._view.head
+
+    def add(self, runs: Sequence[LedgerRun]) -> Head:
+        """Commit these runs, or parts of runs, to the journal, durably: for a few events at a time.
+
+        Raises:
+            InvalidRun: As `store.append.stage`, or as `append`. The ledger is unchanged.
+            LedgerCorrupted: Another writer made the ledger contradict itself.
+            WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
+        """
+        self._require_usable()
+        rows, blocks = rows_of(runs)
+        leaves = leaf_hashes(rows)
+        goes_on = tuple(sorted(run.run_id for run in runs if run.goes_on))
+        with disk.turn(self._path / SEGMENTS):
+            self._catch_up()
+            if (flaw := self._runs().refused(blocks, self._view.chain.going_on)) is not None:
+                raise refusal(flaw)
+            size = sum(map(len, rows)) + len(rows)
+            journal = self._view.journal
+            if journal.frames and (journal.rows + len(rows) > SEAL_ROWS or journal.end + size > SEAL_BYTES):
+                self._seal()
+                journal = self._view.journal
+            tree = journal.tree.extend(leaves)
+            commit = self._commit(len(rows), tree, continued(blocks), goes_on)
+            line = canonical.document(commit)
+            self._is_broken = True  # unless everything below succeeds
+            with disk.refusals(self._path / paths.JOURNAL, "writing to the journal"):
+                written = self._journal.write(b"\n".join((line, *rows, b"")), journal.end)
+            self._view.chain.add(line, commit)
+            journal.add(Frame(line, commit, rows), tree, leaves, written)
+            self._runs().add(blocks)
+            self._is_broken = False
+        return self._view.head
+
+    def seal(self) -> Head:
+        """Put what is in the journal into a segment. Raises: As `append`."""
+        self._require_usable()
+        with disk.turn(self._path / SEGMENTS):
+            self._catch_up()
+            if self._view.journal.frames:
+                self._seal()
+        return self._view.head
+
+    def _seal(self) -> None:
+        """Put what is in the journal into a segment, and remove it; the caller has its turn."""
+        journal = self._view.journal
+        staged = stage_table(self._path, self._view.journal_table(), bytes(journal.leaves))
+        _, nodes = pack.grow(self._view.chain.tree(), staged.leaves)
+        self._place(staged, [frame.line for frame in journal.frames], journal.tree, nodes)
+        self._journal.remove()
+
+    def _require_usable(self) -> None:
+        if self._is_broken or self._lock < 0:
+            raise WriteFailed(
+                f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and "
+                "append what it lacks"
+            )
+
+    def _catch_up(self) -> None:
+        """Take over what other writers have added since the last turn."""
+        if self._view.is_current():
+            return
+        known = self._view.head.size
+        self._journal.close()
+        self._view = self._opened()
+        if self._held is not None:
+            self._held.add_from(self._view, known)
+
+    def _require_staged(self, staged: Staged) -> None:
+        path = staged_path(self._path, staged.segment_sha256)
+        with disk.refusals(path, "reading what was staged"):
+            data = disk.read_large(path, staged.segment_bytes)
+        if sha256_hex(data) != staged.segment_sha256 or staged.rows * HASH_BYTES != len(staged.leaves):
+            raise WriteFailed(
+                f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; "
+                "stage it again"
+            )
+
+    def _continued(self, staged: Staged) -> tuple[tuple[str, int], ...]:
+        """Return the runs that the segment continues. Raises: InvalidRun if the ledger cannot hold its events."""
+        if (flaw := self._runs().refused(staged.blocks, self._view.chain.going_on)) is not None:
+            disk.remove(staged_path(self._path, staged.segment_sha256))
+            raise refusal(flaw)
+        return continued(staged.blocks)
+
+    def _commit(
+        self, rows: int, tree: Frontier, continues: tuple[tuple[str, int], ...], goes_on: tuple[str, ...]
+    ) -> Commit:
+        chain, root = self._view.chain, tree.root()
+        text = ""
+        if self._signer is not None:
+            signature = self._signer.sign(Checkpoint(self._origin, tree.size, root))
+            text = base64.b64encode(signature.key_id + signature.data).decode()
+        return Commit(len(chain.commits), chain.sha256, RELEASE, rows, tree.size, root.hex(), continues, goes_on, text)
+
+    def _place(self, staged: Staged, lines: Sequence[bytes], tree: Frontier, nodes: bytes) -> None:
+        """Append these lines of commits, and the placement of their rows; then all that follows from them."""
+        chain = self._view.chain
+        placement = Placement(
+            len(chain.placements),
+            sha256_hex(lines[-1]),
+            RELEASE,
+            FINGERPRINT,
+            staged.segment_sha256,
+            staged.segment_bytes,
+            chain.placed_size,
+            staged.rows,
+            tuple(subtree.hex() for subtree in tree.subtrees),
+        )
+        data = b"\n".join((*lines, canonical.document(placement), b""))
+        self._is_broken = True  # unless everything below succeeds
+        with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
+            disk.append_durably(self._path / paths.CHAIN, data, self._view.followed.end)
+        self._view = self._view.grown(data, tree)
+        try:
+            disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
+            append_nodes(self._path, placement.first, nodes)
+            self._write_checkpoint()
+        except OSError as error:
+            raise WriteFailed(
+                f"{self._path}: commit {len(chain.commits) - 1} was made, but the disk refused before it was safe "
+                f"({error.strerror}); the next writer finishes it or finds it gone: run the same command again"
+            ) from error
+        self._is_broken = False
+
+    def _write_checkpoint(self) -> None:
+        """Write the note of the newest commit, durably. Raises: OSError."""
+        disk.write_files({self._path / CHECKPOINT: str(self._view.note()).encode()}, self._path / STAGING)
+
+
+def continued(blocks: Sequence[Block]) -> tuple[tuple[str, int], ...]:
+    """Return, for the record of a commit, the runs that these blocks continue, and from which seq on."""
+    return tuple(sorted((block.run, block.first) for block in blocks if block.first))

@@ -1,0 +1,213 @@
+"""The journal: commits whose rows are not in a segment yet.
+
+`journal.jsonl` holds frames, one for each commit: its record, as in the chain, and then its rows, each the canonical
+bytes of an event. It continues the chain. Room for more frames is allotted ahead, as NUL bytes. A frame is written at
+once and synced once, so only the last one can be torn; the root in its record shows whether it is.
+"""
+
+import hashlib
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.ledger.chain.links import Chain
+from fsar_ledger.ledger.chain.paths import JOURNAL
+from fsar_ledger.ledger.chain.record import Commit, parse_line
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.problem import Problem
+
+ALLOTTED = 1 << 20
+"""Bytes by which the file grows: writing over what is there, a disk syncs only the data."""
+
+
+class Frame(msgspec.Struct, frozen=True):
+    """One commit in the journal: the line of its record, what it says, and its rows (canonical bytes)."""
+
+    line: bytes
+    commit: Commit
+    rows: Sequence[bytes]
+
+
+class Journal(msgspec.Struct):
+    """What a journal holds: its frames, the tree after them, and the bytes up to the end of the last one.
+
+    `leaves` are the packed leaf hashes of all rows. `problem` says where it contradicts the chain or itself, if not
+    merely its last frame is torn.
+    """
+
+    frames: list[Frame]
+    tree: Frontier
+    leaves: bytearray
+    end: int = 0
+    torn: int = 0
+    problem: Problem | None = None
+
+    @property
+    def rows(self) -> int:
+        """Return the number of events in it."""
+        return len(self.leaves) // HASH_BYTES
+
+    def add(self, frame: Frame, tree: Frontier, leaves: bytes, size: int) -> None:
+        """Add a frame of so many bytes that was written at the end."""
+        self.frames.append(frame)
+        self.tree = tree
+        self.leaves += leaves
+        self.end += size
+
+
+def leaf_hashes(rows: Sequence[bytes]) -> bytes:
+    """Return the packed RFC 6962 leaf hashes of these rows."""
+    sha256 = hashlib.sha256
+    return b"".join([sha256(b"\x00" + row).digest() for row in rows])
+
+
+def read_frames(data: bytes, chain: Chain) -> Journal:
+    """Read the frames in these bytes of a journal and add their commits to the chain.
+
+    A journal all of whose frames the chain holds has been sealed, and is empty. Only the roots of the last two frames
+    are compared with the rows; `verify` compares all.
+    """
+    text = data.rstrip(b"\0")
+    if _is_sealed(text, chain):
+        return Journal([], chain.tree(), bytearray())
+    lines = text.split(b"\n")
+    rest = lines.pop()  # empty, unless the last line is torn
+    frames: list[Frame] = []
+    at = end = 0
+    before = chain.tree()
+    problem: Problem | None = None
+    shas = [chain.sha256]
+    while at < len(lines):
+        commit, problem = _commit(lines[at], chain)
+        if commit is None or at + commit.rows >= len(lines):
+            break
+        frames.append(Frame(lines[at], commit, lines[at + 1 : at + 1 + commit.rows]))
+        chain.add(lines[at], commit)
+        shas.append(chain.sha256)
+        at += 1 + commit.rows
+    leaves = [leaf_hashes(frame.rows) for frame in frames]
+    if frames and _tree(before, leaves).root().hex() != frames[-1].commit.tree_root:
+        at -= 1 + frames[-1].commit.rows
+        problem = _wrong_rows(frames.pop().commit)
+        leaves.pop()
+        shas.pop()
+        chain.forget(len(chain.commits) - 1, shas[-1])
+        if frames and _tree(before, leaves).root().hex() != frames[-1].commit.tree_root:
+            return Journal([], before, bytearray(), problem=_wrong_rows(frames[-1].commit))
+    for frame in frames:
+        end += len(frame.line) + 1 + sum(map(len, frame.rows)) + len(frame.rows)
+    is_damage = problem is not None and _has_later_frame(lines[at:], len(chain.commits))
+    return Journal(
+        frames,
+        _tree(before, leaves),
+        bytearray().join(leaves),
+        end,
+        sum(map(len, lines[at:])) + len(lines[at:]) + len(rest),
+        problem if is_damage else None,
+    )
+
+
+def _tree(before: Frontier, leaves: Sequence[bytes]) -> Frontier:
+    return before.extend(b"".join(leaves))
+
+
+def _is_sealed(text: bytes, chain: Chain) -> bool:
+    """Return whether the chain holds the commit with which this journal begins."""
+    try:
+        first = parse_line(text.partition(b"\n")[0])
+    except ValueError:
+        return False
+    return isinstance(first, Commit) and first.number < len(chain.commits)
+
+
+def _commit(line: bytes, chain: Chain) -> tuple[Commit | None, Problem | None]:
+    number = len(chain.commits)
+    try:
+        record = parse_line(line)
+    except ValueError as error:
+        return None, Problem(JOURNAL, f"no record ({error})", "one as it is written", commit=number)
+    if not isinstance(record, Commit):
+        return None, Problem(JOURNAL, "a placement", "commits and their rows", commit=number)
+    doubt = next(chain.doubts(record), None)
+    if doubt is None:
+        return record, None
+    name, found, expected = doubt
+    return None, Problem(JOURNAL, f"{found!r}", f"{expected}", commit=number, field=name)
+
+
+def _wrong_rows(commit: Commit) -> Problem:
+    return Problem(
+        JOURNAL, "rows that lead to another root", f"{commit.tree_root} as committed", commit.number, field="tree_root"
+    )
+
+
+def _has_later_frame(lines: Sequence[bytes], expected: int) -> bool:
+    """Return whether these lines hold the record of a commit after the expected one, so that not only it is torn."""
+    for line in lines:
+        if line.startswith(b'{"') and b'"kind":"commit"' in line:
+            try:
+                record = parse_line(line)
+            except ValueError:
+                continue
+            if isinstance(record, Commit) and record.number > expected:
+                return True
+    return False
+
+
+class JournalFile:
+    """The file of a journal, for its writer; opened when something is written."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._handle = -1
+        self._room = 0  # the size of the file, with what is allotted
+
+    @property
+    def is_open(self) -> bool:
+        """Return whether something was written since it was opened or closed."""
+        return self._handle >= 0
+
+    def write(self, data: bytes, end: int) -> int:
+        """Write these bytes where the last frame ends, sync them, once, and return how many they are.
+
+        When that fails, the file is cut off there, if the disk allows it. Raises: OSError.
+        """
+        if self._handle < 0:
+            is_new = not os.path.lexists(self._path)
+            self._handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+            self._room = os.fstat(self._handle).st_size
+            if is_new:
+                disk.sync_folder(self._path.parent)
+        after = end + len(data)
+        room = b"\0" * (after // ALLOTTED * ALLOTTED + ALLOTTED - after) if after > self._room else b""
+        try:
+            disk.write_at(self._handle, data + room, end)
+            os.fdatasync(self._handle)
+        except BaseException:
+            with suppress(OSError):
+                os.ftruncate(self._handle, end)
+            raise
+        self._room = max(self._room, after + len(room))
+        return len(data)
+
+    def trim(self, end: int) -> None:
+        """Give back what is allotted beyond the last frame. Raises: OSError."""
+        os.ftruncate(self._handle, end)
+        os.fsync(self._handle)
+
+    def remove(self) -> None:
+        """Remove the file, whose frames are elsewhere now; if the disk refuses, the next writer does it."""
+        self.close()
+        with suppress(OSError):
+            os.unlink(self._path)
+            disk.sync_folder(self._path.parent)
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._handle >= 0:
+            disk.close(self._handle)
+            self._handle = -1

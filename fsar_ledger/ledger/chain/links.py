@@ -1,0 +1,193 @@
+"""Follow a chain line by line: what it says, and where it contradicts itself. No segment is looked at.
+
+`chain.jsonl` only grows, by whole appends, and each append ends with a placement: commits and the segment that holds
+their rows. So what follows the last placement is an append that was interrupted, torn anywhere, and nothing of it was
+acknowledged. More after a later placement is damage.
+"""
+
+import hashlib
+from bisect import bisect_left
+from collections.abc import Iterator
+
+import msgspec
+
+from fsar_ledger.ledger.chain.paths import CHAIN
+from fsar_ledger.ledger.chain.record import MAX_LINE_BYTES, Commit, Placement, Record, parse_line
+from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
+from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
+from fsar_ledger.ledger.store.problem import Problem
+
+Doubt = tuple[str, object, object]
+"""A field, what was found in it, and what was expected."""
+
+
+class Chain:
+    """What the lines of a chain say so far, each after the one before.
+
+    `placed` are the placements in force, which hold all events from 0 on without a gap; `sha256` is the hash of the
+    newest line; `going_on` are the runs of which later commits may hold more. The last append began when segments held
+    the first `settled` events, and so when all that is derived from these was on disk.
+    """
+
+    def __init__(self, manifest_sha256: str) -> None:
+        self.sha256 = manifest_sha256
+        self.commits: list[Commit] = []
+        self.placements: list[Placement] = []
+        self.placed: list[Placement] = []
+        self.settled = 0
+        self.going_on: frozenset[str] = frozenset()
+
+    @property
+    def size(self) -> int:
+        """Return the number of events."""
+        return self.commits[-1].tree_size if self.commits else 0
+
+    @property
+    def placed_size(self) -> int:
+        """Return the number of events that segments hold."""
+        return self.placed[-1].end if self.placed else 0
+
+    def tree(self) -> Frontier:
+        """Return the tree of the events that segments hold."""
+        return self.placed[-1].tree() if self.placed else Frontier()
+
+    def forget(self, commits: int, sha256: str) -> None:
+        """Go back to this many commits, none of them placed since, and the line with this hash."""
+        if commits < len(self.commits):
+            del self.commits[commits:]
+            self.going_on = frozenset()
+            for commit in self.commits:
+                self._go_on(commit)
+        self.sha256 = sha256
+
+    def add(self, line: bytes, record: Record) -> None:
+        """Add a line that nothing speaks against."""
+        self.sha256 = hashlib.sha256(line).hexdigest()
+        if isinstance(record, Commit):
+            self.commits.append(record)
+            self._go_on(record)
+            return
+        self.placements.append(record)
+        self.settled = self.placed_size
+        start = bisect_left(self.placed, record.first, key=lambda one: one.first)
+        end = bisect_left(self.placed, record.end, key=lambda one: one.first)
+        self.placed[start:end] = [record]
+
+    def _go_on(self, commit: Commit) -> None:
+        if commit.continues or commit.goes_on:
+            ended = frozenset(run for run, _ in commit.continues) - frozenset(commit.goes_on)
+            self.going_on = self.going_on - ended | frozenset(commit.goes_on)
+
+    def doubts(self, record: Record) -> Iterator[Doubt]:
+        """Yield each field that contradicts the record itself, the lines before, or what this version knows."""
+        if record.release not in FINGERPRINTS:
+            yield (
+                "release",
+                record.release,
+                f"at most {RELEASE}; read it with fsar-ledger {record.release} or later"
+                if is_later(record.release)
+                else f"one of {', '.join(sorted(FINGERPRINTS))}",
+            )
+        if record.previous_sha256 != self.sha256:
+            yield "previous_sha256", record.previous_sha256, f"{self.sha256}, the SHA-256 of the line before"
+        if isinstance(record, Commit):
+            yield from self._of_commit(record)
+        else:
+            yield from self._of_placement(record)
+
+    def _of_commit(self, commit: Commit) -> Iterator[Doubt]:
+        if commit.number != len(self.commits):
+            yield "number", commit.number, len(self.commits)
+        if commit.rows != commit.tree_size - self.size:
+            yield "rows", commit.rows, commit.tree_size - self.size
+        runs = [run for run, _ in commit.continues]
+        if sorted(set(runs)) != runs or not all(first for _, first in commit.continues):
+            yield "continues", f"{commit.continues!r:.200}", "each run once, sorted, each from a seq after 0"
+        elif ended := [run for run in runs if run not in self.going_on]:
+            yield "continues", f"{ended[0]!r:.200}", "runs that an earlier commit says go on"
+        if sorted(set(commit.goes_on)) != list(commit.goes_on):
+            yield "goes_on", f"{commit.goes_on!r:.200}", "each run once, sorted"
+
+    def _of_placement(self, placement: Placement) -> Iterator[Doubt]:
+        if placement.number != len(self.placements):
+            yield "number", placement.number, len(self.placements)
+        if (known := FINGERPRINTS.get(placement.release)) not in (None, placement.schema_sha256):
+            yield "schema_sha256", placement.schema_sha256, known
+        if placement.first not in (*self._starts(placement.first), self.placed_size):
+            yield "first", placement.first, f"{self.placed_size}, or the first event of a segment"
+        root = self.root_at(placement.end)
+        if root is None or (placement.end < self.placed_size and not self._starts(placement.end)):
+            yield "rows", placement.rows, "events up to the end of a commit, and of the segments that it supersedes"
+        elif placement.tree().root() != root:
+            yield "frontier", placement.tree().root().hex(), f"one of root {root.hex()}, as committed"
+
+    def _starts(self, index: int) -> tuple[int, ...]:
+        """Return the index if a segment begins with it."""
+        at = bisect_left(self.placed, index, key=lambda one: one.first)
+        return (index,) if at < len(self.placed) and self.placed[at].first == index else ()
+
+    def root_at(self, size: int) -> bytes | None:
+        """Return the root of this many events, as committed; None if no commit ends there."""
+        if not size:
+            return EMPTY_ROOT
+        at = bisect_left(self.commits, size, key=lambda one: one.tree_size)
+        if at == len(self.commits) or self.commits[at].tree_size != size:
+            return None
+        return bytes.fromhex(self.commits[at].tree_root)
+
+
+class Followed(msgspec.Struct, frozen=True):
+    """How far the bytes of a chain were followed: the bytes up to the last whole append, and why no further.
+
+    `problem` is None where the bytes end, or where an append was interrupted; then `torn` counts the bytes of it.
+    """
+
+    end: int
+    torn: int = 0
+    problem: Problem | None = None
+
+
+def follow(data: bytes, chain: Chain) -> Followed:
+    """Add the lines in these bytes to the chain, up to the last whole append."""
+    at = end = commits = 0
+    sha256 = chain.sha256
+    problem: Problem | None = None
+    while at < len(data) and problem is None:
+        stop = data.find(b"\n", at, at + MAX_LINE_BYTES)
+        record, problem = _read(data[at:stop] if stop >= 0 else None, chain)
+        if record is not None:
+            chain.add(data[at:stop], record)
+            at = stop + 1
+            if isinstance(record, Placement):
+                end, commits, sha256 = at, len(chain.commits), chain.sha256
+    chain.forget(commits, sha256)
+    if problem is not None and _has_later_append(data, at):
+        return Followed(end, problem=problem)
+    return Followed(end, len(data) - end)
+
+
+def _read(line: bytes | None, chain: Chain) -> tuple[Record | None, Problem | None]:
+    number = len(chain.commits)
+    if line is None:
+        return None, Problem(CHAIN, "a line without end", "whole lines", commit=number)
+    try:
+        record = parse_line(line)
+    except ValueError as error:
+        return None, Problem(CHAIN, f"no record ({error})", "one as it is written", commit=number)
+    doubt = next(chain.doubts(record), None)
+    if doubt is None:
+        return record, None
+    name, found, expected = doubt
+    return None, Problem(CHAIN, f"{found!r}", f"{expected}", commit=number, field=name)
+
+
+def _has_later_append(data: bytes, at: int) -> bool:
+    """Return whether anything follows a placement that lies after this place."""
+    lines = data[at:].split(b"\n")
+    for place, line in enumerate(lines[:-1]):
+        try:
+            if isinstance(parse_line(line), Placement) and any(lines[place + 1 :]):
+                return True
+        except ValueError:
+            continue
+    return False

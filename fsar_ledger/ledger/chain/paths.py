@@ -1,0 +1,17 @@
+"""Where the files of a ledger of format 2 are."""
+
+from fsar_ledger.ledger.chain.record import Placement
+
+CHAIN = "chain.jsonl"
+JOURNAL = "journal.jsonl"
+NODES = "nodes"
+
+
+def segment_name(first: int, end: int) -> str:
+    """Return the name within the ledger of the segment that holds these events, once it is in place."""
+    return f"segments/{first:012d}-{end:012d}.parquet"
+
+
+def segment_of(placement: Placement) -> str:
+    """Return the name within the ledger of this placement's segment, once it is in place."""
+    return segment_name(placement.first, placement.end)

@@ -1,0 +1,133 @@
+"""What a writer of format 2 does before it appends: create the ledger, and finish what an interrupted one left."""
+
+import os
+import stat
+from contextlib import suppress
+from pathlib import Path
+
+from fsar_ledger.errors import LedgerCorrupted, NotALedger
+from fsar_ledger.ledger.chain.checkpoint import behind
+from fsar_ledger.ledger.chain.nodes import append_nodes, nodes_size
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, segment_of
+from fsar_ledger.ledger.chain.read import ChainView, open_chain
+from fsar_ledger.ledger.log import pack
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING, is_unfinished, require_outside
+from fsar_ledger.ledger.store.read import read_manifest
+from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest
+
+
+def create(ledger: Path, origin: str) -> None:
+    """Create an empty ledger of format 2, or finish an interrupted creation; leave anything else there alone."""
+    if os.path.lexists(ledger / MANIFEST):
+        return
+    if os.path.lexists(ledger) and not os.path.isdir(ledger):
+        raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
+    require_outside(ledger.parent, str(ledger))
+    temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
+    with disk.refusals(ledger, "creating a ledger"):
+        if os.path.isdir(ledger) and not is_unfinished(ledger):
+            if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
+                return
+            raise NotALedger(
+                f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
+            )
+        for folder in (ledger, ledger / SEGMENTS, ledger / STAGING):
+            disk.make_folder(folder)
+        disk.write_temporary(temporary, canonical.document(Manifest(FORMAT, origin, CHAINED)))
+        with suppress(FileExistsError):  # another writer was quicker
+            disk.link_new(temporary, ledger / MANIFEST)
+        disk.sync_folder(ledger)
+
+
+def repair(view: ChainView, *, is_alone: bool) -> ChainView:
+    """Finish what an interrupted writer left, durably, and return the view of what is there then.
+
+    The caller has its turn. What is staged and not placed is removed only if the writer `is_alone`: others may be
+    staging.
+
+    Raises:
+        LedgerCorrupted: A segment is missing, or the checkpoint is not one that a crash leaves.
+        WriteFailed: The disk refused.
+    """
+    path = view.path
+    covered = behind(view)
+    with disk.refusals(path, "finishing what an interrupted writer left"):
+        disk.sync_folder(path)
+        _cut(path / CHAIN, view.followed.end, view.followed.torn)
+        if view.journal.frames:
+            _cut(path / JOURNAL, view.journal.end, view.journal.torn)
+        elif os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
+            os.unlink(path / JOURNAL)
+            disk.sync_folder(path)
+        _roll_forward(view)
+        _clean(view, is_alone=is_alone)
+        is_settled = not covered or view.commits[-covered].tree_size > view.chain.placed_size
+        _derive(view, is_settled=is_settled)
+        if not is_settled:
+            note = str(view.note())
+            disk.write_files({path / CHECKPOINT: note.encode()}, path / STAGING)
+    return open_chain(path, read_manifest(path))
+
+
+def _cut(path: Path, end: int, torn: int) -> None:
+    """Take what is torn off the end of the file."""
+    if not torn:
+        return
+    handle = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
+    try:
+        os.ftruncate(handle, end)
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _roll_forward(view: ChainView) -> None:
+    """Move every placed segment into place. Raises: LedgerCorrupted if one is missing."""
+    for placement in view.chain.placed:
+        target = view.path / segment_of(placement)
+        found = view.located(placement)
+        if found != target:
+            disk.move(found, target)
+
+
+def _clean(view: ChainView, *, is_alone: bool) -> None:
+    """Remove superseded segments and, for a writer that is alone, everything from staging."""
+    placed = set(map(segment_of, view.chain.placed))
+    superseded = set(map(segment_of, view.chain.placements)) - placed
+    for name in superseded:
+        if os.path.lexists(view.path / name):
+            os.unlink(view.path / name)
+    disk.make_folder(view.path / STAGING)
+    if not is_alone:
+        return
+    for entry in list(os.scandir(view.path / STAGING)):
+        if stat.S_ISREG(entry.stat(follow_symlinks=False).st_mode):
+            disk.remove(Path(entry.path))
+
+
+def _derive(view: ChainView, *, is_settled: bool) -> None:
+    """Bring the pack up to the events that segments hold; what the last append added is written again if not settled.
+
+    Raises: LedgerCorrupted if a segment is not as placed.
+    """
+    placed = view.chain.placed
+    good = view.chain.placed_size if is_settled else view.chain.settled
+    have = nodes_size(view.path)
+    if have == pack.count(view.chain.placed_size) * HASH_BYTES and good == view.chain.placed_size:
+        return
+    begin = 0
+    while begin < len(placed) and placed[begin].end <= good and pack.count(placed[begin].end) * HASH_BYTES <= have:
+        begin += 1
+    tree = placed[begin - 1].tree() if begin else Frontier()
+    for number in range(begin, len(placed)):
+        first = tree.size
+        tree, nodes = pack.grow(tree, view.leaves(number))
+        if tree != placed[number].tree():
+            raise LedgerCorrupted(
+                f"{view.segment(number)}: found rows that lead to root {tree.root().hex()}, expected "
+                f"{placed[number].tree().root().hex()} as placed; run fsar-ledger verify"
+            )
+        append_nodes(view.path, first, nodes)

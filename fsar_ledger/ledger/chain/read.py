@@ -1,0 +1,327 @@
+"""What is committed in a ledger of format 2, as a reader sees it.
+
+Readers never write. They read the chain, then the journal; a writer that seals the journal in between is noticed, and
+both are read again.
+"""
+
+import atexit
+import shutil
+import tempfile
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.chain.journal import Journal, read_frames
+from fsar_ledger.ledger.chain.links import Chain, Followed, follow
+from fsar_ledger.ledger.chain.nodes import read_node
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, segment_of
+from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
+from fsar_ledger.ledger.chain.tables import table_of
+from fsar_ledger.ledger.log import merkle, pack
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import Note
+from fsar_ledger.ledger.rows import canonical, codec, segment
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.layout import check_layout
+from fsar_ledger.ledger.rows.pieces import joined
+from fsar_ledger.ledger.rows.releases import RELEASE
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import MANIFEST
+from fsar_ledger.ledger.store.record import CHAINED, Manifest, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
+from fsar_ledger.ledger.store.walk import Names, find_segment, read_segment
+
+MAX_CHAIN_BYTES = 1 << 32
+MAX_JOURNAL_BYTES = 1 << 30
+_TRIES = 10
+
+
+class ChainView(msgspec.Struct, frozen=True):
+    """A ledger of format 2 as it was when it was opened (see `store.view.View`).
+
+    `followed` says how far the chain could be followed, `journal` what is not in a segment yet.
+    """
+
+    path: Path
+    manifest: Manifest
+    manifest_sha256: str
+    chain: Chain
+    followed: Followed
+    journal: Journal
+    checked: dict[int, Path] = msgspec.field(default_factory=dict)
+
+    @property
+    def record_sha256(self) -> str:
+        """Return the hash of the newest line, which vouches for every byte of the ledger except the derived ones."""
+        return self.chain.sha256
+
+    @property
+    def commits(self) -> Sequence[Commit]:
+        """Return the commits, in order."""
+        return self.chain.commits
+
+    @property
+    def head(self) -> Head:
+        """Return how far the ledger goes."""
+        if not self.chain.commits:
+            return EMPTY_HEAD
+        last = self.chain.commits[-1]
+        return Head(len(self.chain.commits), last.tree_size, last.tree_root)
+
+    @property
+    def releases(self) -> list[str]:
+        """Return for each segment the release that has its columns."""
+        return [*(placement.release for placement in self.chain.placed), *([RELEASE] if self.journal.frames else [])]
+
+    def first(self, number: int) -> int:
+        """Return the index in the ledger of the first event of this segment."""
+        placed = self.chain.placed
+        return placed[number].first if number < len(placed) else self.chain.placed_size
+
+    def segment(self, number: int) -> Path:
+        """Return this segment, after checking that it is the placed one and within the bounds.
+
+        The last may be outside the ledger: a file with the rows of the journal, which is removed when the process ends.
+
+        Raises: LedgerCorrupted if it is missing, is not as placed, or exceeds the bounds.
+        """
+        if number not in self.checked:
+            placed = self.chain.placed
+            self.checked[number] = (
+                self._checked(placed[number]) if number < len(placed) else _materialized(self.journal_table())
+            )
+        return self.checked[number]
+
+    def segments(self) -> list[Path]:
+        """Return all segments, in order, each checked. Raises: As `segment`."""
+        return [self.segment(number) for number in range(len(self.releases))]
+
+    def _checked(self, placement: Placement) -> Path:
+        names = Names(segment_of(placement), CHAIN)
+        number = placement.number
+        for _ in range(_TRIES):
+            found = find_segment(self.path, number, placement, names)
+            if found.problem is not None:
+                raise LedgerCorrupted(f"{self.path}/{found.problem}; restore the file")
+            try:
+                data, problem = read_segment(self.path, found.file, number, placement, names)
+            except FileNotFoundError:  # a writer moved it into place meanwhile
+                continue
+            if problem is not None:
+                raise LedgerCorrupted(f"{self.path}/{problem}; restore the file")
+            check_layout(self.path / found.file, data)
+            return self.path / found.file
+        raise LedgerCorrupted(f"{self.path}/{names.place}: found no file to read, expected the segment; restore it")
+
+    def located(self, placement: Placement) -> Path:
+        """Find the segment of this placement, in place or in staging, without reading it.
+
+        Raises: LedgerCorrupted if it is in neither place, is not a regular file, or has another size.
+        """
+        found = find_segment(self.path, placement.number, placement, Names(segment_of(placement), CHAIN))
+        if found.problem is not None:
+            raise LedgerCorrupted(f"{self.path}/{found.problem}; restore the file")
+        return self.path / found.file
+
+    def leaves(self, number: int) -> bytes:
+        """Return the packed leaf hashes of the rows of this segment. Raises: As `segment`."""
+        return canonical.leaves(segment.read_table(self.segment(number)))
+
+    def is_current(self) -> bool:
+        """Return whether nothing was appended since the ledger was opened.
+
+        Only two places are looked at: whoever seals the journal appends to the chain, and whoever appends to the
+        journal writes where this one ends.
+        """
+        try:
+            if disk.size_of(self.path / CHAIN) != self.followed.end:
+                return False
+            return disk.read_at(self.path / JOURNAL, self.journal.end, 1) in (b"", b"\0")
+        except OSError:
+            return False
+
+    def grown(self, data: bytes, tree: Frontier) -> "ChainView":
+        """Return the view after these bytes were appended to the chain, which begin with what the journal held."""
+        for line in data.split(b"\n")[len(self.journal.frames) : -1]:
+            self.chain.add(line, parse_line(line))
+        return msgspec.structs.replace(
+            self, followed=Followed(self.followed.end + len(data)), journal=Journal([], tree, bytearray()), checked={}
+        )
+
+    def journal_table(self) -> pa.Table:
+        """Return the rows of the journal. Raises: LedgerCorrupted if they are no events."""
+        return table_of(self.path / JOURNAL, [row for frame in self.journal.frames for row in frame.rows])
+
+    def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
+        """Yield the stored rows of each segment, in order, with these columns (None: all). Raises: As `segment`."""
+        for number in range(len(self.releases)):
+            yield segment.read_table(self.segment(number), columns)
+
+    def tables_from(self, first: int, columns: list[str]) -> Iterator[pa.Table]:
+        """Yield these columns of the events from this index on, a table for each segment. Raises: As `segment`."""
+        for number, placement in enumerate(self.chain.placed):
+            if placement.end > first:
+                table = segment.read_table(self.segment(number), columns)
+                yield table.slice(max(0, first - placement.first)).combine_chunks()
+        if self.journal.frames:
+            table = self.journal_table().select(columns)
+            yield table.slice(max(0, first - self.chain.placed_size)).combine_chunks()
+
+    def rows(self, first: int, end: int) -> list[bytes]:
+        """Return the canonical bytes of these events, each after the 0x00 of a leaf. Raises: As `segment`."""
+        found: list[bytes] = []
+        placed = self.chain.placed
+        while first < end:
+            if first >= self.chain.placed_size:
+                at = first - self.chain.placed_size
+                lines = [row for frame in self.journal.frames for row in frame.rows]
+                return [*found, *(b"\x00" + row for row in lines[at : at + end - first])]
+            number = bisect_right(placed, first, key=lambda one: one.first) - 1
+            start, stop = first - placed[number].first, min(end, placed[number].end) - placed[number].first
+            table = segment.read_table(self.segment(number))
+            if table.num_rows != placed[number].rows:
+                raise LedgerCorrupted(
+                    f"{self.segment(number)}: found {table.num_rows} rows, expected {placed[number].rows}; restore the "
+                    "file"
+                )
+            found += canonical.from_table(table.slice(start, stop - start).combine_chunks())
+            first = placed[number].first + stop
+        return found
+
+    def event(self, index: int) -> bytes:
+        """Return the canonical bytes of the event at this index. Raises: As `segment`."""
+        return self.rows(index, index + 1)[0].removeprefix(b"\x00")
+
+    def runs(self) -> Iterator[LedgerRun]:
+        """Yield every run, once its last event was read, with its events in their newest versions.
+
+        Raises: LedgerCorrupted or UnknownEventTag if a segment does not hold valid events.
+        """
+        last: dict[str, int] = {}  # of runs that several commits hold: where the last of these begins
+        for commit in self.commits:
+            last.update((run, commit.tree_size - commit.rows) for run, _ in commit.continues)
+        held: dict[str, list[LedgerRun]] = {}
+        for number, table in enumerate(self.tables()):
+            try:
+                pieces = list(codec.decode(table, is_whole=False))
+            except LedgerCorrupted as error:
+                raise type(error)(f"{self.segment(number)}: {error}") from error
+            end = self.first(number) + table.num_rows
+            for piece in pieces:
+                held.setdefault(piece.run_id, []).append(piece)
+            for run in [run for run in held if last.get(run, 0) < end]:
+                yield joined(held.pop(run))
+
+    def groups(self) -> list[tuple[int, ...]]:
+        """Return the segments in groups that share no run, each of neighbours."""
+        reach: dict[str, int] = {}
+        ends = list(range(len(self.releases)))
+        for number, names in enumerate(self.tables(["run_id"])):
+            for run in names.column("run_id").unique().to_pylist():
+                ends[reach.setdefault(run, number)] = number
+        groups: list[tuple[int, ...]] = []
+        first = 0
+        while first < len(ends):
+            last = at = first
+            while at <= last:
+                last, at = max(last, ends[at]), at + 1
+            groups.append(tuple(range(first, last + 1)))
+            first = last + 1
+        return groups
+
+    def note(self) -> Note | None:
+        """Return the note of the newest commit; None if there is none."""
+        return self.chain.commits[-1].note(self.manifest.origin) if self.chain.commits else None
+
+    def published(self, index: int = 0) -> Note | None:  # noqa: ARG002  its tree has every event
+        """Return the note of the newest commit: what the pack lacks, the view derives."""
+        return self.note()
+
+    def node(self, size: int) -> merkle.Node:  # noqa: ARG002  complete subtrees are those of every later tree
+        """Return a function that gives the complete subtrees of the tree of this many events.
+
+        It raises LedgerCorrupted where the pack is too short.
+        """
+        start = pack.count(self.chain.placed_size)
+        _, more = pack.grow(self.chain.tree(), bytes(self.journal.leaves))
+
+        def read(place: int) -> bytes:
+            if place < start:
+                return read_node(self.path, place)
+            at = (place - start) * HASH_BYTES
+            return more[at : at + HASH_BYTES]
+
+        @lru_cache(maxsize=4)
+        def leaf_hashes(first: int, end: int) -> bytes:
+            return b"".join(canonical.hashes(self.rows(first, end)))
+
+        def some(first: int, end: int) -> bytes:
+            block = first >> pack.BASE << pack.BASE  # read and hash a block once
+            found = leaf_hashes(block, min(block + (1 << pack.BASE), self.head.size))
+            return found[(first - block) * HASH_BYTES : (end - block) * HASH_BYTES]
+
+        return pack.node_of(read, some)
+
+    def tree(self) -> Frontier:
+        """Return the tree of all events."""
+        return self.journal.tree
+
+
+def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True) -> ChainView:
+    """Open a ledger of format 2 whose ledger.json holds these bytes.
+
+    Args:
+        path: Its folder.
+        manifest_bytes: What its ledger.json holds.
+        is_damage_told: Raise an error for a chain or a journal that contradicts itself; else return what precedes that.
+
+    Raises:
+        LedgerCorrupted: A line of the chain or of the journal is not canonical, or contradicts those before it.
+    """
+    manifest = parse_manifest(path / MANIFEST, manifest_bytes, (CHAINED,))
+    sha256 = sha256_hex(manifest_bytes)
+    for last in (*[False] * _TRIES, True):
+        chain = Chain(sha256)
+        chain_bytes = _read(path / CHAIN, MAX_CHAIN_BYTES)
+        followed = follow(chain_bytes, chain)
+        journal = read_frames(_read(path / JOURNAL, MAX_JOURNAL_BYTES), chain)
+        problem = followed.problem or journal.problem
+        if last or _read(path / CHAIN, MAX_CHAIN_BYTES) == chain_bytes:
+            break
+    if problem is not None and is_damage_told:
+        raise LedgerCorrupted(f"{path}/{problem}; restore the file, or run fsar-ledger verify")
+    return ChainView(path, manifest, sha256, chain, followed, journal)
+
+
+def _read(path: Path, most: int) -> bytes:
+    """Read a file of the ledger; nothing if there is none. Raises: LedgerCorrupted if it cannot be read."""
+    try:
+        return disk.read_large(path, most)
+    except FileNotFoundError:
+        return b""
+    except OSError as error:
+        raise LedgerCorrupted(
+            f"{path}: it cannot be read ({error.strerror or error}); permit reading or restore it"
+        ) from error
+
+
+# --- rows of a journal as a segment ---
+
+_folders: list[str] = []
+
+
+def _materialized(table: pa.Table) -> Path:
+    """Write these rows as a segment into a folder of this process, and return it."""
+    if not _folders:
+        _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
+        atexit.register(shutil.rmtree, _folders[0], ignore_errors=True)
+    data = segment.to_parquet(table)
+    path = Path(_folders[0]) / f"{sha256_hex(data)}.parquet"
+    if not path.exists():
+        path.write_bytes(data)
+    return path

@@ -1,0 +1,131 @@
+"""The lines of a chain: what was committed, and which segment holds its rows.
+
+Each line is the RFC 8785 JSON of one struct, to the byte, and holds the SHA-256 of the line before it (the first: of
+ledger.json), so the last line vouches for all. There are two kinds:
+
+```
+commit      events were added: how many, the tree with them, perhaps a signature; never superseded
+placement   events FIRST to FIRST + ROWS are in this segment; a later one of the same events supersedes it
+```
+"""
+
+import base64
+import binascii
+from typing import Annotated, TypeAlias, TypeVar
+
+import msgspec
+
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
+from fsar_ledger.ledger.store.record import Count
+
+MAX_LINE_BYTES = 1 << 20
+_KEY_ID_BYTES, _SIGNATURE_BYTES = 4, 64
+
+Line = TypeVar("Line", bound=msgspec.Struct)
+
+
+class Commit(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, tag="commit", tag_field="kind"
+):
+    """What one commit added, and the tree after it.
+
+    `release` is the first with the event types of its rows. `continues` names each run of which it holds events that do
+    not begin it, with the seq of the first of these. `goes_on` names each of its runs of which later commits may hold
+    more; a run that is not named there has ended. `signature` is base64 of key id and Ed25519 signature of the
+    checkpoint by the key whose name is the origin; empty if there is none.
+
+    Units: `rows` and `tree_size` events; `tree_root` hex.
+    """
+
+    number: Count
+    previous_sha256: str
+    release: str
+    rows: Annotated[int, msgspec.Meta(ge=1, le=MAX_ROWS)]
+    tree_size: Count
+    tree_root: str
+    continues: tuple[tuple[str, Count], ...] = ()
+    goes_on: tuple[str, ...] = ()
+    signature: str = ""
+
+    def checkpoint(self, origin: str) -> Checkpoint:
+        """Return the tree head after this commit, under the name of its ledger."""
+        return Checkpoint(origin, self.tree_size, bytes.fromhex(self.tree_root))
+
+    def note(self, origin: str) -> Note:
+        """Return the note of the tree after this commit."""
+        signatures: tuple[Signature, ...] = ()
+        if self.signature:
+            data = base64.b64decode(self.signature)
+            signatures = (Signature(origin, data[:_KEY_ID_BYTES], data[_KEY_ID_BYTES:]),)
+        return Note(self.checkpoint(origin), signatures)
+
+
+class Placement(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, tag="placement", tag_field="kind"
+):
+    """Which segment holds the events from `first` on, and its columns: those of `release`.
+
+    `frontier` holds the roots of the complete subtrees of the tree that ends with these events, largest first.
+
+    Units: `rows` events, `segment_bytes` bytes; hashes in hex.
+    """
+
+    number: Count
+    previous_sha256: str
+    release: str
+    schema_sha256: str
+    segment_sha256: str
+    segment_bytes: Annotated[int, msgspec.Meta(ge=1, le=MAX_SEGMENT_BYTES)]
+    first: Count
+    rows: Annotated[int, msgspec.Meta(ge=1, le=MAX_ROWS)]
+    frontier: tuple[str, ...]
+
+    @property
+    def end(self) -> int:
+        """Return the index in the ledger after the last of these events."""
+        return self.first + self.rows
+
+    def tree(self) -> Frontier:
+        """Return the tree that ends with these events."""
+        return Frontier(self.end, tuple(map(bytes.fromhex, self.frontier)))
+
+
+Record: TypeAlias = Commit | Placement
+
+_DECODER = msgspec.json.Decoder(Record)
+
+
+def parse_line(line: bytes) -> Record:
+    """Parse one line of a chain, without its line feed.
+
+    Raises: ValueError, with the reason, if it is not the canonical JSON of a record with fields in range.
+    """
+    try:
+        record: Record = _DECODER.decode(line)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"other JSON than expected ({error})") from error
+    if line != canonical.document(record):
+        raise ValueError("JSON that is not canonical")
+    if isinstance(record, Commit):
+        hashes: tuple[str, ...] = (record.previous_sha256, record.tree_root)
+        if record.signature and not _is_signature(record.signature):
+            raise ValueError(f"signature {record.signature!r:.80}, which is not 68 bytes in base64")
+    else:
+        hashes = (record.previous_sha256, record.schema_sha256, record.segment_sha256, *record.frontier)
+        if len(record.frontier) != record.end.bit_count():
+            raise ValueError(f"{len(record.frontier)} hashes of a tree of {record.end} events")
+    for value in hashes:
+        if len(value) != 2 * HASH_BYTES or value.strip("0123456789abcdef"):
+            raise ValueError(f"{value!r:.80}, which is no SHA-256 in lower-case hex")
+    return record
+
+
+def _is_signature(text: str) -> bool:
+    try:
+        data = base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError):
+        return False
+    return len(data) == _KEY_ID_BYTES + _SIGNATURE_BYTES and base64.b64encode(data).decode() == text

@@ -1,0 +1,64 @@
+"""Rows of a journal, or of some segments, as columns of one segment."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.json
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Staged
+from fsar_ledger.ledger.store.paths import staged_path
+from fsar_ledger.ledger.store.record import sha256_hex
+
+_PARSE = pyarrow.json.ParseOptions(
+    explicit_schema=pa.schema([field.with_nullable(True) for field in SCHEMA]),
+    unexpected_field_behavior="error",
+    newlines_in_values=False,
+)
+_BLOCK_BYTES = 1 << 24
+
+
+def table_of(path: Path, rows: Sequence[bytes]) -> pa.Table:
+    """Return these rows of the journal at this path, canonical bytes, as a table with the columns of `SCHEMA`.
+
+    Raises: LedgerCorrupted if a row is not the canonical JSON of such columns.
+    """
+    if not rows:
+        return SCHEMA.empty_table()
+    try:
+        found = pyarrow.json.read_json(
+            BytesIO(b"\n".join(rows) + b"\n"),
+            pyarrow.json.ReadOptions(use_threads=False, block_size=max(_BLOCK_BYTES, *map(len, rows)) + 1),
+            _PARSE,
+        ).cast(SCHEMA)
+        again = canonical.from_table(found.combine_chunks())
+    except (pa.ArrowException, ValueError) as error:
+        raise LedgerCorrupted(
+            f"{path}: found rows that are no events ({error!s:.200}); run fsar-ledger verify, and restore the file"
+        ) from error
+    for number, (row, line) in enumerate(zip(rows, again, strict=True)):
+        if line != b"\x00" + row:
+            raise LedgerCorrupted(
+                f"{path}: row {number}: found {row!r:.200}, expected canonical JSON of the columns of events; restore "
+                "the file"
+            )
+    return found.combine_chunks()
+
+
+def stage_table(ledger: Path, table: pa.Table, leaves: bytes) -> Staged:
+    """Write these rows, of runs that a ledger holds, durably to its staging folder as one segment.
+
+    Raises: WriteFailed if the disk refused.
+    """
+    data = segment.to_parquet(table)
+    runs = table.column("run_id")
+    staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].as_py(), runs[-1].as_py(), leaves)
+    path = staged_path(ledger, staged.segment_sha256)
+    with disk.refusals(path, "writing a segment"):
+        disk.write_durably(path, memoryview(data))
+    return staged

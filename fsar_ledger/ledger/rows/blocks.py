@@ -1,0 +1,121 @@
+"""The blocks of a table: which rows of which run it holds, where runs may begin or end in other tables.
+
+In a ledger of format 2 a run may span commits and segments. Each table is checked on its own (`check.first_flaw`);
+`Runs` compares what follows from several of them, block by block.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from fsar_ledger.ledger.rows.arrow import coded, numbers, places, whole
+from fsar_ledger.ledger.rows.check import run_starts
+from fsar_ledger.ledger.rows.runs import Flaw
+from fsar_ledger.ledger.rows.schema import CONCERNED, STANDS_ALONE
+
+
+class Block(msgspec.Struct, frozen=True):
+    """Consecutive rows of one run: the seq of the first, how many, and the times of the first and the last.
+
+    `observes` is what the run's event 0 says, None if that is elsewhere or says nothing; `concerns` are those of the
+    block's events, left out where event 0 is in the block, because the table alone shows whether they fit. `is_alone`
+    is true for a single event that stands alone.
+    """
+
+    run: str
+    first: int
+    rows: int
+    first_us: int
+    last_us: int
+    observes: tuple[str, ...] | None = None
+    concerns: tuple[str, ...] = ()
+    is_alone: bool = False
+
+    @property
+    def end(self) -> int:
+        """Return the seq after the last."""
+        return self.first + self.rows
+
+
+def blocks_of(table: pa.Table) -> Iterator[Block]:
+    """Yield the blocks of a table without flaws, in order; string columns may be dictionaries."""
+    if not table.num_rows:
+        return
+    runs = whole(table.column("run_id"))
+    starts = run_starts(runs).tolist()
+    seqs, times = (numbers(whole(table.column(name))) for name in ("seq", "time_us"))
+    types, observes = coded(whole(table.column("type"))), whole(table.column("observes"))
+    tags, codes = types.dictionary.to_pylist(), places(types)
+    for start, end in pairwise([*starts, table.num_rows]):
+        first = int(seqs[start])
+        concerns: set[str] = set()
+        if first:
+            concerns = {CONCERNED.get(tags[code], "") for code in np.unique(codes[start:end]).tolist()} - {""}
+        said = None if first else observes[start].as_py()
+        yield Block(
+            runs[start].as_py(),
+            first,
+            end - start,
+            int(times[start]),
+            int(times[end - 1]),
+            None if said is None else tuple(said),
+            tuple(sorted(concerns)),
+            tags[codes[start]] in STANDS_ALONE,
+        )
+
+
+class Known(NamedTuple):
+    """What is known of a run so far: the seq of its next event, the time of its last, and what it observes."""
+
+    next: int
+    last_us: int
+    observes: tuple[str, ...] | None
+    is_alone: bool
+
+
+class Runs:
+    """The runs of a ledger as its blocks follow one another."""
+
+    def __init__(self) -> None:
+        self.known: dict[str, Known] = {}
+
+    def flaw(self, block: Block) -> Flaw | None:
+        """Return why the block cannot follow those added so far; None if it can."""
+        known = self.known.get(block.run)
+        expected = 0 if known is None else known.next
+        if known is not None and known.is_alone:
+            return Flaw(-1, block.run, block.first, "type", "more events of its run", "the only event of its run")
+        if block.first != expected:
+            if known is not None and block.first == 0:
+                return Flaw(-1, block.run, 0, "run_id", f"run {block.run} once more", f"its seq {expected}, or no more")
+            return Flaw(-1, block.run, block.first, "seq", f"{block.first}", f"{expected}")
+        if known is None or known.observes is None:
+            return None
+        for concern in block.concerns:
+            if concern not in known.observes:
+                return Flaw(
+                    -1,
+                    block.run,
+                    block.first,
+                    "type",
+                    f"an event of {concern} there or later",
+                    "an event of a concern that its run observes, as event 0 says",
+                )
+        return None
+
+    def backwards(self, block: Block) -> Flaw | None:
+        """Return that the block's time runs backwards from the run's last event, which no writer stores."""
+        known = self.known.get(block.run)
+        if known is None or block.first_us >= known.last_us:
+            return None
+        return Flaw(-1, block.run, block.first, "time_us", f"{block.first_us}", "no less than at the event before")
+
+    def add(self, block: Block) -> None:
+        """Add the block."""
+        known = self.known.get(block.run)
+        observes = block.observes if known is None else known.observes
+        self.known[block.run] = Known(block.end, block.last_us, observes, block.is_alone)

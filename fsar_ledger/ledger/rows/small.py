@@ -1,0 +1,77 @@
+"""Check and encode a few events at once, without columns: what goes into a journal."""
+
+from collections.abc import Iterator, Sequence
+from operator import le
+
+from fsar_ledger.errors import InvalidRun
+from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.ledger.rows.blocks import Block
+from fsar_ledger.ledger.rows.check import disordered, unprintable
+from fsar_ledger.ledger.rows.codec import encode_coded, encode_lines
+from fsar_ledger.ledger.rows.runs import LedgerRun, refusal, unreadable
+from fsar_ledger.ledger.rows.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE
+
+_TAG_OF: dict[type, str] = {layout.cls: tag for tag, layout in LAYOUTS.items()}
+
+
+def rows_of(runs: Sequence[LedgerRun]) -> tuple[list[bytes], tuple[Block, ...]]:
+    """Return the canonical bytes of the rows of these runs, and their blocks.
+
+    Raises: InvalidRun for whatever `store.append.stage` refuses.
+    """
+    if not runs:
+        raise InvalidRun("found no runs to commit, expected at least 1")
+    lines = encode_lines(runs)
+    text = b"".join(lines).decode()
+    if "\\" in text or not text.isprintable() or not all(map(_is_in_order, runs)):
+        table = encode_coded(runs)
+        if flaw := unprintable(table):
+            raise InvalidRun(f"{flaw}; give it another name")
+        if flaw := disordered(table):
+            raise refusal(flaw)
+    if flaw := unreadable(runs):
+        raise refusal(flaw)
+    return lines, tuple(_blocks(runs))
+
+
+def _is_in_order(run: LedgerRun) -> bool:
+    """Return whether it is plain that nothing is wrong with the order of these events and the run's beginning."""
+    begins = run.first == 0
+    first, *others = _tags(run)
+    if begins != (first in OPENINGS) or any(tag in OPENINGS or tag in STANDS_ALONE for tag in others):
+        return False
+    if begins and len(run.events) > 1 and (first in STANDS_ALONE or type(run.events[0]) in map(type, run.events[1:])):
+        return False
+    observes = _observes(run)
+    return all(map(le, run.times_us, run.times_us[1:])) and (
+        observes is None or (set(observes) <= set(CONCERNS) and set(_concerns(run)) <= set(observes))
+    )
+
+
+def _blocks(runs: Sequence[LedgerRun]) -> Iterator[Block]:
+    for run in runs:
+        yield Block(
+            run.run_id,
+            run.first,
+            len(run.events),
+            run.times_us[0],
+            run.times_us[-1],
+            _observes(run),
+            _concerns(run) if run.first else (),
+            _tags(run)[0] in STANDS_ALONE,
+        )
+
+
+def _tags(run: LedgerRun) -> list[str]:
+    """Return the types of the run's events, each once, that of the first one first."""
+    return [_TAG_OF[kind] for kind in dict.fromkeys(map(type, run.events))]
+
+
+def _observes(run: LedgerRun) -> tuple[str, ...] | None:
+    """Return what the run's event 0 says that it observes; None if that says nothing, or is not here."""
+    found: tuple[str, ...] | None = None if run.first else getattr(run.events[0], "observes", None)
+    return found
+
+
+def _concerns(run: LedgerRun) -> tuple[str, ...]:
+    return tuple(sorted({CONCERNED[tag] for tag in _tags(run) if tag in CONCERNED}))

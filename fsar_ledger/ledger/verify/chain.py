@@ -1,0 +1,356 @@
+"""Derive again from the rows of a ledger of format 2 everything that it says about itself: a part of `verify`."""
+
+import os
+import stat
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from itertools import repeat
+from pathlib import Path
+
+from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
+from fsar_ledger.ledger.chain.checkpoint import behind
+from fsar_ledger.ledger.chain.journal import Frame, leaf_hashes
+from fsar_ledger.ledger.chain.nodes import nodes_size
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, NODES, segment_of
+from fsar_ledger.ledger.chain.read import ChainView, open_chain
+from fsar_ledger.ledger.chain.record import Commit, Placement
+from fsar_ledger.ledger.chain.tables import table_of
+from fsar_ledger.ledger.log import merkle, pack
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier, consistency_proof, is_consistent
+from fsar_ledger.ledger.log.note import Checkpoint, Signed
+from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
+from fsar_ledger.ledger.rows.check import first_flaw
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING
+from fsar_ledger.ledger.store.problem import Problem, refusal
+from fsar_ledger.ledger.store.record import CHAINED, VERSION, parse_manifest
+from fsar_ledger.ledger.store.walk import MISSING, Names, names_in
+from fsar_ledger.ledger.verify.notes import Anchor, Signatures, check_anchor, check_signatures
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
+from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine, examine_file
+from fsar_ledger.workers import WorkerPool
+
+FOLDERS = frozenset({SEGMENTS, STAGING})
+FILES = frozenset({MANIFEST, CHAIN, JOURNAL, NODES, CHECKPOINT})
+BEHIND = (
+    "the pack and the checkpoint are behind the chain, as a crash leaves them; the next writer, or fsar-ledger "
+    "recover, goes on from there"
+)
+OPEN = "the checkpoint is behind the journal, as a writer that was not closed leaves it"
+TORN = "an append was interrupted, and what is left of it is no commit; the next writer removes it"
+SUPERSEDED = "segments are there that were compacted, as a crash leaves them; the next writer removes them"
+_SYMBOLIC = "a link or something else than a file"
+
+
+def is_chained(path: Path) -> bool:
+    """Return whether the ledger at this path says that it has format 2."""
+    try:
+        data = disk.read_document(path / MANIFEST)
+        return parse_manifest(path / MANIFEST, data, (VERSION, CHAINED)).version == CHAINED
+    except (OSError, FsarLedgerError):
+        return False
+
+
+def chain_moment(path: Path) -> tuple[int, ...]:
+    """Return what changes while a writer is at work. Raises: OSError."""
+    found = [path / CHAIN, path / JOURNAL, path / NODES]
+    return tuple(disk.size_of(file) for file in found) + tuple(disk.inode_of(file) for file in found)
+
+
+class ChainVerification:
+    """One look at a ledger of format 2, segment by segment."""
+
+    def __init__(self, path: Path, asked: Asked) -> None:
+        self.path, self.asked = path, asked
+        self.problems: list[Problem] = []
+        self.events = self.done = 0
+        self.runs = Runs()
+        self.tree: Frontier | None = Frontier()  # by the rows; None: unknown, because some were not read
+        self.roots: dict[int, bytes] = {0: merkle.EMPTY_ROOT}  # by the rows, at the end of each commit and anchor
+
+    def run(self, workers: int, progress: Progress | None) -> VerifyReport:
+        """Look at the whole ledger."""
+        self.problems += _check_names(self.path)
+        view = open_chain(self.path, disk.read_document(self.path / MANIFEST), is_damage_told=False)
+        chain = view.chain
+        self.problems += [one for one in (view.followed.problem, view.journal.problem) if one is not None]
+        facts = _examine_all(
+            view, workers, None if self.asked.is_quick else self.asked.second_reader, is_quick=self.asked.is_quick
+        )
+        is_behind = self._is_behind(view)
+        for number, (placement, found) in enumerate(zip(chain.placed, facts, strict=True), start=1):
+            self._add(view, placement, found, is_behind=is_behind)
+            if progress is not None:
+                progress(number, len(chain.placed))
+        for frame in view.journal.frames:
+            self._add_frame(frame)
+        self.problems += _check_segments(view)
+        remarks = self._check_derived(view, is_behind=is_behind)
+        return self._report(view, remarks)
+
+    def _is_behind(self, view: ChainView) -> bool:
+        """Return whether the checkpoint is that of before the last append to the chain."""
+        try:
+            back = behind(view)
+        except LedgerCorrupted as error:
+            if not self.problems:
+                found, _, expected = refusal(CHECKPOINT, error)[1:-1].removeprefix("found ").partition(", expected ")
+                self.problems.append(Problem(CHECKPOINT, found, expected or "the newest note"))
+            return False
+        covered = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
+        return back > 0 and covered < view.chain.placed_size
+
+    def _add(self, view: ChainView, placement: Placement, facts: SegmentFacts, *, is_behind: bool) -> None:
+        """Add one segment: its rows go into the tree, its blocks to the runs."""
+        self.problems += facts.problems
+        if self.asked.is_quick:
+            self.events += facts.rows if not facts.problems else 0
+            return
+        if facts.leaves is None or self.tree is None or len(facts.leaves) != placement.rows * HASH_BYTES:
+            self.tree = None
+            return
+        commits = _within(view.commits, placement.first, placement.end)
+        before = len(self.problems)
+        nodes = self._grow(facts, facts.leaves, placement, commits)
+        if len(self.problems) == before and not facts.problems:
+            self._compare_nodes(
+                placement.first, nodes, is_needed=not (is_behind and placement.first >= view.chain.settled)
+            )
+            self._follow(facts.file, facts.blocks, commits, placement.first)
+        if len(self.problems) == before:
+            self.events += placement.rows
+            self.done += len(commits)
+
+    def _grow(self, facts: SegmentFacts, leaves: bytes, placement: Placement, commits: Sequence[Commit]) -> bytes:
+        """Add the leaves of a segment to the tree, compare the roots, and return what they add to the pack."""
+        assert self.tree is not None
+        tree, at = self.tree, 0
+        sizes = {commit.tree_size: commit for commit in commits}
+        for size in sorted({*sizes, *(one for one in self.asked.sizes() if placement.first < one < placement.end)}):
+            if size == placement.end:
+                break
+            end = (size - placement.first) * HASH_BYTES
+            tree, at = tree.extend(leaves[at:end]), end
+            self._compare_root(tree, sizes.get(size), facts.file)
+        after, nodes = pack.grow(self.tree, leaves)
+        self._compare_root(after, sizes.get(placement.end), facts.file)
+        self.tree = after
+        return nodes
+
+    def _compare_root(self, tree: Frontier, commit: Commit | None, file: str) -> None:
+        root = self.roots[tree.size] = tree.root()
+        if commit is not None and root.hex() != commit.tree_root:
+            expected = f"{commit.tree_root} as committed: a row was altered"
+            self.problems.append(
+                Problem(file, f"Merkle root {root.hex()}", expected, commit=commit.number, field="tree_root")
+            )
+
+    def _follow(self, file: str, blocks: Sequence[Block], commits: Sequence[Commit], first: int) -> None:
+        """Compare the blocks with those before, and with the runs that each commit says it continues."""
+        at, index = first, 0
+        found: dict[int, list[tuple[str, int]]] = {}
+        seen: set[tuple[int, str]] = set()
+        for block in blocks:
+            if (flaw := self.runs.flaw(block)) is not None:
+                self.problems.append(Problem(file, flaw.found, flaw.expected, None, flaw.run, flaw.seq, flaw.field))
+                return
+            self.runs.add(block)
+            seq, end = block.first, at + block.rows
+            while at < end:
+                commit = commits[index]
+                if (commit.number, block.run) in seen:
+                    self.problems.append(
+                        Problem(
+                            file, "a second block of rows", "each run in one", commit.number, block.run, seq, "run_id"
+                        )
+                    )
+                    return
+                seen.add((commit.number, block.run))
+                if seq:
+                    found.setdefault(commit.number, []).append((block.run, seq))
+                step = min(end, commit.tree_size) - at
+                at, seq = at + step, seq + step
+                index += at == commit.tree_size
+        for commit in commits:
+            continues = tuple(sorted(found.get(commit.number, ())))
+            if continues != commit.continues:
+                self.problems.append(
+                    Problem(CHAIN, f"{commit.continues!r}", f"{continues!r}", commit.number, field="continues")
+                )
+                return
+            if absent := [run for run in commit.goes_on if (commit.number, run) not in seen]:
+                expected = "runs of which the commit holds events"
+                self.problems.append(Problem(CHAIN, f"{absent[0]!r}", expected, commit.number, field="goes_on"))
+                return
+
+    def _add_frame(self, frame: Frame) -> None:
+        """Add one commit of the journal."""
+        commit = frame.commit
+        if self.tree is not None:
+            self.tree = self.tree.extend(leaf_hashes(frame.rows))
+            self._compare_root(self.tree, commit, JOURNAL)
+        if self.asked.is_quick or self.problems:
+            return
+        try:
+            table = table_of(Path(JOURNAL), frame.rows)
+        except LedgerCorrupted as error:
+            said = refusal(JOURNAL, error)[1:-1].removeprefix("found ")
+            self.problems.append(Problem(JOURNAL, said, "rows as they are written", commit=commit.number))
+            return
+        flaw = first_flaw(table, is_whole=False)
+        if flaw is not None:
+            self.problems.append(
+                Problem(JOURNAL, flaw.found, flaw.expected, commit.number, flaw.run, flaw.seq, flaw.field)
+            )
+            return
+        self._follow(JOURNAL, list(blocks_of(table)), [commit], commit.tree_size - commit.rows)
+        if not self.problems:
+            self.events, self.done = self.events + commit.rows, self.done + 1
+
+    def _compare_nodes(self, first: int, nodes: bytes, *, is_needed: bool) -> None:
+        """Compare these hashes with those in the pack after the events before `first`."""
+        start = pack.count(first) * HASH_BYTES
+        try:
+            found = disk.read_at(self.path / NODES, start, len(nodes))
+        except OSError as error:
+            self.problems.append(Problem(NODES, f"an unreadable file ({error.strerror})", "the pack of the tree"))
+            return
+        if found == nodes or not is_needed:
+            return
+        place = next(
+            at for at in range(0, len(nodes), HASH_BYTES) if found[at : at + HASH_BYTES] != nodes[at : at + HASH_BYTES]
+        )
+        there, expected = (data[place : place + HASH_BYTES].hex() or "nothing" for data in (found, nodes))
+        self.problems.append(Problem(NODES, there, expected, field=f"hash {(start + place) // HASH_BYTES}"))
+
+    def _check_derived(self, view: ChainView, *, is_behind: bool) -> tuple[str, ...]:
+        """Compare the size of the pack; return the remarks on what only a crash may have left."""
+        if self.problems:
+            return ()
+        size, expected = nodes_size(self.path), pack.count(view.chain.placed_size) * HASH_BYTES
+        if size > expected or (size < expected and not is_behind):
+            self.problems.append(Problem(NODES, f"{size} bytes", f"{expected}, for {view.chain.placed_size} events"))
+            return ()
+        back = behind(view)
+        placed = {segment_of(one) for one in view.chain.placed}
+        left = any(f"{SEGMENTS}/{name}" not in placed for name in names_in(self.path / SEGMENTS))
+        return (
+            *((BEHIND,) if is_behind else (OPEN,) if back else ()),
+            *((TORN,) if view.followed.torn or view.journal.torn else ()),
+            *((SUPERSEDED,) if left else ()),
+        )
+
+    def _report(self, view: ChainView, remarks: tuple[str, ...]) -> VerifyReport:
+        origin = view.manifest.origin
+        signed = Signatures("signer not checked")
+        if not self.problems:
+            doubts, signed = check_signatures(
+                [commit.note(origin) for commit in view.commits], lambda _: CHAIN, self.asked.trusted
+            )
+            self.problems += doubts
+        anchored = self._check_anchors(view)
+        ok = not self.problems
+        quick = self.asked.is_quick
+        state: Signed = signed.state
+        if ok and quick:
+            remarks += ("rows were not compared with the recorded roots",)
+        return VerifyReport(
+            ok,
+            tuple(self.problems[:MAX_PROBLEMS]),
+            len(view.commits) if quick and ok else self.done,
+            view.head.size if quick and ok else self.events,
+            sum(not known.is_alone for known in self.runs.known.values()),
+            view.head.root if ok else None,
+            signature=state,
+            signer=signed.signer,
+            signed=signed.commits,
+            is_quick=quick,
+            anchored=anchored if ok else None,
+            remarks=remarks,
+            record_sha256=view.record_sha256 if ok else None,
+        )
+
+    def _check_anchors(self, view: ChainView) -> int | None:
+        """Check the anchors; return the events that the user's one vouches for."""
+        origin, size = view.manifest.origin, view.head.size
+        for witnessed in self.asked.witnessed:
+            self.problems += check_anchor(witnessed, origin, size, self._root_then(view, witnessed), None)
+        anchor = self.asked.anchor
+        if anchor is None:
+            return None
+        self.problems += check_anchor(anchor, origin, size, self._root_then(view, anchor), self.asked.trusted)
+        return anchor.note.checkpoint.size if anchor.note is not None else None
+
+    def _root_then(self, view: ChainView, anchor: Anchor) -> bytes | None:
+        """Return the root of the ledger when it had as many events as the anchor counts, if it is known."""
+        then = anchor.note.checkpoint if anchor.note is not None else None
+        if then is None or then.size > view.head.size:
+            return None
+        if then.size in self.roots:
+            return self.roots[then.size]
+        return (view.chain.root_at(then.size) or _proven(view, then)) if self.asked.is_quick else None
+
+
+def _proven(view: ChainView, then: Checkpoint) -> bytes | None:
+    """Return the root of this checkpoint if the stored hashes prove that the ledger begins with its events."""
+    size, root = view.head.size, bytes.fromhex(view.head.root)
+    with suppress(LedgerCorrupted):
+        proof = consistency_proof(view.node(size), then.size, size)
+        if is_consistent(then.size, then.root, size, root, proof):
+            return then.root
+    return None
+
+
+def _within(commits: Sequence[Commit], first: int, end: int) -> list[Commit]:
+    """Return the commits with events from `first` to `end`."""
+    start = bisect_right(commits, first, key=lambda one: one.tree_size)
+    stop = bisect_right(commits, end, key=lambda one: one.tree_size)
+    return list(commits[start:stop])
+
+
+def _check_names(path: Path) -> Iterator[Problem]:
+    """Yield a problem for each name in the ledger's folder that is not its own, and each that is missing or a link."""
+    for name in names_in(path):
+        if name not in FOLDERS | FILES:
+            yield Problem(name, "an unknown file", f"only {', '.join(sorted(FOLDERS | FILES))}; take it away")
+            continue
+        mode = os.lstat(path / name).st_mode
+        if name in FOLDERS and not stat.S_ISDIR(mode):
+            yield Problem(name, "a link or something else than a folder", "a folder of the ledger")
+        elif name in FILES and not stat.S_ISREG(mode):
+            yield Problem(name, _SYMBOLIC, "a file of the ledger")
+    if not os.path.lexists(path / SEGMENTS):
+        yield Problem(SEGMENTS, MISSING, "a folder of the ledger")
+
+
+def _check_segments(view: ChainView) -> Iterator[Problem]:
+    """Yield a problem for each file among the segments that no placement names."""
+    known = {segment_of(placement) for placement in view.chain.placements}
+    for name in names_in(view.path / SEGMENTS):
+        if f"{SEGMENTS}/{name}" not in known:
+            yield Problem(f"{SEGMENTS}/{name}", "a file of no placement", "segments that the chain names; take it away")
+
+
+def _examine_all(
+    view: ChainView, workers: int, second_reader: SecondReader | None, *, is_quick: bool
+) -> Iterator[SegmentFacts]:
+    """Yield what each segment in force holds, in order."""
+    placed = view.chain.placed
+    names = [Names(segment_of(placement), CHAIN) for placement in placed]
+    numbers = [placement.number for placement in placed]
+    path = repeat(str(view.path))
+    workers = min(workers, len(placed))
+    with ExitStack() as stack:
+        if is_quick and workers > 1:  # hashing releases the interpreter lock
+            pool = stack.enter_context(ThreadPoolExecutor(workers))
+            yield from pool.map(examine_file, path, numbers, placed, names)
+        elif is_quick:
+            yield from map(examine_file, path, numbers, placed, names)
+        elif workers > 1:
+            yield from stack.enter_context(WorkerPool(workers)).map(
+                examine, path, numbers, placed, repeat(second_reader), names
+            )
+        else:
+            yield from map(examine, path, numbers, placed, repeat(second_reader), names)

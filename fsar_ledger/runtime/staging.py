@@ -1,0 +1,126 @@
+"""Simulate batches of runs and stage them, in this process or in worker processes."""
+
+import gc
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import TypeAlias
+
+import msgspec
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.errors import InvalidExperiment, InvalidRun
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.store.append import Staged, stage
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.workers import WorkerPool
+
+IN_FLIGHT = 2
+"""Batches in progress per worker at most, so that memory stays flat."""
+COMMIT_EVENTS = 1 << 16
+"""Events of a commit where runs may span several; independent of the number of workers."""
+
+Batch: TypeAlias = tuple[RunSpec, ...]
+
+
+class Staging(msgspec.Struct, frozen=True):
+    """Makes the runs of batches and stages them for the ledger `out`.
+
+    `held` says of each run that the ledger holds in part how many events. If a run `spans_commits`, a batch is staged
+    as segments of at most `COMMIT_EVENTS` events; else as one.
+    """
+
+    out: Path
+    constants: Constants
+    held: Mapping[str, int]
+    spans_commits: bool
+
+    def of_all(self, batches: Sequence[Batch], workers: int) -> Iterator[Sequence[Staged]]:
+        """Yield what is staged of each batch, in order, made by this process or by `workers` worker processes."""
+        if workers <= 1:
+            yield from map(self.of, batches)
+            return
+        with WorkerPool(workers) as pool:
+            queue: deque[Future[Sequence[Staged]]] = deque()
+            for batch in batches:
+                queue.append(pool.submit(self.of, batch))
+                if len(queue) >= IN_FLIGHT * workers:
+                    yield queue.popleft().result()
+            while queue:
+                yield queue.popleft().result()
+
+    def of(self, batch: Batch) -> Sequence[Staged]:
+        """Simulate and stage the batch, without garbage collection: a run makes no cyclic garbage.
+
+        Raises:
+            InvalidExperiment: The batch does not fit into a commit, where it must.
+        """
+        gc.disable()
+        try:
+            if self.spans_commits:
+                return [one for part in self._parts(batch) for one in self._fitted(part)]
+            return [stage(self.out, [simulate_run(spec, self.constants) for spec in batch])]
+        except ValueError as error:
+            if "in one commit" not in str(error):
+                raise
+            raise InvalidExperiment(f"fleet size {batch[0].fleet_size}: {error}, or a smaller fleet") from error
+        finally:
+            gc.enable()
+
+    def _parts(self, batch: Batch) -> Iterator[list[LedgerRun]]:
+        """Yield the runs of the batch in parts of `COMMIT_EVENTS` events, the last one of what remains."""
+        part: list[LedgerRun] = []
+        room = COMMIT_EVENTS
+        for spec in batch:
+            run = simulate_run(spec, self.constants)
+            at, end = self.held.get(run.run_id, 0), len(run.events)
+            while at < end:
+                stop = min(end, at + room)
+                part.append(_piece(run, at, stop))
+                room -= stop - at
+                at = stop
+                if not room:
+                    yield part
+                    part, room = [], COMMIT_EVENTS
+        if part:
+            yield part
+
+    def _fitted(self, part: list[LedgerRun]) -> Iterator[Staged]:
+        """Stage the part; in halves, if a segment cannot hold it."""
+        try:
+            yield stage(self.out, part)
+        except InvalidRun as error:
+            events = sum(len(run.events) for run in part)
+            if "in one commit" not in str(error) or events < 2:
+                raise
+            for half in _halves(part, events // 2):
+                yield from self._fitted(half)
+
+
+def _piece(run: LedgerRun, at: int, end: int) -> LedgerRun:
+    """Return the events of a run between these indexes; it goes on unless they are its last."""
+    if (at, end) == (0, len(run.events)):
+        return run
+    return LedgerRun(
+        run.run_id,
+        run.times_us[at:end],
+        run.caused_by[at:end],
+        run.events[at:end],
+        run.first + at,
+        end < len(run.events) or run.goes_on,
+    )
+
+
+def _halves(part: Sequence[LedgerRun], events: int) -> tuple[list[LedgerRun], list[LedgerRun]]:
+    """Divide these runs after so many events."""
+    first: list[LedgerRun] = []
+    second: list[LedgerRun] = []
+    for run in part:
+        size = len(run.events)
+        if events > 0:
+            first.append(_piece(run, 0, min(size, events)))
+        if size > events:
+            second.append(_piece(run, max(0, events), size))
+        events -= size
+    return first, second
