@@ -22,6 +22,7 @@ from types import TracebackType
 
 from fsar_ledger.errors import NotALedger, UsageError, WriteFailed, option
 from fsar_ledger.ledger.chain import paths
+from fsar_ledger.ledger.chain.compact import mergeable, merged_segment
 from fsar_ledger.ledger.chain.held import HeldRuns
 from fsar_ledger.ledger.chain.journal import Frame, JournalFile, leaf_hashes
 from fsar_ledger.ledger.chain.nodes import append_nodes
@@ -36,7 +37,6 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
-from fsar_ledger.ledger.rows.schema import FINGERPRINT
 from fsar_ledger.ledger.rows.small import rows_of
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Staged
@@ -150,8 +150,10 @@ class ChainWriter:
             self._held = HeldRuns(self._view)
         return self._held
 
-    def append(self, staged: Staged) -> Head:
+    def append(self, staged: Staged, signature: str = "") -> Head:
         """Commit the staged segment, durably. Appending a segment that is there already changes nothing.
+
+        `signature` is one that the tree after it has already, as in a record; else the writer's signer makes one.
 
         Raises:
             InvalidRun: Its events do not continue those that the ledger holds of a run, or repeat some. The staged file
@@ -170,7 +172,7 @@ class ChainWriter:
             if self._view.journal.frames:
                 self._seal()
             tree, nodes = pack.grow(self._view.tree(), staged.leaves)
-            commit = self._commit(staged.rows, tree, continues, staged.goes_on)
+            commit = self._commit(staged.rows, tree, continues, staged.goes_on, staged.release, signature)
             self._place(staged, [canonical.document(commit)], tree, nodes)
             self._runs().add(staged.blocks)
         return self._view.head
@@ -207,6 +209,39 @@ class ChainWriter:
             self._runs().add(blocks)
             self._is_broken = False
         return self._view.head
+
+    def compact(self) -> int:
+        """Put small neighbouring segments together, durably; return how many were put into others.
+
+        No leaf, root, commit or proof changes. The old segments are removed once the new one is on record and in place.
+
+        Raises: LedgerCorrupted if a segment is not as placed; else as `append`.
+        """
+        self._require_usable()
+        merged = 0
+        with disk.turn(self._path / SEGMENTS):
+            self._catch_up()
+            if self._view.journal.frames:
+                self._seal()
+            for old in list(mergeable(self._view.chain.placed)):
+                self._merge(old)
+                merged += len(old)
+        return merged
+
+    def _merge(self, old: Sequence[Placement]) -> None:
+        """Put these neighbouring segments into one, and remove them."""
+        staged = merged_segment(self._view, old)
+        placement = self._placement(staged, old[0].first, old[-1].tree(), self._view.chain.sha256)
+        data = canonical.document(placement) + b"\n"
+        self._is_broken = True  # unless everything below succeeds
+        with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
+            disk.append_durably(self._path / paths.CHAIN, data, self._view.followed.end)
+        self._view = self._view.grown(data, self._view.tree())
+        with disk.refusals(self._path / SEGMENTS, "moving a compacted segment into place"):
+            disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
+        for one in old:
+            disk.remove(self._path / paths.segment_of(one))
+        self._is_broken = False
 
     def seal(self) -> Head:
         """Put what is in the journal into a segment. Raises: As `append`."""
@@ -260,29 +295,26 @@ class ChainWriter:
         return continued(staged.blocks)
 
     def _commit(
-        self, rows: int, tree: Frontier, continues: tuple[tuple[str, int], ...], goes_on: tuple[str, ...]
+        self,
+        rows: int,
+        tree: Frontier,
+        continues: tuple[tuple[str, int], ...],
+        goes_on: tuple[str, ...],
+        release: str = RELEASE,
+        signature: str = "",
     ) -> Commit:
         chain, root = self._view.chain, tree.root()
-        text = ""
         if self._signer is not None:
-            signature = self._signer.sign(Checkpoint(self._origin, tree.size, root))
-            text = base64.b64encode(signature.key_id + signature.data).decode()
-        return Commit(len(chain.commits), chain.sha256, RELEASE, rows, tree.size, root.hex(), continues, goes_on, text)
+            made = self._signer.sign(Checkpoint(self._origin, tree.size, root))
+            signature = base64.b64encode(made.key_id + made.data).decode()
+        return Commit(
+            len(chain.commits), chain.sha256, release, rows, tree.size, root.hex(), continues, goes_on, signature
+        )
 
     def _place(self, staged: Staged, lines: Sequence[bytes], tree: Frontier, nodes: bytes) -> None:
         """Append these lines of commits, and the placement of their rows; then all that follows from them."""
         chain = self._view.chain
-        placement = Placement(
-            len(chain.placements),
-            sha256_hex(lines[-1]),
-            RELEASE,
-            FINGERPRINT,
-            staged.segment_sha256,
-            staged.segment_bytes,
-            chain.placed_size,
-            staged.rows,
-            tuple(subtree.hex() for subtree in tree.subtrees),
-        )
+        placement = self._placement(staged, chain.placed_size, tree, sha256_hex(lines[-1]))
         data = b"\n".join((*lines, canonical.document(placement), b""))
         self._is_broken = True  # unless everything below succeeds
         with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
@@ -298,6 +330,20 @@ class ChainWriter:
                 f"({error.strerror}); the next writer finishes it or finds it gone: run the same command again"
             ) from error
         self._is_broken = False
+
+    def _placement(self, staged: Staged, first: int, tree: Frontier, previous_sha256: str) -> Placement:
+        """Return the line that says where the rows from `first` to the end of this tree are."""
+        return Placement(
+            len(self._view.chain.placements),
+            previous_sha256,
+            staged.release,
+            staged.schema_sha256,
+            staged.segment_sha256,
+            staged.segment_bytes,
+            first,
+            staged.rows,
+            tuple(subtree.hex() for subtree in tree.subtrees),
+        )
 
     def _write_checkpoint(self) -> None:
         """Write the note of the newest commit, durably. Raises: OSError."""

@@ -51,6 +51,10 @@ class Chain:
         """Return the tree of the events that segments hold."""
         return self.placed[-1].tree() if self.placed else Frontier()
 
+    def tree_at(self, end: int) -> Frontier:
+        """Return the tree of the events up to the end of this segment in force; 0 is the empty one."""
+        return next((one.tree() for one in self.placed if one.end == end), Frontier())
+
     def forget(self, commits: int, sha256: str) -> None:
         """Go back to this many commits, none of them placed since, and the line with this hash."""
         if commits < len(self.commits):

@@ -93,7 +93,7 @@ class ChainView(msgspec.Struct, frozen=True):
         if number not in self.checked:
             placed = self.chain.placed
             self.checked[number] = (
-                self._checked(placed[number]) if number < len(placed) else _materialized(self.journal_table())
+                self.placed_segment(placed[number]) if number < len(placed) else _materialized(self.journal_table())
             )
         return self.checked[number]
 
@@ -101,7 +101,8 @@ class ChainView(msgspec.Struct, frozen=True):
         """Return all segments, in order, each checked. Raises: As `segment`."""
         return [self.segment(number) for number in range(len(self.releases))]
 
-    def _checked(self, placement: Placement) -> Path:
+    def placed_segment(self, placement: Placement) -> Path:
+        """Return the segment of this placement, after checking that it is as placed. Raises: As `segment`."""
         names = Names(segment_of(placement), CHAIN)
         number = placement.number
         for _ in range(_TRIES):

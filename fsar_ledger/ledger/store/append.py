@@ -57,6 +57,7 @@ class Staged(msgspec.Struct, frozen=True):
 
     Units: `segment_bytes` bytes, `rows` events. `leaves` are the packed RFC 6962 leaf hashes, 32 bytes per row.
     `blocks` are those of the rows; `goes_on` are the runs of which later commits may hold more.
+    `release` is the one whose events and columns these are.
     """
 
     segment_sha256: str
@@ -67,6 +68,8 @@ class Staged(msgspec.Struct, frozen=True):
     leaves: bytes
     blocks: tuple[Block, ...] = ()
     goes_on: tuple[str, ...] = ()
+    release: str = RELEASE
+    schema_sha256: str = FINGERPRINT
 
 
 def stage(ledger: Path, runs: Sequence[LedgerRun]) -> Staged:

@@ -150,9 +150,10 @@ class LedgerView(msgspec.Struct, frozen=True):
         Raises: LedgerCorrupted for a segment that cannot be read.
         """
         for number in range(len(self.records)):
-            yield self._table(number, columns)
+            yield self.table(number, columns)
 
-    def _table(self, number: int, columns: list[str] | None = None) -> pa.Table:
+    def table(self, number: int, columns: list[str] | None = None) -> pa.Table:
+        """Return the stored rows of this commit with these columns (None: all). Raises: As `segment`."""
         path = self.segment(number)
         try:
             return segment.read_table(path, columns)
@@ -198,7 +199,7 @@ class LedgerView(msgspec.Struct, frozen=True):
 
         Raises: LedgerCorrupted for a segment that cannot be read or has no such row.
         """
-        table = self._table(number)
+        table = self.table(number)
         if not 0 <= at < table.num_rows:
             raise LedgerCorrupted(
                 f"{self.segment(number)}: commit {number}: found {table.num_rows} rows, expected "
@@ -211,7 +212,7 @@ class LedgerView(msgspec.Struct, frozen=True):
 
         Raises: LedgerCorrupted for a segment that cannot be read.
         """
-        return canonical.leaves(self._table(number))
+        return canonical.leaves(self.table(number))
 
     def runs(self) -> Iterator[codec.LedgerRun]:
         """Yield every run, in order, with its events in their newest versions.
@@ -219,7 +220,7 @@ class LedgerView(msgspec.Struct, frozen=True):
         Raises: LedgerCorrupted or UnknownEventTag if a segment does not hold valid events.
         """
         for number in range(len(self.records)):
-            table = self._table(number)
+            table = self.table(number)
             try:
                 runs = list(codec.decode(table))
             except LedgerCorrupted as error:
