@@ -8,7 +8,9 @@ from .names import Place
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
+    from fsar_ledger.ledger.compacting import Compacted
     from fsar_ledger.ledger.store.proof import Proof
+    from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.ledger.verify.recover import Recovery
     from fsar_ledger.witness.cosign import Cosigned
 
@@ -16,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Integrity:
-    """The part of `Ledger` that verifies, proves and recovers."""
+    """The part of `Ledger` that verifies, proves, recovers, upgrades and compacts."""
 
     path: Path
     _demanded: str | None
@@ -93,6 +95,32 @@ class Integrity:
 
         asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
         return recover(self.path, readers_of(workers, self.path), progress, asked, None if into is None else Path(into))
+
+    def upgrade(self, into: Place, *, progress: Progress | None = None) -> "Head":
+        """Write this ledger of format 1 to the new folder `into` as one of format 2; return its head.
+
+        Events, commits, signatures and roots are the same. The same call goes on after an interruption.
+
+        Raises:
+            UsageError: The ledger has format 2, or something else is at `into`.
+            LedgerCorrupted: A segment is not as committed.
+            WriteFailed: A write failed.
+        """
+        from fsar_ledger.ledger.upgrading import upgrade
+
+        return upgrade(self.path, Path(into), progress)
+
+    def compact(self) -> "Compacted":
+        """Put small segments of a ledger of format 2 together, and what is in its journal into one.
+
+        Raises:
+            UsageError: The ledger has format 1, whose segments stay as they are.
+            LedgerCorrupted: A segment is not as placed.
+            WriteFailed: A write failed.
+        """
+        from fsar_ledger.ledger.compacting import compact
+
+        return compact(self.path)
 
     def witness_ask(self, policy: Place) -> "Cosigned":
         """Have the newest checkpoint cosigned by the witnesses of a C2SP tlog-policy; no event leaves.

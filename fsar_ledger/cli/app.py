@@ -30,7 +30,7 @@ ORDER = (
     *("simulate", "info", "metrics", "statistics", "compare", "multiverse"),
     *("query", "sql", "export", "open", "explain", "log"),
     *("state", "step", "why", "diff", "whatif", "cause", "bisect", "view"),
-    *("audit", "verify", "prove", "verify_proof", "key", "witness", "recover", "report"),
+    *("audit", "verify", "prove", "verify_proof", "key", "witness", "recover", "upgrade", "compact", "report"),
     *("calibrate", "predict", "judge", "sensitivity", "reproduce"),
 )
 """The commands in the order of the help; those that are not named here follow."""

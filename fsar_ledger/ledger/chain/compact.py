@@ -12,9 +12,9 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store.append import Staged
 
-MERGED_ROWS = 1 << 16
+MERGED_ROWS = 1 << 15
 """The most events of a segment that others are put into."""
-MERGED_BYTES = 1 << 22
+MERGED_BYTES = 1 << 21
 """The most bytes of the segments that are put together; a tenth of what a segment may have."""
 
 

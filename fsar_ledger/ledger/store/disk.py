@@ -54,12 +54,12 @@ def read_large(path: Path | str, most: int) -> bytes:
     """
     handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     with open(handle, "rb") as file:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
             raise OSError(0, "it is not a regular file")
-        data = file.read(most + 1)
-    if len(data) > most:
-        raise OSError(0, f"it is larger than {most} bytes")
-    return data
+        if status.st_size > most:
+            raise OSError(0, f"it is larger than {most} bytes")
+        return file.read(status.st_size)  # room is made for as many bytes as are asked for
 
 
 def read_given(path: Path | str) -> bytes:

@@ -23,10 +23,10 @@ from fsar_ledger.ledger.log.note import Checkpoint, Signed
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING
+from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem, refusal
 from fsar_ledger.ledger.store.record import CHAINED, VERSION, parse_manifest
-from fsar_ledger.ledger.store.walk import MISSING, Names, names_in
+from fsar_ledger.ledger.store.walk import MISSING, Names, check_manifest, names_in
 from fsar_ledger.ledger.verify.notes import Anchor, Signatures, check_anchor, check_signatures
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine, examine_file
@@ -45,12 +45,12 @@ _SYMBOLIC = "a link or something else than a file"
 
 
 def is_chained(path: Path) -> bool:
-    """Return whether the ledger at this path says that it has format 2."""
+    """Return whether the ledger at this path says that it has format 2 or, if it says nothing, has a chain."""
     try:
         data = disk.read_document(path / MANIFEST)
         return parse_manifest(path / MANIFEST, data, (VERSION, CHAINED)).version == CHAINED
     except (OSError, FsarLedgerError):
-        return False
+        return os.path.lexists(path / CHAIN) and not os.path.lexists(path / COMMITS)
 
 
 def chain_moment(path: Path) -> tuple[int, ...]:
@@ -66,6 +66,8 @@ class ChainVerification:
         self.path, self.asked = path, asked
         self.problems: list[Problem] = []
         self.events = self.done = 0
+        self.derived: list[Problem] = []  # the first one of the pack
+        self.trusted = (0, 0)  # placements, and commits, before the first doubt about one
         self.runs = Runs()
         self.tree: Frontier | None = Frontier()  # by the rows; None: unknown, because some were not read
         self.roots: dict[int, bytes] = {0: merkle.EMPTY_ROOT}  # by the rows, at the end of each commit and anchor
@@ -73,7 +75,11 @@ class ChainVerification:
     def run(self, workers: int, progress: Progress | None) -> VerifyReport:
         """Look at the whole ledger."""
         self.problems += _check_names(self.path)
-        view = open_chain(self.path, disk.read_document(self.path / MANIFEST), is_damage_told=False)
+        _, document, doubt = check_manifest(self.path)
+        if document is None or doubt is not None:
+            self.problems += [doubt] if doubt is not None else []
+            return VerifyReport(False, tuple(self.problems[:MAX_PROBLEMS]), 0, 0, 0, None)
+        view = open_chain(self.path, document, is_damage_told=False)
         chain = view.chain
         self.problems += [one for one in (view.followed.problem, view.journal.problem) if one is not None]
         facts = _examine_all(
@@ -87,6 +93,7 @@ class ChainVerification:
         for frame in view.journal.frames:
             self._add_frame(frame)
         self.problems += _check_segments(view)
+        self.problems += self.derived
         remarks = self._check_derived(view, is_behind=is_behind)
         return self._report(view, remarks)
 
@@ -122,6 +129,8 @@ class ChainVerification:
         if len(self.problems) == before:
             self.events += placement.rows
             self.done += len(commits)
+            if self.done == commits[-1].number + 1:
+                self.trusted = (self.trusted[0] + 1, self.done)
 
     def _grow(self, facts: SegmentFacts, leaves: bytes, placement: Placement, commits: Sequence[Commit]) -> bytes:
         """Add the leaves of a segment to the tree, compare the roots, and return what they add to the pack."""
@@ -208,6 +217,8 @@ class ChainVerification:
         self._follow(JOURNAL, list(blocks_of(table)), [commit], commit.tree_size - commit.rows)
         if not self.problems:
             self.events, self.done = self.events + commit.rows, self.done + 1
+            if self.done == commit.number + 1:
+                self.trusted = (self.trusted[0], self.done)
 
     def _compare_nodes(self, first: int, nodes: bytes, *, is_needed: bool) -> None:
         """Compare these hashes with those in the pack after the events before `first`."""
@@ -215,15 +226,15 @@ class ChainVerification:
         try:
             found = disk.read_at(self.path / NODES, start, len(nodes))
         except OSError as error:
-            self.problems.append(Problem(NODES, f"an unreadable file ({error.strerror})", "the pack of the tree"))
+            self.derived.append(Problem(NODES, f"an unreadable file ({error.strerror})", "the pack of the tree"))
             return
-        if found == nodes or not is_needed:
+        if found == nodes or not is_needed or self.derived:
             return
         place = next(
             at for at in range(0, len(nodes), HASH_BYTES) if found[at : at + HASH_BYTES] != nodes[at : at + HASH_BYTES]
         )
         there, expected = (data[place : place + HASH_BYTES].hex() or "nothing" for data in (found, nodes))
-        self.problems.append(Problem(NODES, there, expected, field=f"hash {(start + place) // HASH_BYTES}"))
+        self.derived.append(Problem(NODES, there, expected, field=f"hash {(start + place) // HASH_BYTES}"))
 
     def _check_derived(self, view: ChainView, *, is_behind: bool) -> tuple[str, ...]:
         """Compare the size of the pack; return the remarks on what only a crash may have left."""

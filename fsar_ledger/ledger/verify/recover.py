@@ -11,8 +11,9 @@
 import fcntl
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Literal
@@ -27,18 +28,21 @@ from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, SEGMENTS, STAGING,
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.verify.chain import is_chained
+from fsar_ledger.ledger.verify.chain_recover import find_trusted, mend, write_copy
 from fsar_ledger.ledger.verify.rederive import Redo, derive, is_tile, put
 from fsar_ledger.ledger.verify.report import Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.trusted_prefix import Later, TrustedPrefix, find_prefix
 from fsar_ledger.ledger.verify.verify import verify
 
 Outcome = Literal["whole", "mended", "damaged", "continued"]
+Did = Literal["moved into place", "made again", "set aside"]
 
 
 class Step(msgspec.Struct, frozen=True):
     """One thing that was done: to which file of the ledger, and where the file is now."""
 
-    did: Literal["moved into place", "made again", "set aside"]
+    did: Did
     file: str
     to: str
 
@@ -90,10 +94,15 @@ def recover(
             f"{option('anchor', asked.anchor.file)}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
         )
     with _alone(path):
+        if is_chained(path):
+            return _recover_chain(path, workers, progress, asked, into)
         prefix = find_prefix(path, workers, progress, asked)
         if not prefix.problems:
             return _mend(path, prefix, workers, progress, asked)
-        report = _copy(path, prefix, into, workers, progress, asked) if into is not None else None
+        report = None
+        if into is not None:
+            write = partial(_write_copy, path, prefix)
+            report = _copy(path, prefix.problems[0], prefix.head, write, into, workers, progress, asked)
         return Recovery(
             "damaged" if into is None else "continued",
             prefix.head,
@@ -186,7 +195,7 @@ class _Mending:
         """Set aside what is in the place of a file of the ledger, and make the folders."""
         for name in prefix.strays:
             if not is_tile(name):
-                self._set_aside(name)
+                self.set_aside(name)
         self._remove_empty_folders(prefix)
         for name in (COMMITS, SEGMENTS):
             if not (self.path / name).is_dir():
@@ -199,7 +208,7 @@ class _Mending:
         """
         for name in prefix.strays:
             if is_tile(name):
-                self._set_aside(name)
+                self.set_aside(name)
         self._remove_empty_folders(prefix)
 
     def _remove_empty_folders(self, prefix: TrustedPrefix) -> None:
@@ -218,8 +227,8 @@ class _Mending:
 
     def make_again(self, prefix: TrustedPrefix) -> None:
         """Make again what follows from the commits: ledger.json, the tiles, the checkpoint."""
-        made = put(self.path, {MANIFEST: prefix.manifest or b""}, self._set_aside)
-        made += derive(open_ledger(self.path), prefix.redo, self._set_aside)
+        made = put(self.path, {MANIFEST: prefix.manifest or b""}, self.set_aside)
+        made += derive(open_ledger(self.path), prefix.redo, self.set_aside)
         self.steps += [Step("made again", name, name) for name in made]
 
     def confirm(self) -> None:
@@ -227,7 +236,11 @@ class _Mending:
         for folder in (self.path, self.path / COMMITS, self.path / SEGMENTS) if self.steps else ():
             disk.sync_folder(folder)
 
-    def _set_aside(self, name: str) -> None:
+    def did(self, did: Did, file: str, to: str) -> None:
+        """Note what was done."""
+        self.steps.append(Step(did, file, to))
+
+    def set_aside(self, name: str) -> None:
         """Move the file beside the ledger, durably, under the same name below the first free number."""
         if self._aside is None:
             self._aside = _new_folder(self.path)
@@ -253,26 +266,50 @@ def _new_folder(ledger: Path) -> Path:
 # --- a ledger of which a part can be trusted ---
 
 
+def _recover_chain(path: Path, workers: int, progress: Progress | None, asked: Asked, into: Path | None) -> Recovery:
+    """Recover a ledger of format 2; nobody else writes."""
+    found = find_trusted(path, workers, progress, asked)
+    if found.problems:
+        report = (
+            None
+            if into is None
+            else _copy(path, found.problems[0], found.head, partial(write_copy, found), into, workers, progress, asked)
+        )
+        outcome: Outcome = "damaged" if into is None else "continued"
+        return Recovery(outcome, found.head, (), found.problems, (), found.anchored, report)
+    mending = _Mending(path)
+    with disk.refusals(path, "mending"):
+        mend(found, mending.set_aside, mending.did)
+        for folder in (path, path / SEGMENTS) if mending.steps else ():
+            disk.sync_folder(folder)
+    report = verify(path, workers, progress, asked)
+    outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
+    return Recovery(outcome, found.head, tuple(mending.steps), report.problems, anchored=found.anchored, report=report)
+
+
 def _copy(
-    path: Path, prefix: TrustedPrefix, into: Path, workers: int, progress: Progress | None, asked: Asked
+    path: Path,
+    problem: Problem,
+    head: Head,
+    write: Callable[[Path], None],
+    into: Path,
+    workers: int,
+    progress: Progress | None,
+    asked: Asked,
 ) -> VerifyReport:
     """Copy the trusted commits to a new ledger, byte for byte, and verify it; on failure nothing is there."""
-    if not prefix.records:
+    if not head.commits:
         raise LedgerCorrupted(
-            f"{prefix.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; "
+            f"{problem}\n{path}: found no commit that can be trusted, expected one to copy to {into}; "
             "begin a new ledger there"
         )
     work = disk.temporary_name(into)
-    if (
-        asked.anchor is not None
-        and asked.anchor.note is not None
-        and asked.anchor.note.checkpoint.size > prefix.head.size
-    ):
+    if asked.anchor is not None and asked.anchor.note is not None and asked.anchor.note.checkpoint.size > head.size:
         asked = msgspec.structs.replace(asked, anchor=None)
     try:
         with disk.refusals(into, "copying the trusted commits"):
             disk.make_folder(into.parent)
-            _write_copy(path, prefix, work)
+            write(work)
         report = verify(work, workers, progress, asked)
         if not report.ok:
             raise LedgerCorrupted(

@@ -1,0 +1,30 @@
+"""The command `compact`."""
+
+from fsar_ledger import printable
+from fsar_ledger.cli.options import JsonOption, LedgerArgument, examples
+from fsar_ledger.cli.terminal import show
+from fsar_ledger.printable import counted
+
+EXAMPLES = examples("fsar-ledger compact out/ledger2", "fsar-ledger compact out/ledger2 --json")
+AFTER_INTERRUPTION = "nothing is lost; run it again to go on"
+
+
+def compact(ledger: LedgerArgument, as_json: JsonOption = False) -> None:
+    """Put small segments of a ledger of format 2 together, and what is in its journal into one.
+
+    Answers from few large segments are quicker than from many small ones. No event, root, commit or proof changes.
+    """
+    from fsar_ledger.api.ledger import Ledger
+
+    found = Ledger(ledger).compact()
+    if as_json:
+        from fsar_ledger.cli.output import json_text
+
+        show(json_text(found.head, {"ledger": str(ledger), "before": found.before, "after": found.after}))
+        return
+    done = (
+        f"{counted(found.before, 'segment')} put into {found.after:,}"
+        if found.after < found.before
+        else f"nothing to do: {counted(found.after, 'segment')}"
+    )
+    show(printable.lines(f"{ledger}: {done}", f"root {found.head.root}"))

@@ -1,0 +1,44 @@
+"""The command `upgrade`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fsar_ledger import printable
+from fsar_ledger.cli.options import JsonOption, LedgerArgument, examples
+from fsar_ledger.cli.progress import Progress
+from fsar_ledger.cli.terminal import show
+
+EXAMPLES = examples(
+    "fsar-ledger upgrade out/ledger --into out/ledger2",
+    "fsar-ledger verify out/ledger2 --anchor out/ledger/checkpoint",
+)
+AFTER_INTERRUPTION = "the commits written so far stay; run it again to go on"
+
+
+def upgrade(
+    ledger: LedgerArgument,
+    into: Annotated[Path, typer.Option("--into", metavar="NEW", help="The new folder of the ledger in format 2.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Write a ledger of format 1 as one of format 2: the same events, commits, signatures and roots.
+
+    LEDGER stays as it is. In format 2 runs may span commits, the hashes take a tenth of the room, and a few events at a
+    time go into a journal; see docs/ledger-format-2.md.
+    """
+    from fsar_ledger.api.ledger import Ledger
+
+    with Progress("written", "commits") as progress:
+        head = Ledger(ledger).upgrade(into, progress=progress)
+    if as_json:
+        from fsar_ledger.cli.output import json_text
+
+        show(json_text(head, {"ledger": str(into), "from": str(ledger), "commits": head.commits}))
+        return
+    show(
+        printable.lines(
+            f"{into}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}, format 2",
+            f"root {head.root}",
+        )
+    )

@@ -1,0 +1,235 @@
+"""Recover a ledger of format 2: mend what a crash left, find what can be trusted, and delete nothing."""
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.checkpoint import behind
+from fsar_ledger.ledger.chain.links import Chain
+from fsar_ledger.ledger.chain.nodes import nodes_size
+from fsar_ledger.ledger.chain.paths import CHAIN, NODES, segment_of
+from fsar_ledger.ledger.chain.prepare import repair
+from fsar_ledger.ledger.chain.read import ChainView, open_chain
+from fsar_ledger.ledger.chain.record import Placement, Record
+from fsar_ledger.ledger.log import pack
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import doubt
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest, sha256_hex
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
+from fsar_ledger.ledger.store.walk import names_in
+from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, ChainVerification
+from fsar_ledger.ledger.verify.rederive import checkpoint_note
+from fsar_ledger.ledger.verify.report import Asked, Progress
+
+SetAside = Callable[[str], None]
+Done = Callable[[Literal["moved into place", "made again", "set aside"], str, str], None]
+
+
+class Found(msgspec.Struct, frozen=True):
+    """What of a ledger can be trusted: the view of it, and how many of its placements and commits.
+
+    `problems` are why no more; none if the ledger is whole but for what is derived.
+    """
+
+    view: ChainView
+    placements: int
+    commits: int
+    problems: tuple[Problem, ...]
+    anchored: int | None = None
+
+    @property
+    def head(self) -> Head:
+        """Return how far the trusted part goes."""
+        if not self.commits:
+            return EMPTY_HEAD
+        last = self.view.commits[self.commits - 1]
+        run = msgspec.json.decode(self.view.event(last.tree_size - 1), type=dict[str, object])["run_id"]
+        return Head(self.commits, last.tree_size, last.tree_root, str(run))
+
+
+def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Asked) -> Found:
+    """Find how much of the ledger can be trusted. Changes nothing.
+
+    Raises: LedgerCorrupted if ledger.json cannot be read, and nothing says what was in it.
+    """
+    view = open_chain(path, manifest_of(path), is_damage_told=False)
+    look = ChainVerification(path, msgspec.structs.replace(asked, is_quick=False))
+    report = look.run(workers, progress)
+    problems = [one for one in report.problems if one.where.split("/")[0] not in (NODES, CHECKPOINT, MANIFEST)]
+    problems = [one for one in problems if not _is_stray(one.where)]
+    problems += _removed(view)
+    placements, commits = look.trusted
+    if asked.trusted is not None:
+        key, origin = asked.trusted, view.manifest.origin
+        while commits and doubt(view.commits[commits - 1].note(origin), key) is not None:
+            commits -= 1
+        while placements and view.chain.placed[placements - 1].end > _size(view, commits):
+            placements -= 1
+    if problems:
+        commits = min(commits, _commits_to(view, view.chain.placed[placements - 1].end if placements else 0))
+    return Found(view, placements, commits, tuple(problems), report.anchored)
+
+
+def _size(view: ChainView, commits: int) -> int:
+    return view.commits[commits - 1].tree_size if commits else 0
+
+
+def _commits_to(view: ChainView, size: int) -> int:
+    return sum(commit.tree_size <= size for commit in view.commits)
+
+
+def _is_stray(name: str) -> bool:
+    return name.split("/")[0] not in FILES | FOLDERS
+
+
+def _removed(view: ChainView) -> list[Problem]:
+    """Return a problem if something is there only because the ledger once had more commits."""
+    expected = (
+        f"nothing of a tree of more than the {view.head.size} events that are committed: the newest commits were "
+        "removed"
+    )
+    note = checkpoint_note(view.path)
+    if note is not None and note.checkpoint.origin == view.manifest.origin and note.checkpoint.size > view.head.size:
+        return [Problem(CHECKPOINT, f"a checkpoint of {note.checkpoint.size} events", expected)]
+    if nodes_size(view.path) > pack.count(view.chain.placed_size) * HASH_BYTES:
+        return [Problem(NODES, f"{nodes_size(view.path)} bytes", expected)]
+    return []
+
+
+def manifest_of(path: Path) -> bytes:
+    """Return what ledger.json holds or, if that cannot be read, what the chain says that it held.
+
+    Raises: LedgerCorrupted if neither is known.
+    """
+    data = b""
+    try:
+        data = disk.read_document(path / MANIFEST)
+        if sha256_hex(data) == _first_hash(path):
+            return data
+    except OSError:
+        pass
+    note = checkpoint_note(path)
+    if note is not None:
+        made = canonical.document(Manifest(FORMAT, note.checkpoint.origin, CHAINED))
+        if sha256_hex(made) == _first_hash(path):
+            return made
+    if data:
+        return data
+    raise LedgerCorrupted(
+        f"{path / MANIFEST}: it cannot be read, and nothing says which origin it named, expected the description of "
+        "the ledger; restore it"
+    )
+
+
+def _first_hash(path: Path) -> str:
+    """Return the hash of ledger.json as the chain's first line has it; empty if it has none."""
+    line = disk.read_at(path / CHAIN, 0, 1 << 20).partition(b"\n")[0]
+    try:
+        return str(msgspec.json.decode(line, type=dict[str, object]).get("previous_sha256", ""))
+    except msgspec.DecodeError:
+        return ""
+
+
+def mend(found: Found, set_aside: SetAside, done: Done) -> None:
+    """Make the ledger whole again: its derived files, and what an interrupted writer left. Raises: OSError."""
+    view, path = found.view, found.view.path
+    for name in names_in(path):
+        if _is_stray(name):
+            set_aside(name)
+    known = {segment_of(placement) for placement in view.chain.placements}
+    for name in names_in(path / SEGMENTS):
+        if f"{SEGMENTS}/{name}" not in known:
+            set_aside(f"{SEGMENTS}/{name}")
+    _make_again(path, MANIFEST, manifest_of(path), set_aside, done)
+    for placement in view.chain.placed:
+        place = path / segment_of(placement)
+        if (there := view.located(placement)) != place:
+            disk.move(there, place)
+            done("moved into place", str(there.relative_to(path)), segment_of(placement))
+    _make_again(path, NODES, _nodes(view), set_aside, done)
+    try:
+        behind(view)
+    except LedgerCorrupted:
+        _make_again(path, CHECKPOINT, str(view.note()).encode() if view.commits else b"", set_aside, done)
+    covered = behind(view)
+    if covered:
+        disk.write_files({path / CHECKPOINT: str(view.note()).encode()}, path / STAGING)
+        done("made again", CHECKPOINT, CHECKPOINT)
+    repair(open_chain(path, manifest_of(path)), is_alone=True)
+
+
+def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: Done) -> None:
+    """Write the file if it does not hold these bytes; what is there goes aside. No bytes are no file."""
+    try:
+        there: bytes | None = disk.read_large(path / name, max(len(data), disk.size_of(path / name)))
+    except FileNotFoundError:
+        there = None
+    except OSError:
+        there = b""
+    if there == data or (there is None and not data):
+        return
+    if there is not None:
+        set_aside(name)
+    if data:
+        disk.make_folder(path / STAGING)
+        disk.write_files({path / name: data}, path / STAGING)
+        done("made again", name, name)
+
+
+def _nodes(view: ChainView) -> bytes:
+    tree, found = Frontier(), []
+    for number in range(len(view.chain.placed)):
+        tree, nodes = pack.grow(tree, view.leaves(number))
+        found.append(nodes)
+    return b"".join(found)
+
+
+def write_copy(found: Found, work: Path) -> None:
+    """Write a ledger of the trusted commits that segments hold to this new folder, durably.
+
+    Raises: OSError, LedgerCorrupted.
+    """
+    view = found.view
+    for folder in (work, work / SEGMENTS, work / STAGING):
+        folder.mkdir()
+    manifest = manifest_of(view.path)
+    disk.write_temporary(work / MANIFEST, manifest)
+    chain = Chain(sha256_hex(manifest))
+    lines: list[bytes] = []
+    for placement in view.chain.placed[: found.placements]:
+        source = view.located(placement)
+        with open(source, "rb") as there, open(work / segment_of(placement), "xb") as target:
+            shutil.copyfileobj(there, target)
+            target.flush()
+            os.fsync(target.fileno())
+        held = [one for one in view.commits[: found.commits] if placement.first < one.tree_size <= placement.end]
+        records: tuple[Record, ...] = (*held, placement)
+        lines += [_relinked(one, chain) for one in records]
+    if lines:
+        disk.append_durably(work / CHAIN, b"".join(line + b"\n" for line in lines), 0)
+        disk.write_temporary(
+            work / CHECKPOINT, str(view.commits[found.commits - 1].note(view.manifest.origin)).encode()
+        )
+    with ChainWriter(work, view.manifest.origin):
+        pass  # derives the rest
+
+
+def _relinked(record: Record, chain: Chain) -> bytes:
+    """Add the record to another chain, and return its line there."""
+    if isinstance(record, Placement):
+        made: Record = msgspec.structs.replace(record, number=len(chain.placements), previous_sha256=chain.sha256)
+    else:
+        made = msgspec.structs.replace(record, number=len(chain.commits), previous_sha256=chain.sha256)
+    line = canonical.document(made)
+    chain.add(line, made)
+    return line
