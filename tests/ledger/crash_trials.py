@@ -152,6 +152,8 @@ def append_with(
 class Laboratory:
     """Runs trials in a folder of its own and keeps the tally."""
 
+    append = staticmethod(append_with)
+
     def __init__(self, folder: Path):
         self.folder = folder
         self.tally = Tally()
@@ -237,14 +239,14 @@ class Laboratory:
         sessions = []
         for number, fault in enumerate(faults):
             faulty = FaultyOs(root, fault, disk)
-            session = append_with(faulty, path)
+            session = self.append(faulty, path)
             sessions.append(session)
             acknowledged = max(acknowledged, session.acknowledged)
             self.tally.faults += faulty.was_hit and not number
             self.tally.faults_in_recovery += faulty.was_hit and number > 0
             self.judge(path, acknowledged, faults[: number + 1])
         self._fail_power(disk, acknowledged, choices, (*faults, "power failure"))
-        recovered = append_with(FaultyOs(root, disk=disk), path)
+        recovered = self.append(FaultyOs(root, disk=disk), path)
         if recovered.error is not None:
             self.tally.note(f"torn: the next writer is told {recovered.error}", faults)
         self._fail_power(disk, recovered.acknowledged, choices[:3], (*faults, "recovery", "power failure"))
@@ -270,13 +272,13 @@ class Laboratory:
         """Let the first fault happen, then a power failure, then a second fault during the recovery."""
         path = self._fresh()
         disk = Disk(path.parent.parent)
-        session = append_with(FaultyOs(path.parent.parent, first, disk), path)
+        session = self.append(FaultyOs(path.parent.parent, first, disk), path)
         restarted = self._after_power_failure(disk, choice)
         self.tally.faults += 1
         self.tally.power_failures += 1
         root = restarted.parent.parent
         faulty = FaultyOs(root, second)
-        again = append_with(faulty, restarted)
+        again = self.append(faulty, restarted)
         self.tally.faults_in_recovery += faulty.was_hit
         where = (first, choice.names, choice.contents, second)
         state = self.judge(restarted, max(session.acknowledged, again.acknowledged), where)

@@ -20,7 +20,11 @@ import pytest
 from fsar_ledger.ledger.store import disk
 from tests.ledger.power import Disk, Node
 
-COUNTED = ("open", "read", "write", "fsync", "link", "rename", "replace", "unlink", "mkdir", "rmdir", "close")
+WRITES, SYNCS = ("write", "pwrite"), ("fsync", "fdatasync")
+COUNTED = (
+    *("open", "read", "pread", *WRITES, *SYNCS, "ftruncate"),
+    *("link", "rename", "replace", "unlink", "mkdir", "rmdir", "close"),
+)
 HARMLESS = frozenset(
     [
         "path",
@@ -39,12 +43,12 @@ HARMLESS = frozenset(
         "error",
     ]
 )
-NEED_ROOM = ("write", "link", "rename", "replace", "mkdir", "fsync")
+NEED_ROOM = (*WRITES, "link", "rename", "replace", "mkdir", *SYNCS)
 """What a full disk refuses, apart from creating a file."""
 
 ONLY_READS = (
     "fsar_ledger.ledger.store.walk",
-    *(f"fsar_ledger.ledger.verify.{name}" for name in ("verify", "walk", "derived", "notes", "segment")),
+    *(f"fsar_ledger.ledger.verify.{name}" for name in ("verify", "walk", "derived", "notes", "segment", "chain")),
 )
 
 REFUSED = {"no-space": errno.ENOSPC, "io-error": errno.EIO, "quota": errno.EDQUOT}
@@ -127,12 +131,12 @@ class FaultyOs:
         return self._do(name, arguments, options)
 
     def _fail(self, fault: Fault, name: str, arguments: tuple[Any, ...], options: dict[str, Any]) -> Any:
-        if fault.kind in OF_WRITES and name != "write":
+        if fault.kind in OF_WRITES and name not in WRITES:
             return self._do(name, arguments, options)
         self.was_hit = True
         if fault.kind in OF_WRITES:
-            handle, data = arguments
-            written = self._do("write", (handle, bytes(data)[: (len(data) + 1) // 2]), {})
+            handle, data, *place = arguments
+            written = self._do(name, (handle, bytes(data)[: (len(data) + 1) // 2], *place), {})
             if not fault.ends_the_process:
                 return written
         if fault.ends_the_process:
@@ -146,7 +150,7 @@ class FaultyOs:
         return self._refuse(code, name, arguments, options)
 
     def _refuse(self, code: int, name: str, arguments: tuple[Any, ...], options: dict[str, Any]) -> None:
-        if name == "fsync":
+        if name in SYNCS:
             self.disk.sync_failed(self._handles.get(arguments[0]))
         if name == "close" and arguments[0] in self._handles:  # a handle is gone even when closing it reports an error
             self._do(name, arguments, options)
@@ -157,7 +161,7 @@ class FaultyOs:
 
         Nothing is really synced; the model keeps track of that.
         """
-        result = None if name == "fsync" else getattr(os, name)(*arguments, **options)
+        result = None if name in SYNCS else getattr(os, name)(*arguments, **options)
         match name:
             case "open":
                 assert result is not None
@@ -166,7 +170,11 @@ class FaultyOs:
                 )
             case "write":
                 self.disk.written(self._handles.get(arguments[0]), bytes(arguments[1])[:result])
-            case "fsync":
+            case "pwrite":
+                self.disk.written(self._handles.get(arguments[0]), bytes(arguments[1])[:result], arguments[2])
+            case "ftruncate":
+                self.disk.cut(self._handles.get(arguments[0]), arguments[1])
+            case "fsync" | "fdatasync":
                 self.disk.synced(self._handles.get(arguments[0]))
             case "close":
                 self._handles.pop(arguments[0], None)
@@ -210,7 +218,7 @@ def faults_at(calls: list[str]) -> Iterator[Fault]:
     """Yield every kind of fault at every one of these calls."""
     for at, name in enumerate(calls):
         for kind in KINDS:
-            if name == "write" or kind not in OF_WRITES:
+            if name in WRITES or kind not in OF_WRITES:
                 yield Fault(at, kind)
 
 

@@ -1,9 +1,11 @@
 """What a disk holds after a power failure: a model that is told every change and every sync.
 
 Of a file, what was synced remains; what was written since may remain in full, in part, as rubbish or not at all.
+Sectors that a write does not change stay as they are.
 Of a folder, the names as of its last sync remain; each change since then may remain or not, independently.
 A change of two folders (a rename) is one change, as on every file system that keeps a journal.
-What was written before a failed `fsync` of a file is never sure to remain, whatever is synced later.
+What was written before a failed `fsync` of a file is never sure to remain, whatever is synced later, unless it is
+written again.
 """
 
 import random
@@ -15,15 +17,30 @@ GARBAGE = b"\xa5rubbish\x00"
 
 @dataclass(eq=False)
 class File:
-    """A file. `cached` is what a process reads, `durable` what was synced."""
+    """A file. `cached` is what a process reads, `durable` what was synced.
+
+    A sync failed while the bytes from `doomed` on were not synced; they are never sure to remain unless they are
+    written again.
+    """
 
     cached: bytes = b""
     durable: bytes = b""
-    is_doomed: bool = False
+    doomed: int | None = None
+
+    @property
+    def is_doomed(self) -> bool:
+        return self.doomed is not None
 
     @property
     def is_sure(self) -> bool:
         return self.cached == self.durable and not self.is_doomed
+
+    @property
+    def unchanged(self) -> int:
+        """Return how many bytes at the beginning are as they were synced."""
+        pairs = enumerate(zip(self.cached, self.durable, strict=False))
+        same = next((at for at, (one, other) in pairs if one != other), min(len(self.cached), len(self.durable)))
+        return same if self.doomed is None else min(same, self.doomed)
 
 
 @dataclass(eq=False)
@@ -90,10 +107,21 @@ class Disk:
             node.cached = b""
         return node
 
-    def written(self, node: Node | None, data: bytes) -> None:
-        """Record that the bytes were appended."""
+    def written(self, node: Node | None, data: bytes, place: int | None = None) -> None:
+        """Record that the bytes were appended, or written at this place."""
         if isinstance(node, File):
-            node.cached += data
+            place = len(node.cached) if place is None else place
+            room = b"\0" * (place - len(node.cached))
+            node.cached = node.cached[:place] + room + data + node.cached[place + len(data) :]
+            if node.doomed is not None and place <= node.doomed and place + len(data) >= len(node.cached):
+                node.doomed = None
+
+    def cut(self, node: Node | None, size: int) -> None:
+        """Record that the file has this size now."""
+        if isinstance(node, File):
+            node.cached = node.cached[:size] + b"\0" * (size - len(node.cached))
+            if node.doomed is not None and size <= node.doomed:
+                node.doomed = None
 
     def synced(self, node: Node | None) -> None:
         """Record that what the file holds, or the folder names, is durable."""
@@ -106,7 +134,7 @@ class Disk:
     def sync_failed(self, node: Node | None) -> None:
         """Record that what was written to the file may be lost, for good."""
         if isinstance(node, File) and not node.is_sure:
-            node.is_doomed = True
+            node.doomed = node.unchanged
 
     def made(self, path: Path) -> None:
         """Record that a folder was made."""
@@ -171,11 +199,12 @@ class Choice:
             case "kept":
                 return file.cached
             case "rubbish":
-                return (GARBAGE * (len(file.cached) // len(GARBAGE) + 1))[: len(file.cached)]
+                kept, size = file.unchanged, len(file.cached) - file.unchanged
+                return file.cached[:kept] + (GARBAGE * (size // len(GARBAGE) + 1))[:size]
             case "part":
-                return file.cached[: self.draw.randrange(len(file.cached) + 1)]
+                return file.cached[: self.draw.randrange(file.unchanged, len(file.cached) + 1)]
             case _:
-                return file.durable if not file.is_doomed else b""
+                return file.durable[: file.unchanged] if file.is_doomed else file.durable
 
 
 def choices(seed: int, random_count: int) -> list[Choice]:

@@ -84,7 +84,7 @@ class ChainWriter:
             raise
         self._held: HeldRuns | None = None  # read when the first batch is appended
 
-    def _opened(self, *, is_alone: bool = False) -> ChainView:
+    def _opened(self, *, is_alone: bool = False, settles: bool = True) -> ChainView:
         """Open the ledger, finish what an interrupted writer left, and check who signed it."""
         view = open_chain(self._path, read_manifest(self._path))
         if view.manifest.origin != self._origin:
@@ -94,7 +94,7 @@ class ChainWriter:
             )
         if self._signer is not None and not self._adopts:
             self._require_own(view)
-        return repair(view, is_alone=is_alone)
+        return repair(view, is_alone=is_alone, settles=settles)
 
     def _require_own(self, view: ChainView) -> None:
         note, key = view.note(), self._signer.verifier if self._signer else None
@@ -273,7 +273,7 @@ class ChainWriter:
             return
         known = self._view.head.size
         self._journal.close()
-        self._view = self._opened()
+        self._view = self._opened(settles=False)
         if self._held is not None:
             self._held.add_from(self._view, known)
 

@@ -47,6 +47,11 @@ class Journal(msgspec.Struct):
     problem: Problem | None = None
 
     @property
+    def last(self) -> int:
+        """Return where the last frame begins."""
+        return self.end - (size_of(self.frames[-1]) if self.frames else 0)
+
+    @property
     def rows(self) -> int:
         """Return the number of events in it."""
         return len(self.leaves) // HASH_BYTES
@@ -57,6 +62,11 @@ class Journal(msgspec.Struct):
         self.tree = tree
         self.leaves += leaves
         self.end += size
+
+
+def size_of(frame: Frame) -> int:
+    """Return the bytes that a frame takes."""
+    return len(frame.line) + 1 + sum(map(len, frame.rows)) + len(frame.rows)
 
 
 def leaf_hashes(rows: Sequence[bytes]) -> bytes:
@@ -99,7 +109,7 @@ def read_frames(data: bytes, chain: Chain) -> Journal:
         if frames and _tree(before, leaves).root().hex() != frames[-1].commit.tree_root:
             return Journal([], before, bytearray(), problem=_wrong_rows(frames[-1].commit))
     for frame in frames:
-        end += len(frame.line) + 1 + sum(map(len, frame.rows)) + len(frame.rows)
+        end += size_of(frame)
     is_damage = problem is not None and _has_later_frame(lines[at:], len(chain.commits))
     return Journal(
         frames,

@@ -143,17 +143,19 @@ class Chain:
 class Followed(msgspec.Struct, frozen=True):
     """How far the bytes of a chain were followed: the bytes up to the last whole append, and why no further.
 
-    `problem` is None where the bytes end, or where an append was interrupted; then `torn` counts the bytes of it.
+    The last append begins at `last`. `problem` is None where the bytes end, or where an append was interrupted; then
+    `torn` counts the bytes of it.
     """
 
     end: int
     torn: int = 0
     problem: Problem | None = None
+    last: int = 0
 
 
 def follow(data: bytes, chain: Chain) -> Followed:
     """Add the lines in these bytes to the chain, up to the last whole append."""
-    at = end = commits = 0
+    at = last = end = commits = 0
     sha256 = chain.sha256
     problem: Problem | None = None
     while at < len(data) and problem is None:
@@ -163,11 +165,11 @@ def follow(data: bytes, chain: Chain) -> Followed:
             chain.add(data[at:stop], record)
             at = stop + 1
             if isinstance(record, Placement):
-                end, commits, sha256 = at, len(chain.commits), chain.sha256
+                last, end, commits, sha256 = end, at, len(chain.commits), chain.sha256
     chain.forget(commits, sha256)
     if problem is not None and _has_later_append(data, at):
-        return Followed(end, problem=problem)
-    return Followed(end, len(data) - end)
+        return Followed(end, problem=problem, last=last)
+    return Followed(end, len(data) - end, last=last)
 
 
 def _read(line: bytes | None, chain: Chain) -> tuple[Record | None, Problem | None]:

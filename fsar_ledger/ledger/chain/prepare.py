@@ -42,11 +42,11 @@ def create(ledger: Path, origin: str) -> None:
         disk.sync_folder(ledger)
 
 
-def repair(view: ChainView, *, is_alone: bool) -> ChainView:
+def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainView:
     """Finish what an interrupted writer left, durably, and return the view of what is there then.
 
     The caller has its turn. What is staged and not placed is removed only if the writer `is_alone`: others may be
-    staging.
+    staging. Unless it `settles`, a checkpoint that is behind the journal alone stays.
 
     Raises:
         LedgerCorrupted: A segment is missing, or the checkpoint is not one that a crash leaves.
@@ -57,8 +57,10 @@ def repair(view: ChainView, *, is_alone: bool) -> ChainView:
     with disk.refusals(path, "finishing what an interrupted writer left"):
         disk.sync_folder(path)
         _cut(path / CHAIN, view.followed.end, view.followed.torn)
+        disk.write_again(path / CHAIN, view.followed.last, view.followed.end)
         if view.journal.frames:
             _cut(path / JOURNAL, view.journal.end, view.journal.torn)
+            disk.write_again(path / JOURNAL, view.journal.last, view.journal.end)
         elif os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
             os.unlink(path / JOURNAL)
             disk.sync_folder(path)
@@ -66,7 +68,7 @@ def repair(view: ChainView, *, is_alone: bool) -> ChainView:
         _clean(view, is_alone=is_alone)
         is_settled = not covered or view.commits[-covered].tree_size > view.chain.placed_size
         _derive(view, is_settled=is_settled)
-        if not is_settled:
+        if covered and (settles or not is_settled):
             note = str(view.note())
             disk.write_files({path / CHECKPOINT: note.encode()}, path / STAGING)
     return open_chain(path, read_manifest(path))

@@ -151,7 +151,10 @@ class ChainView(msgspec.Struct, frozen=True):
         for line in data.split(b"\n")[len(self.journal.frames) : -1]:
             self.chain.add(line, parse_line(line))
         return msgspec.structs.replace(
-            self, followed=Followed(self.followed.end + len(data)), journal=Journal([], tree, bytearray()), checked={}
+            self,
+            followed=Followed(self.followed.end + len(data), last=self.followed.end),
+            journal=Journal([], tree, bytearray()),
+            checked={},
         )
 
     def journal_table(self) -> pa.Table:

@@ -53,13 +53,20 @@ def read_large(path: Path | str, most: int) -> bytes:
     Raises: OSError if it is missing, not a regular file (a link is not), larger or unreadable.
     """
     handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    with open(handle, "rb") as file:
+    try:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
             raise OSError(0, "it is not a regular file")
         if status.st_size > most:
             raise OSError(0, f"it is larger than {most} bytes")
-        return file.read(status.st_size)  # room is made for as many bytes as are asked for
+        parts: list[bytes] = []
+        rest = status.st_size
+        while rest and (part := os.read(handle, rest)):
+            parts.append(part)
+            rest -= len(part)
+        return b"".join(parts)
+    finally:
+        close(handle)
 
 
 def read_given(path: Path | str) -> bytes:
@@ -235,6 +242,27 @@ def append_durably(path: Path, data: bytes, end: int) -> None:
             with suppress(OSError):
                 os.ftruncate(handle, end)
             raise
+    finally:
+        os.close(handle)
+
+
+def write_again(path: Path, start: int, end: int) -> None:
+    """Write these bytes of a file over themselves, and sync them.
+
+    Its writer may have ended before it synced them, or after that had failed. Syncing alone would not do: the kernel
+    may have dropped what it could not write, and would report success the second time.
+
+    Raises: OSError.
+    """
+    if start >= end:
+        return
+    handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+    try:
+        data = b""
+        while len(data) < end - start and (part := os.pread(handle, end - start - len(data), start + len(data))):
+            data += part
+        write_at(handle, data, start)
+        os.fdatasync(handle)
     finally:
         os.close(handle)
 
