@@ -38,7 +38,7 @@ from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
 from fsar_ledger.ledger.rows.small import rows_of
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.append import Staged
 from fsar_ledger.ledger.store.held import Held
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING, staged_path
@@ -235,7 +235,7 @@ class ChainWriter:
         data = canonical.document(placement) + b"\n"
         self._is_broken = True  # unless everything below succeeds
         with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
-            disk.append_durably(self._path / paths.CHAIN, data, self._view.followed.end)
+            growing.append_durably(self._path / paths.CHAIN, data, self._view.followed.end)
         self._view = self._view.grown(data, self._view.tree())
         with disk.refusals(self._path / SEGMENTS, "moving a compacted segment into place"):
             disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
@@ -318,7 +318,7 @@ class ChainWriter:
         data = b"\n".join((*lines, canonical.document(placement), b""))
         self._is_broken = True  # unless everything below succeeds
         with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
-            disk.append_durably(self._path / paths.CHAIN, data, self._view.followed.end)
+            growing.append_durably(self._path / paths.CHAIN, data, self._view.followed.end)
         self._view = self._view.grown(data, tree)
         try:
             disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))

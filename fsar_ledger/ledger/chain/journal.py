@@ -17,7 +17,7 @@ from fsar_ledger.ledger.chain.links import Chain
 from fsar_ledger.ledger.chain.paths import JOURNAL
 from fsar_ledger.ledger.chain.record import Commit, parse_line
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.problem import Problem
 
 ALLOTTED = 1 << 20
@@ -195,7 +195,7 @@ class JournalFile:
         after = end + len(data)
         room = b"\0" * (after // ALLOTTED * ALLOTTED + ALLOTTED - after) if after > self._room else b""
         try:
-            disk.write_at(self._handle, data + room, end)
+            growing.write_at(self._handle, data + room, end)
             os.fdatasync(self._handle)
         except BaseException:
             with suppress(OSError):

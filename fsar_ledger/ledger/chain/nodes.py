@@ -7,7 +7,7 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.paths import NODES
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.merkle import HASH_BYTES
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, growing
 
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 
@@ -44,7 +44,7 @@ def append_nodes(ledger: Path, before: int, nodes: bytes) -> None:
         size = os.fstat(handle).st_size
         if size < start:
             raise OSError(0, f"it has {size} bytes, and needs {start} before the next ones")
-        disk.write_at(handle, nodes, start)
+        growing.write_at(handle, nodes, start)
         os.ftruncate(handle, start + len(nodes))
         os.fdatasync(handle)
     finally:

@@ -13,7 +13,7 @@ from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING, is_unfinished, require_outside
 from fsar_ledger.ledger.store.read import read_manifest
 from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest
@@ -57,10 +57,10 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
     with disk.refusals(path, "finishing what an interrupted writer left"):
         disk.sync_folder(path)
         _cut(path / CHAIN, view.followed.end, view.followed.torn)
-        disk.write_again(path / CHAIN, view.followed.last, view.followed.end)
+        growing.write_again(path / CHAIN, view.followed.last, view.followed.end)
         if view.journal.frames:
             _cut(path / JOURNAL, view.journal.end, view.journal.torn)
-            disk.write_again(path / JOURNAL, view.journal.last, view.journal.end)
+            growing.write_again(path / JOURNAL, view.journal.last, view.journal.end)
         elif os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
             os.unlink(path / JOURNAL)
             disk.sync_folder(path)

@@ -30,7 +30,7 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.layout import check_layout
 from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.rows.releases import RELEASE
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.record import CHAINED, Manifest, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
@@ -140,9 +140,9 @@ class ChainView(msgspec.Struct, frozen=True):
         journal writes where this one ends.
         """
         try:
-            if disk.size_of(self.path / CHAIN) != self.followed.end:
+            if growing.size_of(self.path / CHAIN) != self.followed.end:
                 return False
-            return disk.read_at(self.path / JOURNAL, self.journal.end, 1) in (b"", b"\0")
+            return growing.read_at(self.path / JOURNAL, self.journal.end, 1) in (b"", b"\0")
         except OSError:
             return False
 

@@ -22,7 +22,7 @@ from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier, consistency_proo
 from fsar_ledger.ledger.log.note import Checkpoint, Signed
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem, refusal
 from fsar_ledger.ledger.store.record import CHAINED, VERSION, parse_manifest
@@ -56,7 +56,7 @@ def is_chained(path: Path) -> bool:
 def chain_moment(path: Path) -> tuple[int, ...]:
     """Return what changes while a writer is at work. Raises: OSError."""
     found = [path / CHAIN, path / JOURNAL, path / NODES]
-    return tuple(disk.size_of(file) for file in found) + tuple(disk.inode_of(file) for file in found)
+    return tuple(growing.size_of(file) for file in found) + tuple(growing.inode_of(file) for file in found)
 
 
 class ChainVerification:
@@ -224,7 +224,7 @@ class ChainVerification:
         """Compare these hashes with those in the pack after the events before `first`."""
         start = pack.count(first) * HASH_BYTES
         try:
-            found = disk.read_at(self.path / NODES, start, len(nodes))
+            found = growing.read_at(self.path / NODES, start, len(nodes))
         except OSError as error:
             self.derived.append(Problem(NODES, f"an unreadable file ({error.strerror})", "the pack of the tree"))
             return

@@ -21,7 +21,7 @@ from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.log.note import doubt
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest, sha256_hex
@@ -133,7 +133,7 @@ def manifest_of(path: Path) -> bytes:
 
 def _first_hash(path: Path) -> str:
     """Return the hash of ledger.json as the chain's first line has it; empty if it has none."""
-    line = disk.read_at(path / CHAIN, 0, 1 << 20).partition(b"\n")[0]
+    line = growing.read_at(path / CHAIN, 0, 1 << 20).partition(b"\n")[0]
     try:
         return str(msgspec.json.decode(line, type=dict[str, object]).get("previous_sha256", ""))
     except msgspec.DecodeError:
@@ -171,7 +171,7 @@ def mend(found: Found, set_aside: SetAside, done: Done) -> None:
 def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: Done) -> None:
     """Write the file if it does not hold these bytes; what is there goes aside. No bytes are no file."""
     try:
-        there: bytes | None = disk.read_large(path / name, max(len(data), disk.size_of(path / name)))
+        there: bytes | None = disk.read_large(path / name, max(len(data), growing.size_of(path / name)))
     except FileNotFoundError:
         there = None
     except OSError:
@@ -216,7 +216,7 @@ def write_copy(found: Found, work: Path) -> None:
         records: tuple[Record, ...] = (*held, placement)
         lines += [_relinked(one, chain) for one in records]
     if lines:
-        disk.append_durably(work / CHAIN, b"".join(line + b"\n" for line in lines), 0)
+        growing.append_durably(work / CHAIN, b"".join(line + b"\n" for line in lines), 0)
         disk.write_temporary(
             work / CHECKPOINT, str(view.commits[found.commits - 1].note(view.manifest.origin)).encode()
         )
