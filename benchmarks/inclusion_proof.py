@@ -23,7 +23,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, leaf_hash, root_of_inclusion
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import leaf_hash, root_of_inclusion
 from fsar_ledger.ledger.log.note import Checkpoint, checkpoint_of, parse_note
 from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile, node_of, partial_tiles
 from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader

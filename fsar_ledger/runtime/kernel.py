@@ -14,6 +14,7 @@ What a reaction asks at a port is answered by the run's environment, which also 
 the kernel's: a command without a wait is due at a fixed time.
 """
 
+import sys
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from heapq import heapify, heappop, heappush
@@ -21,6 +22,7 @@ from typing import Any
 
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
+from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.projections.fold import ROUTES, State, apply
 from fsar_ledger.projections.world import is_linked
 
@@ -46,7 +48,10 @@ def _plan(table: HandlerTable) -> _Plan:
 
 
 class Kernel:
-    """One run in progress: the events recorded so far, their state, and the pending commands."""
+    """One run in progress: the events recorded so far, their state, and the pending commands.
+
+    `first` is the seq of the first of `events`: 0, unless events were taken out.
+    """
 
     def __init__(
         self,
@@ -62,6 +67,7 @@ class Kernel:
         self.times_us: list[int] = []
         self.caused_by: list[int | None] = []
         self.events: list[Event] = []
+        self.first = 0
         self.state = State()
         self._decides = table.decides
         self._actors = table.actors
@@ -73,6 +79,7 @@ class Kernel:
         self._pending: list[Pending] = []
         self._kept: list[Pending] = []
         self._serial = 0
+        self._times_of: dict[int, int] = {}  # times of events that were taken out and caused what is pending
         if founded is None:
             self._batch(founding, 0, None)
         else:
@@ -111,11 +118,28 @@ class Kernel:
         heappush(self._pending, (time_us, self._serial, 0, Scheduled(command)))
         return time_us
 
-    def run(self, until_us: int = NEVER_US) -> None:
-        """Run until nothing is left to happen, or all that is due by then has happened."""
+    def take(self) -> LedgerRun:
+        """Take out the events recorded so far, which have happened but need not be known for what follows."""
+        causes = {cause for _, _, cause, _ in (*self._pending, *self._kept)}
+        self._times_of = {cause: self._time_of(cause) for cause in causes}
+        found = LedgerRun("", self.times_us, self.caused_by, self.events, self.first)
+        self.first += len(self.events)
+        self.times_us, self.caused_by, self.events = [], [], []
+        return found
+
+    def _time_of(self, seq: int) -> int:
+        return self.times_us[seq - self.first] if seq >= self.first else self._times_of[seq]
+
+    @property
+    def has_ended(self) -> bool:
+        """Return whether nothing is left to happen."""
+        return not self._pending and self._next_fact == len(self._facts)
+
+    def run(self, until_us: int = NEVER_US, most: int = sys.maxsize) -> None:
+        """Run until nothing is left to happen, all that is due by then has happened, or so many events are held."""
         facts, count, pending, decides = self._facts, len(self._facts), self._pending, self._decides
-        position = self._next_fact
-        while True:
+        position, events_held = self._next_fact, self.events
+        while len(events_held) < most:
             if position < count and (not pending or facts[position][0] <= pending[0][0]):
                 time_us, fact = facts[position]
                 if time_us > until_us:
@@ -145,7 +169,7 @@ class Kernel:
 
     def _require_end(self, time_us: int, cause: int, scheduled: Scheduled) -> None:
         """Check that a command due so late was scheduled long before. Raises: RuntimeError if it was not."""
-        if time_us - self.times_us[cause] < MOMENT_US:
+        if time_us - self._time_of(cause) < MOMENT_US:
             raise RuntimeError(
                 f"the run does not end: {scheduled.command} is due at {time_us} microseconds, caused by event {cause}"
             )
@@ -187,14 +211,14 @@ class Kernel:
             self._keep(heappop(self._pending))
 
     def _batch(self, events: Sequence[Event], time_us: int, cause: int | None) -> None:
-        first = len(self.events)
+        first = self.first + len(self.events)
         for event in events:
             self._record(event, time_us, cause)
             cause = first
 
     def _record(self, event: Event, time_us: int, cause: int | None) -> None:
         state = self.state
-        seq = len(self.events)
+        seq = self.first + len(self.events)
         self.times_us.append(time_us)
         self.caused_by.append(cause)
         self.events.append(event)

@@ -1,5 +1,6 @@
 """One run: from its parameters to its events."""
 
+from collections.abc import Iterator
 from functools import lru_cache
 from hashlib import sha256
 
@@ -109,3 +110,18 @@ def simulate_run(spec: RunSpec, constants: Constants, table: HandlerTable | None
     one = kernel(spec, constants, table)
     one.run()
     return LedgerRun(run_id(run_started(spec, constants)), one.times_us, one.caused_by, one.events)
+
+
+def simulate_slices(spec: RunSpec, constants: Constants, most: int) -> Iterator[LedgerRun]:
+    """Simulate the run, and yield its events in parts of about so many, which go on until the last one.
+
+    No more of the run is held than one part.
+    """
+    one = kernel(spec, constants)
+    name = run_id(run_started(spec, constants))
+    while True:
+        one.run(most=most)
+        part = one.take()
+        yield msgspec.structs.replace(part, run_id=name, goes_on=not one.has_ended)
+        if one.has_ended:
+            return

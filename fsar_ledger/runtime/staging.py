@@ -2,8 +2,9 @@
 
 import gc
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
+from itertools import groupby
 from pathlib import Path
 from typing import TypeAlias
 
@@ -12,8 +13,9 @@ import msgspec
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment, InvalidRun
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.store.append import Staged, stage
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run, simulate_slices
 from fsar_ledger.workers import WorkerPool
 
 IN_FLIGHT = 2
@@ -36,10 +38,13 @@ class Staging(msgspec.Struct, frozen=True):
     held: Mapping[str, int]
     spans_commits: bool
 
-    def of_all(self, batches: Sequence[Batch], workers: int) -> Iterator[Sequence[Staged]]:
-        """Yield what is staged of each batch, in order, made by this process or by `workers` worker processes."""
+    def of_all(self, batches: Sequence[Batch], workers: int) -> Iterator[Iterable[Staged]]:
+        """Yield what is staged of each batch, in order, made by this process or by `workers` worker processes.
+
+        In this process a batch is made while what is yielded is consumed.
+        """
         if workers <= 1:
-            yield from map(self.of, batches)
+            yield from map(self._stream, batches)
             return
         with WorkerPool(workers) as pool:
             queue: deque[Future[Sequence[Staged]]] = deque()
@@ -51,16 +56,18 @@ class Staging(msgspec.Struct, frozen=True):
                 yield queue.popleft().result()
 
     def of(self, batch: Batch) -> Sequence[Staged]:
-        """Simulate and stage the batch, without garbage collection: a run makes no cyclic garbage.
+        """Simulate and stage the batch. Raises: InvalidExperiment if it does not fit into a commit, where it must."""
+        return list(self._stream(batch))
 
-        Raises:
-            InvalidExperiment: The batch does not fit into a commit, where it must.
-        """
+    def _stream(self, batch: Batch) -> Iterator[Staged]:
+        """As `of`, one segment after the other, without garbage collection: a run makes no cyclic garbage."""
         gc.disable()
         try:
             if self.spans_commits:
-                return [one for part in self._parts(batch) for one in self._fitted(part)]
-            return [stage(self.out, [simulate_run(spec, self.constants) for spec in batch])]
+                for part in self._parts(batch):
+                    yield from self._fitted(part)
+            else:
+                yield stage(self.out, [simulate_run(spec, self.constants) for spec in batch])
         except ValueError as error:
             if "in one commit" not in str(error):
                 raise
@@ -73,18 +80,18 @@ class Staging(msgspec.Struct, frozen=True):
         part: list[LedgerRun] = []
         room = COMMIT_EVENTS
         for spec in batch:
-            run = simulate_run(spec, self.constants)
-            at, end = self.held.get(run.run_id, 0), len(run.events)
-            while at < end:
-                stop = min(end, at + room)
-                part.append(_piece(run, at, stop))
-                room -= stop - at
-                at = stop
-                if not room:
-                    yield part
-                    part, room = [], COMMIT_EVENTS
+            for run in simulate_slices(spec, self.constants, COMMIT_EVENTS):
+                at, end = max(0, self.held.get(run.run_id, 0) - run.first), len(run.events)
+                while at < end:
+                    stop = min(end, at + room)
+                    part.append(_piece(run, at, stop))
+                    room -= stop - at
+                    at = stop
+                    if not room:
+                        yield joined_parts(part)
+                        part, room = [], COMMIT_EVENTS
         if part:
-            yield part
+            yield joined_parts(part)
 
     def _fitted(self, part: list[LedgerRun]) -> Iterator[Staged]:
         """Stage the part; in halves, if a segment cannot hold it."""
@@ -96,6 +103,11 @@ class Staging(msgspec.Struct, frozen=True):
                 raise
             for half in _halves(part, events // 2):
                 yield from self._fitted(half)
+
+
+def joined_parts(part: Sequence[LedgerRun]) -> list[LedgerRun]:
+    """Return the runs of a part, each in one piece."""
+    return [joined(list(pieces)) for _, pieces in groupby(part, key=lambda piece: piece.run_id)]
 
 
 def _piece(run: LedgerRun, at: int, end: int) -> LedgerRun:

@@ -17,6 +17,7 @@ from fsar_ledger.errors import NotALedger
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.ledger.log.hashing import leaves_of
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, Signer, VerifierKey, checkpoint_of
 from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile
@@ -208,7 +209,7 @@ def rewrite(
     edge, previous = Edge(), sha256_hex((path / "ledger.json").read_bytes())
     for before, table in zip(records_of(path), tables, strict=False):
         data = pack(table)
-        edge, made = edge.extend(b"".join(canonical.hashes(canonical.from_table(table))))
+        edge, made = edge.extend(leaves_of(canonical.from_table(table)))
         tree = edge.frontier()
         record = msgspec.structs.replace(
             before,
@@ -264,7 +265,7 @@ def with_value(table: pa.Table, name: str, row: int, value: object) -> pa.Table:
 
 def anchor_at(path: Path, size: int, signer: Signer | None, to: Path) -> Path:
     """Write a checkpoint over the first this many events, as somebody may have kept it."""
-    leaves = b"".join(b"".join(canonical.hashes(canonical.from_table(table))) for table in tables_of(path))
+    leaves = b"".join(leaves_of(canonical.from_table(table)) for table in tables_of(path))
     to.write_text(note_of(Frontier().extend(leaves[: size * 32]), signer), "utf-8")
     return to
 

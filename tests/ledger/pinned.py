@@ -30,8 +30,8 @@ def pinned_row(layout: StoredType) -> bytes:
     }
     columns: dict[str, Sequence[object]] = {name: [value] for name, value in values.items()}
     columns |= {"run_id": ["run-1"], "seq": [7], "time_us": [2_500_000], "caused_by": [6], "type": [layout.tag]}
-    ((line,),) = canonical.lines(layout.tag, columns)
-    return line[1:]
+    (line,) = canonical.lines(layout.tag, columns)
+    return line.removesuffix(b"\n")
 
 
 def release_to_name() -> str:

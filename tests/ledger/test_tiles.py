@@ -5,15 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.log.merkle import (
-    HASH_BYTES,
-    Frontier,
-    inclusion_proof,
-    leaf_hash,
-    parents,
-    root_of_inclusion,
-    tree_root,
-)
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, parents
+from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, root_of_inclusion, tree_root
 from fsar_ledger.ledger.log.tiles import HEIGHT, WIDTH, Edge, Tile, node_of, partial_tiles
 from fsar_ledger.ledger.store.derived import edge_at, tile_reader
 

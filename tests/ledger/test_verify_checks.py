@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, WorkerDied
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import layout, releases, segment
 from fsar_ledger.ledger.rows.grammar import Footer

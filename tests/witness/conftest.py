@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import pytest
 
-from fsar_ledger.ledger.log.merkle import consistency_proof, leaf_hash, parents, root
+from fsar_ledger.ledger.log.hashing import parents
+from fsar_ledger.ledger.log.merkle import consistency_proof, leaf_hash, root
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
 from fsar_ledger.witness.cosignature import WitnessKey
 from fsar_ledger.witness.protocol import Request

@@ -24,14 +24,15 @@ from fsar_ledger.errors import NotALedger, UsageError, WriteFailed, option
 from fsar_ledger.ledger.chain import paths
 from fsar_ledger.ledger.chain.compact import mergeable, merged_segment
 from fsar_ledger.ledger.chain.held import HeldRuns
-from fsar_ledger.ledger.chain.journal import Frame, JournalFile, leaf_hashes
+from fsar_ledger.ledger.chain.journal import Frame, JournalFile
 from fsar_ledger.ledger.chain.nodes import append_nodes
 from fsar_ledger.ledger.chain.prepare import create, repair
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.chain.tables import stage_table
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Signer, doubt
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block
@@ -187,7 +188,7 @@ class ChainWriter:
         """
         self._require_usable()
         rows, blocks = rows_of(runs)
-        leaves = leaf_hashes(rows)
+        leaves = leaves_of(rows)
         goes_on = tuple(sorted(run.run_id for run in runs if run.goes_on))
         with disk.turn(self._path / SEGMENTS):
             self._catch_up()

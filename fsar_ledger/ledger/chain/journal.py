@@ -5,7 +5,6 @@ bytes of an event. It continues the chain. Room for more frames is allotted ahea
 once and synced once, so only the last one can be torn; the root in its record shows whether it is.
 """
 
-import hashlib
 import os
 from collections.abc import Sequence
 from contextlib import suppress
@@ -16,7 +15,8 @@ import msgspec
 from fsar_ledger.ledger.chain.links import Chain
 from fsar_ledger.ledger.chain.paths import JOURNAL
 from fsar_ledger.ledger.chain.record import Commit, parse_line
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.problem import Problem
 
@@ -69,12 +69,6 @@ def size_of(frame: Frame) -> int:
     return len(frame.line) + 1 + sum(map(len, frame.rows)) + len(frame.rows)
 
 
-def leaf_hashes(rows: Sequence[bytes]) -> bytes:
-    """Return the packed RFC 6962 leaf hashes of these rows."""
-    sha256 = hashlib.sha256
-    return b"".join([sha256(b"\x00" + row).digest() for row in rows])
-
-
 def read_frames(data: bytes, chain: Chain) -> Journal:
     """Read the frames in these bytes of a journal and add their commits to the chain.
 
@@ -99,7 +93,7 @@ def read_frames(data: bytes, chain: Chain) -> Journal:
         chain.add(lines[at], commit)
         shas.append(chain.sha256)
         at += 1 + commit.rows
-    leaves = [leaf_hashes(frame.rows) for frame in frames]
+    leaves = [leaves_of(frame.rows) for frame in frames]
     if frames and _tree(before, leaves).root().hex() != frames[-1].commit.tree_root:
         at -= 1 + frames[-1].commit.rows
         problem = _wrong_rows(frames.pop().commit)

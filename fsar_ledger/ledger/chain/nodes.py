@@ -6,7 +6,7 @@ from pathlib import Path
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.paths import NODES
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.merkle import HASH_BYTES
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.store import disk, growing
 
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK

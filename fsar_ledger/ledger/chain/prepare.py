@@ -11,7 +11,8 @@ from fsar_ledger.ledger.chain.nodes import append_nodes, nodes_size
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, segment_of
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING, is_unfinished, require_outside

@@ -23,7 +23,8 @@ from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, segment_of
 from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
 from fsar_ledger.ledger.chain.tables import table_of
 from fsar_ledger.ledger.log import merkle, pack
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note
 from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -177,14 +178,14 @@ class ChainView(msgspec.Struct, frozen=True):
             yield table.slice(max(0, first - self.chain.placed_size)).combine_chunks()
 
     def rows(self, first: int, end: int) -> list[bytes]:
-        """Return the canonical bytes of these events, each after the 0x00 of a leaf. Raises: As `segment`."""
+        """Return the canonical bytes of these events. Raises: As `segment`."""
         found: list[bytes] = []
         placed = self.chain.placed
         while first < end:
             if first >= self.chain.placed_size:
                 at = first - self.chain.placed_size
                 lines = [row for frame in self.journal.frames for row in frame.rows]
-                return [*found, *(b"\x00" + row for row in lines[at : at + end - first])]
+                return [*found, *lines[at : at + end - first]]
             number = bisect_right(placed, first, key=lambda one: one.first) - 1
             start, stop = first - placed[number].first, min(end, placed[number].end) - placed[number].first
             table = segment.read_table(self.segment(number))
@@ -199,7 +200,7 @@ class ChainView(msgspec.Struct, frozen=True):
 
     def event(self, index: int) -> bytes:
         """Return the canonical bytes of the event at this index. Raises: As `segment`."""
-        return self.rows(index, index + 1)[0].removeprefix(b"\x00")
+        return self.rows(index, index + 1)[0]
 
     def runs(self) -> Iterator[LedgerRun]:
         """Yield every run, once its last event was read, with its events in their newest versions.
@@ -262,7 +263,7 @@ class ChainView(msgspec.Struct, frozen=True):
 
         @lru_cache(maxsize=4)
         def leaf_hashes(first: int, end: int) -> bytes:
-            return b"".join(canonical.hashes(self.rows(first, end)))
+            return leaves_of(self.rows(first, end))
 
         def some(first: int, end: int) -> bytes:
             block = first >> pack.BASE << pack.BASE  # read and hash a block once

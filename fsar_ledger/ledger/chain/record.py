@@ -15,7 +15,8 @@ from typing import Annotated, TypeAlias, TypeVar
 
 import msgspec
 
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES

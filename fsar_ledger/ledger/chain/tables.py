@@ -42,7 +42,7 @@ def table_of(path: Path, rows: Sequence[bytes]) -> pa.Table:
             f"{path}: found rows that are no events ({error!s:.200}); run fsar-ledger verify, and restore the file"
         ) from error
     for number, (row, line) in enumerate(zip(rows, again, strict=True)):
-        if line != b"\x00" + row:
+        if line != row:
             raise LedgerCorrupted(
                 f"{path}: row {number}: found {row!r:.200}, expected canonical JSON of the columns of events; restore "
                 "the file"

@@ -6,14 +6,12 @@ Proofs are built from any source of complete subtrees (`Node`), and checked as i
 
 import hashlib
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import msgspec
-import numpy as np
 
-HASH_BYTES = 32
-_HASHED = np.dtype((np.void, 1 + 2 * HASH_BYTES))
-_PAIRS_AT_ONCE = 512  # few enough to stay in the CPU caches
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, parents
+
 EMPTY_ROOT = hashlib.sha256(b"").digest()
 
 Node: TypeAlias = Callable[[int, int], bytes]
@@ -30,20 +28,6 @@ def leaf_hash(data: bytes) -> bytes:
 def node_hash(left: bytes, right: bytes) -> bytes:
     """Return SHA-256(0x01 || left || right)."""
     return hashlib.sha256(b"\x01" + left + right).digest()
-
-
-def parents(nodes: bytes) -> bytes:
-    """Hash each pair of packed hashes. Inputs are cut from one buffer, because joining each pair costs a fifth more."""
-    sha256 = hashlib.sha256
-    pairs = np.frombuffer(nodes, np.uint8).reshape(-1, 2 * HASH_BYTES)
-    found = []
-    for at in range(0, len(pairs), _PAIRS_AT_ONCE):
-        some = pairs[at : at + _PAIRS_AT_ONCE]
-        hashed = np.ones((len(some), 1 + 2 * HASH_BYTES), np.uint8)  # the first byte of each row stays 0x01
-        hashed[:, 1:] = some
-        cut: list[Any] = hashed.view(_HASHED).ravel().tolist()
-        found.append(b"".join([sha256(one).digest() for one in cut]))
-    return b"".join(found)
 
 
 class Frontier(msgspec.Struct, frozen=True):

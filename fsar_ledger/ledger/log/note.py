@@ -18,7 +18,8 @@ import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.ed25519 import flaw_of
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier
 
 ED25519 = b"\x01"
 _ID_BYTES = 4

@@ -9,7 +9,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier, Node, node_hash, parents
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, parents
+from fsar_ledger.ledger.log.merkle import Frontier, Node, node_hash
 
 BASE = 4
 """The height of the smallest subtrees of a pack: 16 leaves. Roots of smaller ones would take more than the events."""

@@ -8,7 +8,8 @@ from collections.abc import Callable
 
 import msgspec
 
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier, Node, parents
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, parents
+from fsar_ledger.ledger.log.merkle import Frontier, Node
 
 TILE = "tile"
 HEIGHT = 8

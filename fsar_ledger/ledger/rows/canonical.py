@@ -4,7 +4,6 @@ Two independent functions make them: `lines` from structs when events are append
 ledger is verified. Tests require them to agree.
 """
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice, repeat
 from typing import Any, TypeAlias
@@ -13,6 +12,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
+from fsar_ledger.ledger.log.hashing import leaves_of
 from fsar_ledger.ledger.rows.arrow import coded, numbers, places, validity, whole
 from fsar_ledger.ledger.rows.bounds import has_more_text_than, text_bytes
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, StoredType
@@ -45,10 +45,10 @@ def _row_type(layout: StoredType) -> tuple[type[msgspec.Struct], tuple[str, ...]
 _ROW_TYPES = {tag: _row_type(layout) for tag, layout in STORED.items()}
 
 
-def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[list[bytes]]:
-    """Yield the canonical bytes of rows of one event type, each after the 0x00 of an RFC 6962 leaf.
+def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[bytes]:
+    """Yield the canonical bytes of rows of one event type, each with a line feed after it.
 
-    They come in lists of a few hundred rows, which stay in the CPU caches while they are hashed.
+    They come some hundred rows at a time, which stay in the CPU caches while they are hashed.
 
     Args:
         tag: The stored type of the events.
@@ -57,7 +57,7 @@ def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[list[by
     row, names = _ROW_TYPES[tag]
     rows = map(row, *[columns[name] for name in names])
     while encoded := _ENCODER.encode_lines(islice(rows, _ROWS_AT_ONCE)):
-        yield (b"\x00" + encoded[:-1].replace(b"\n", b"\n\x00")).split(b"\n")  # JSON holds no raw line feed
+        yield encoded
 
 
 class _Members:
@@ -113,7 +113,7 @@ class _Members:
 
 
 def from_table(table: pa.Table) -> list[bytes]:
-    """Return the canonical bytes of every row, each after the 0x00 of an RFC 6962 leaf.
+    """Return the canonical bytes of every row.
 
     Rows are taken by type, because a type has a tenth of the columns. String columns may be dictionaries.
     """
@@ -127,17 +127,9 @@ def from_table(table: pa.Table) -> list[bytes]:
     found = np.empty(len(table), object)
     for type_, rows in enumerate(np.split(order, starts[1:])):
         pieces = [column.of(rows) for column, is_in in zip(members, is_there, strict=True) if is_in[type_]]
-        found[rows] = list(
-            map(b"".join, zip(repeat(b"\x00{", len(rows)), *pieces, repeat(b"}", len(rows)), strict=True))
-        )
+        found[rows] = list(map(b"".join, zip(repeat(b"{", len(rows)), *pieces, repeat(b"}", len(rows)), strict=True)))
     lines: list[bytes] = found.tolist()
     return lines
-
-
-def hashes(rows: Sequence[bytes]) -> list[bytes]:
-    """Return the RFC 6962 leaf hash of each row, given with its 0x00."""
-    sha256 = hashlib.sha256
-    return [sha256(row).digest() for row in rows]
 
 
 def leaves(table: pa.Table) -> bytes:
@@ -146,10 +138,8 @@ def leaves(table: pa.Table) -> bytes:
     Rows are written out in parts, which saves memory.
     """
     if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
-        return b"".join(hashes(from_table(table)))
+        return leaves_of(from_table(table))
     most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))
     # A slice of a dictionary column would bring its whole dictionary.
     plain = pa.schema([SCHEMA.field(name) for name in table.column_names])
-    return b"".join(
-        b"".join(hashes(from_table(table.slice(at, most).cast(plain)))) for at in range(0, len(table), most)
-    )
+    return b"".join(leaves_of(from_table(table.slice(at, most).cast(plain))) for at in range(0, len(table), most))

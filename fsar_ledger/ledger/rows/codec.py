@@ -16,7 +16,8 @@ import pyarrow.compute as pc
 
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
 from fsar_ledger.events import EVENT_TYPES, UPCASTS
-from fsar_ledger.ledger.log.merkle import HASH_BYTES
+from fsar_ledger.ledger.log import hashing
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts
 from fsar_ledger.ledger.rows.runs import (
@@ -203,20 +204,20 @@ class _Rows:
                 if field.kind == "integer":
                     _require_exact(field.name, np.array([value for value in column if value is not None] or [0]))
         found: list[bytes] = [b""] * self.size
-        for lines, block in self._lines():
-            for place, line in zip(self.order[block].tolist(), lines, strict=True):
-                found[place] = line[1:]
+        rows = b"".join(self._lines()).split(b"\n")
+        for place, row in zip(self.order.tolist(), rows, strict=False):
+            found[place] = row
         return found
 
     def leaves(self) -> bytes:
         """Return the packed RFC 6962 leaf hashes in row order."""
         packed = np.empty((self.size, HASH_BYTES), np.uint8)
-        hashed = [b"".join(canonical.hashes(lines)) for lines, _ in self._lines()]
+        hashed = map(hashing.leaves, self._lines())
         packed[self.order] = np.frombuffer(b"".join(hashed), np.uint8).reshape(-1, HASH_BYTES)
         return packed.tobytes()
 
-    def _lines(self) -> Iterator[tuple[list[bytes], slice]]:
-        """Yield canonical bytes of rows sorted by type, some at a time, each after the 0x00 of a leaf, and which."""
+    def _lines(self) -> Iterator[bytes]:
+        """Yield the canonical bytes of the rows sorted by type, some at a time, each with a line feed after it."""
         order = self.order.tolist()
         times_us, causes = (list(map(rows.__getitem__, order)) for rows in (self.times_us, self.causes))
         run_ids = list(
@@ -232,10 +233,7 @@ class _Rows:
                 "caused_by": causes[block],
             }
             columns["type"] = [layout.tag] * (block.stop - block.start)
-            at = block.start
-            for lines in canonical.lines(layout.tag, columns):
-                yield lines, slice(at, at + len(lines))
-                at += len(lines)
+            yield from canonical.lines(layout.tag, columns)
 
 
 def _positions(parts: list[_Part]) -> Positions:

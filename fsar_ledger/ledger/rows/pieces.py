@@ -16,4 +16,5 @@ def joined(pieces: Sequence[LedgerRun]) -> LedgerRun:
         list(chain.from_iterable(piece.caused_by for piece in pieces)),
         list(chain.from_iterable(piece.events for piece in pieces)),
         pieces[0].first,
+        pieces[-1].goes_on,
     )

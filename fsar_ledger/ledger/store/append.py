@@ -22,7 +22,8 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, UsageError, WriteFailed, option
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, Signer, checkpoint_of, is_name
 from fsar_ledger.ledger.log.tiles import Tile
 from fsar_ledger.ledger.rows import canonical, segment

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, partial_tiles
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING, commit_file

@@ -22,7 +22,8 @@ import msgspec
 import pyarrow.compute as pc
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Node, inclusion_proof, leaf_hash, root_of_inclusion
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Node, inclusion_proof, leaf_hash, root_of_inclusion
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, parse_note, signers_of
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER

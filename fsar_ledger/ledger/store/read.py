@@ -205,7 +205,7 @@ class LedgerView(msgspec.Struct, frozen=True):
                 f"{self.segment(number)}: commit {number}: found {table.num_rows} rows, expected "
                 f"{self.records[number].rows}; restore the file"
             )
-        return canonical.from_table(table.take([at]))[0].removeprefix(b"\x00")
+        return canonical.from_table(table.take([at]))[0]
 
     def leaves(self, number: int) -> bytes:
         """Return the packed RFC 6962 leaf hashes of the rows of this commit.

@@ -12,7 +12,8 @@ from typing import Annotated, TypeVar
 import msgspec
 
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Note, checkpoint_of, is_name, parse_note
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES

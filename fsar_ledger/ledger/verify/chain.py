@@ -11,14 +11,15 @@ from pathlib import Path
 
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.ledger.chain.checkpoint import behind
-from fsar_ledger.ledger.chain.journal import Frame, leaf_hashes
+from fsar_ledger.ledger.chain.journal import Frame
 from fsar_ledger.ledger.chain.nodes import nodes_size
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, NODES, segment_of
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.chain.tables import table_of
 from fsar_ledger.ledger.log import merkle, pack
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier, consistency_proof, is_consistent
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
+from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Signed
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
@@ -198,7 +199,7 @@ class ChainVerification:
         """Add one commit of the journal."""
         commit = frame.commit
         if self.tree is not None:
-            self.tree = self.tree.extend(leaf_hashes(frame.rows))
+            self.tree = self.tree.extend(leaves_of(frame.rows))
             self._compare_root(self.tree, commit, JOURNAL)
         if self.asked.is_quick or self.problems:
             return

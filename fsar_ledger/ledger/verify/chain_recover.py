@@ -18,7 +18,8 @@ from fsar_ledger.ledger.chain.prepare import repair
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Placement, Record
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import doubt
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk, growing

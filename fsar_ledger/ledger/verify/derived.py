@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from fsar_ledger.ledger.log.merkle import HASH_BYTES
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.tiles import HEIGHT, WIDTH, Tile, tile_named
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import tile_files

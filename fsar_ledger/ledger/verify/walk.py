@@ -12,7 +12,8 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.ledger.log import merkle
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.tiles import Edge, Tile
 from fsar_ledger.ledger.store.paths import commit_file
 from fsar_ledger.ledger.store.problem import Problem

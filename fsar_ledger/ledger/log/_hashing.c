@@ -1,0 +1,184 @@
+/* Hash many rows, and many pairs of hashes, in one call: SHA-256 of FIPS 180-4, with a byte before each as in RFC 6962.
+ *
+ * `hashing.py` does the same with hashlib, for machines without a compiler; tests require both to agree. Each call
+ * lets other threads of Python run. On x86 with the SHA extensions, one block takes some 50 ns, else some 250.
+ */
+
+#define PY_SSIZE_T_CLEAN
+#define Py_LIMITED_API 0x030b0000
+#include <Python.h>
+#include <stdint.h>
+#include <string.h>
+
+#define HASH_BYTES 32
+#define BLOCK_BYTES 64
+
+static const uint32_t CONSTANTS[64] = {
+    0x428a2f98, 0x71374491, 0xb5c0fbcf, 0xe9b5dba5, 0x3956c25b, 0x59f111f1, 0x923f82a4, 0xab1c5ed5,
+    0xd807aa98, 0x12835b01, 0x243185be, 0x550c7dc3, 0x72be5d74, 0x80deb1fe, 0x9bdc06a7, 0xc19bf174,
+    0xe49b69c1, 0xefbe4786, 0x0fc19dc6, 0x240ca1cc, 0x2de92c6f, 0x4a7484aa, 0x5cb0a9dc, 0x76f988da,
+    0x983e5152, 0xa831c66d, 0xb00327c8, 0xbf597fc7, 0xc6e00bf3, 0xd5a79147, 0x06ca6351, 0x14292967,
+    0x27b70a85, 0x2e1b2138, 0x4d2c6dfc, 0x53380d13, 0x650a7354, 0x766a0abb, 0x81c2c92e, 0x92722c85,
+    0xa2bfe8a1, 0xa81a664b, 0xc24b8b70, 0xc76c51a3, 0xd192e819, 0xd6990624, 0xf40e3585, 0x106aa070,
+    0x19a4c116, 0x1e376c08, 0x2748774c, 0x34b0bcb5, 0x391c0cb3, 0x4ed8aa4a, 0x5b9cca4f, 0x682e6ff3,
+    0x748f82ee, 0x78a5636f, 0x84c87814, 0x8cc70208, 0x90befffa, 0xa4506ceb, 0xbef9a3f7, 0xc67178f2,
+};
+
+static const uint32_t START[8] = {
+    0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19,
+};
+
+static uint32_t load(const uint8_t *at) {
+    return (uint32_t)at[0] << 24 | (uint32_t)at[1] << 16 | (uint32_t)at[2] << 8 | at[3];
+}
+
+static void store(uint8_t *at, uint32_t word) {
+    at[0] = (uint8_t)(word >> 24), at[1] = (uint8_t)(word >> 16), at[2] = (uint8_t)(word >> 8), at[3] = (uint8_t)word;
+}
+
+static uint32_t rotated(uint32_t word, int bits) { return word >> bits | word << (32 - bits); }
+
+static void compress_plainly(uint32_t state[8], const uint8_t *block, size_t blocks) {
+    for (; blocks; blocks--, block += BLOCK_BYTES) {
+        uint32_t w[64], s[8];
+        for (int i = 0; i < 16; i++) w[i] = load(block + 4 * i);
+        for (int i = 16; i < 64; i++) {
+            uint32_t a = w[i - 15], b = w[i - 2];
+            w[i] = w[i - 16] + w[i - 7] + (rotated(a, 7) ^ rotated(a, 18) ^ a >> 3) +
+                   (rotated(b, 17) ^ rotated(b, 19) ^ b >> 10);
+        }
+        memcpy(s, state, sizeof s);
+        for (int i = 0; i < 64; i++) {
+            uint32_t e = s[4], a = s[0];
+            uint32_t one = s[7] + (rotated(e, 6) ^ rotated(e, 11) ^ rotated(e, 25)) + ((e & s[5]) ^ (~e & s[6])) +
+                           CONSTANTS[i] + w[i];
+            uint32_t two = (rotated(a, 2) ^ rotated(a, 13) ^ rotated(a, 22)) +
+                           ((a & s[1]) ^ (a & s[2]) ^ (s[1] & s[2]));
+            memmove(s + 1, s, 7 * sizeof *s);
+            s[4] += one, s[0] = one + two;
+        }
+        for (int i = 0; i < 8; i++) state[i] += s[i];
+    }
+}
+
+#if (defined(__x86_64__) || defined(__i386__)) && (defined(__GNUC__) || defined(__clang__))
+#define HAS_SHA_EXTENSIONS 1
+#include <cpuid.h>
+#include <immintrin.h>
+
+/* The instructions take the state as ABEF and CDGH, and do two rounds at a time; so each step below does four. */
+__attribute__((target("sha,sse4.1"))) static void compress_with_extensions(uint32_t state[8], const uint8_t *block,
+                                                                            size_t blocks) {
+    const __m128i order = _mm_set_epi64x(0x0c0d0e0f08090a0bULL, 0x0405060700010203ULL);
+    __m128i low = _mm_shuffle_epi32(_mm_loadu_si128((const __m128i *)state), 0xb1);
+    __m128i high = _mm_shuffle_epi32(_mm_loadu_si128((const __m128i *)(state + 4)), 0x1b);
+    __m128i abef = _mm_alignr_epi8(low, high, 8), cdgh = _mm_blend_epi16(high, low, 0xf0);
+    for (; blocks; blocks--, block += BLOCK_BYTES) {
+        __m128i abef_before = abef, cdgh_before = cdgh, w[4];
+        for (int i = 0; i < 16; i++) {
+            __m128i words;
+            if (i < 4) {
+                words = _mm_shuffle_epi8(_mm_loadu_si128((const __m128i *)(block + 16 * i)), order);
+            } else {
+                words = _mm_sha256msg1_epu32(w[i % 4], w[(i + 1) % 4]);
+                words = _mm_add_epi32(words, _mm_alignr_epi8(w[(i + 3) % 4], w[(i + 2) % 4], 4));
+                words = _mm_sha256msg2_epu32(words, w[(i + 3) % 4]);
+            }
+            w[i % 4] = words;
+            words = _mm_add_epi32(words, _mm_loadu_si128((const __m128i *)(CONSTANTS + 4 * i)));
+            cdgh = _mm_sha256rnds2_epu32(cdgh, abef, words);
+            abef = _mm_sha256rnds2_epu32(abef, cdgh, _mm_shuffle_epi32(words, 0x0e));
+        }
+        abef = _mm_add_epi32(abef, abef_before), cdgh = _mm_add_epi32(cdgh, cdgh_before);
+    }
+    low = _mm_shuffle_epi32(abef, 0x1b), high = _mm_shuffle_epi32(cdgh, 0xb1);
+    _mm_storeu_si128((__m128i *)state, _mm_blend_epi16(low, high, 0xf0));
+    _mm_storeu_si128((__m128i *)(state + 4), _mm_alignr_epi8(high, low, 8));
+}
+
+static int has_sha_extensions(void) {
+    unsigned a, b, c, d;
+    if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_SSE4_1)) return 0;
+    return __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & bit_SHA);
+}
+#endif
+
+static void (*compress)(uint32_t state[8], const uint8_t *block, size_t blocks) = compress_plainly;
+
+/* Write SHA-256(first || data) to `out`. */
+static void hash_after(uint8_t first, const uint8_t *data, size_t size, uint8_t *out) {
+    uint32_t state[8];
+    uint8_t block[2 * BLOCK_BYTES];
+    uint64_t bits = (uint64_t)(size + 1) * 8;
+    memcpy(state, START, sizeof state);
+    block[0] = first;
+    size_t taken = size < BLOCK_BYTES - 1 ? size : BLOCK_BYTES - 1;
+    memcpy(block + 1, data, taken);
+    size_t filled = taken + 1;
+    if (filled == BLOCK_BYTES) {
+        compress(state, block, 1);
+        size_t whole = (size - taken) / BLOCK_BYTES;
+        compress(state, data + taken, whole);
+        taken += whole * BLOCK_BYTES;
+        filled = size - taken;
+        memcpy(block, data + taken, filled);
+    }
+    block[filled++] = 0x80;
+    size_t end = filled + 8 <= BLOCK_BYTES ? BLOCK_BYTES : 2 * BLOCK_BYTES;
+    memset(block + filled, 0, end - filled);
+    for (int i = 0; i < 8; i++) block[end - 1 - i] = (uint8_t)(bits >> 8 * i);
+    compress(state, block, end / BLOCK_BYTES);
+    for (int i = 0; i < 8; i++) store(out + 4 * i, state[i]);
+}
+
+static PyObject *leaves(PyObject *module, PyObject *lines) {
+    char *data, *hashes;
+    Py_ssize_t size, rows = 0;
+    (void)module;
+    if (PyBytes_AsStringAndSize(lines, &data, &size) < 0) return NULL;
+    if (size && data[size - 1] != '\n') return PyErr_Format(PyExc_ValueError, "the last line does not end");
+    for (const char *at = data; (at = memchr(at, '\n', data + size - at)) != NULL; at++) rows++;
+    PyObject *found = PyBytes_FromStringAndSize(NULL, rows * HASH_BYTES);
+    if (found == NULL) return NULL;
+    hashes = PyBytes_AsString(found);
+    Py_BEGIN_ALLOW_THREADS
+    const char *at = data;
+    for (Py_ssize_t row = 0; row < rows; row++) {
+        const char *end = memchr(at, '\n', data + size - at);
+        hash_after(0x00, (const uint8_t *)at, end - at, (uint8_t *)hashes + row * HASH_BYTES);
+        at = end + 1;
+    }
+    Py_END_ALLOW_THREADS
+    return found;
+}
+
+static PyObject *parents(PyObject *module, PyObject *nodes) {
+    char *data, *hashes;
+    Py_ssize_t size;
+    (void)module;
+    if (PyBytes_AsStringAndSize(nodes, &data, &size) < 0) return NULL;
+    if (size % (2 * HASH_BYTES)) return PyErr_Format(PyExc_ValueError, "found %zd bytes, expected pairs of hashes", size);
+    PyObject *found = PyBytes_FromStringAndSize(NULL, size / 2);
+    if (found == NULL) return NULL;
+    hashes = PyBytes_AsString(found);
+    Py_BEGIN_ALLOW_THREADS
+    for (Py_ssize_t at = 0; at < size; at += 2 * HASH_BYTES)
+        hash_after(0x01, (const uint8_t *)data + at, 2 * HASH_BYTES, (uint8_t *)hashes + at / 2);
+    Py_END_ALLOW_THREADS
+    return found;
+}
+
+static PyMethodDef METHODS[] = {
+    {"leaves", leaves, METH_O, "Return the packed leaf hashes of these lines, each ended by a line feed."},
+    {"parents", parents, METH_O, "Return the packed hashes of pairs of packed hashes."},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_hashing", NULL, 0, METHODS, NULL, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit__hashing(void) {
+#ifdef HAS_SHA_EXTENSIONS
+    if (has_sha_extensions()) compress = compress_with_extensions;
+#endif
+    return PyModule_Create(&MODULE);
+}

@@ -1,0 +1,55 @@
+"""Hashes made in C and with hashlib are the same."""
+
+import hashlib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsar_ledger.ledger.log import hashing
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves, leaves_of, leaves_plainly, parents, parents_plainly
+from fsar_ledger.ledger.verify.verify import verify
+from tests.ledger.samples import append_all, contents, made_up_batches
+
+ROWS = st.lists(st.binary(max_size=300).map(lambda row: row.replace(b"\n", b" ")), max_size=20)
+"""SHA-256 takes blocks of 64 bytes, the last one with 9 bytes more: 300 bytes pass every border four times."""
+
+
+@given(ROWS)
+def test_a_leaf_is_the_hash_of_a_zero_byte_and_the_row(rows: list[bytes]) -> None:
+    expected = b"".join(hashlib.sha256(b"\x00" + row).digest() for row in rows)
+    lines = b"".join(row + b"\n" for row in rows)
+    assert leaves(lines) == leaves_plainly(lines) == leaves_of(rows) == expected
+
+
+def test_rows_of_every_length_are_hashed_alike() -> None:
+    for size in range(400):
+        lines = b"x" * size + b"\n" + b"\x80" * size + b"\n"
+        assert leaves(lines) == leaves_plainly(lines), size
+
+
+@given(st.integers(0, 40).flatmap(lambda pairs: st.binary(min_size=64 * pairs, max_size=64 * pairs)))
+def test_a_node_is_the_hash_of_a_one_byte_and_its_children(nodes: bytes) -> None:
+    pairs = [nodes[at : at + 2 * HASH_BYTES] for at in range(0, len(nodes), 2 * HASH_BYTES)]
+    expected = b"".join(hashlib.sha256(b"\x01" + pair).digest() for pair in pairs)
+    assert parents(nodes) == parents_plainly(nodes) == expected
+
+
+@pytest.mark.skipif(not hashing.IS_COMPILED, reason="the hashes are not made in C here: no compiler when it was set up")
+def test_what_is_no_bytes_or_no_whole_input_is_refused_by_the_compiled_functions() -> None:
+    with pytest.raises(TypeError):
+        leaves("text")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="the last line does not end"):
+        leaves(b"a\nb")
+    with pytest.raises(ValueError, match="found 65 bytes, expected pairs of hashes"):
+        parents(b"x" * 65)
+
+
+def test_a_ledger_is_the_same_without_the_compiled_functions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    append_all(tmp_path / "one", made_up_batches(2, size=200))
+    monkeypatch.setattr(hashing, "_leaves", leaves_plainly)
+    monkeypatch.setattr(hashing, "_parents", parents_plainly)
+    append_all(tmp_path / "other", made_up_batches(2, size=200))
+    assert contents(tmp_path / "one") == contents(tmp_path / "other")
+    assert verify(tmp_path / "one").ok
