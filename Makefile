@@ -144,6 +144,7 @@ soak-sensitivity: $(READY)
 bench: $(READY_TEST)
 	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/simulate_and_append.py
+	$(BIN)/python benchmarks/journal.py
 	$(BIN)/python benchmarks/metrics.py
 	$(BIN)/python benchmarks/rows.py
 	$(BIN)/python benchmarks/registry_lookup.py

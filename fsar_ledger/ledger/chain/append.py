@@ -36,6 +36,7 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Signer, doubt
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block
+from fsar_ledger.ledger.rows.codec import encode_pieces
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
 from fsar_ledger.ledger.rows.small import rows_of
@@ -73,6 +74,7 @@ class ChainWriter:
         create(ledger, origin)
         self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
         self._is_broken = False
+        self._pieces: list[LedgerRun] = []  # what this writer added to the journal that is there
         self._journal = JournalFile(ledger / paths.JOURNAL)
         self._lock, is_alone = lock(ledger)
         try:
@@ -207,6 +209,7 @@ class ChainWriter:
                 written = self._journal.write(b"\n".join((line, *rows, b"")), journal.end)
             self._view.chain.add(line, commit)
             journal.add(Frame(line, commit, rows), tree, leaves, written)
+            self._pieces += runs
             self._runs().add(blocks)
             self._is_broken = False
         return self._view.head
@@ -256,10 +259,13 @@ class ChainWriter:
     def _seal(self) -> None:
         """Put what is in the journal into a segment, and remove it; the caller has its turn."""
         journal = self._view.journal
-        staged = stage_table(self._path, self._view.journal_table(), bytes(journal.leaves))
+        is_own = sum(len(piece.events) for piece in self._pieces) == journal.rows
+        table = encode_pieces(self._pieces) if is_own else self._view.journal_table()
+        staged = stage_table(self._path, table, bytes(journal.leaves))
         _, nodes = pack.grow(self._view.chain.tree(), staged.leaves)
         self._place(staged, [frame.line for frame in journal.frames], journal.tree, nodes)
         self._journal.remove()
+        self._pieces = []
 
     def _require_usable(self) -> None:
         if self._is_broken or self._lock < 0:
@@ -274,6 +280,7 @@ class ChainWriter:
             return
         known = self._view.head.size
         self._journal.close()
+        self._pieces = []
         self._view = self._opened(settles=False)
         if self._held is not None:
             self._held.add_from(self._view, known)

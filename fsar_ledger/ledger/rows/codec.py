@@ -44,7 +44,17 @@ from fsar_ledger.ledger.rows.schema import (
     StoredType,
 )
 
-__all__ = ["SCHEMA", "LedgerRun", "decode", "encode", "encode_coded", "encode_hashed", "encode_lines", "upcast_rows"]
+__all__ = [
+    "SCHEMA",
+    "LedgerRun",
+    "decode",
+    "encode",
+    "encode_coded",
+    "encode_hashed",
+    "encode_lines",
+    "encode_pieces",
+    "upcast_rows",
+]
 
 Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
@@ -88,8 +98,9 @@ class _Rows:
     Raises: InvalidRun, or another error for a value that `first_unfit` identifies.
     """
 
-    def __init__(self, runs: Sequence[LedgerRun]):
-        require_runs(runs)
+    def __init__(self, runs: Sequence[LedgerRun], *, are_pieces: bool = False):
+        if not are_pieces:
+            require_runs(runs)
         self.sizes = [len(run.events) for run in runs]
         self.size = sum(self.sizes)
         self.runs = [run.run_id for run in runs]
@@ -198,16 +209,29 @@ class _Rows:
 
         Raises: ValueError for an integer beyond 2^53 - 1, or a cause that is not an earlier event.
         """
-        self._integers()
-        for layout, _, values in self.blocks:
-            for field, column in zip(layout.fields, values, strict=True):
-                if field.kind == "integer":
-                    _require_exact(field.name, np.array([value for value in column if value is not None] or [0]))
+        self._require_exact()
         found: list[bytes] = [b""] * self.size
         rows = b"".join(self._lines()).split(b"\n")
         for place, row in zip(self.order.tolist(), rows, strict=False):
             found[place] = row
         return found
+
+    def _require_exact(self) -> None:
+        """Check causes and integers as `table` does, for a few rows.
+
+        Raises: ValueError for an integer beyond 2^53 - 1, or a cause that is not an earlier event.
+        """
+        for seq, cause in zip(self.seqs.tolist(), self.causes, strict=True):
+            if (cause is None) != (seq == 0) or not -1 < (cause or 0) < max(seq, 1):
+                raise ValueError("found causes that are no earlier events, expected None at seq 0, else an earlier seq")
+        integers = [self.times_us]
+        for layout, _, values in self.blocks:
+            pairs = zip(layout.fields, values, strict=True)
+            columns = (column for field, column in pairs if field.kind == "integer")
+            integers += [[value for value in column if type(value) is int] for column in columns]
+        for numbers in filter(None, integers):
+            if min(numbers) < -MAX_INTEGER or max(numbers) > MAX_INTEGER:
+                raise ValueError("found integers beyond 2^53 - 1 in size, expected none")
 
     def leaves(self) -> bytes:
         """Return the packed RFC 6962 leaf hashes in row order."""
@@ -308,6 +332,14 @@ def encode_hashed(runs: Sequence[LedgerRun]) -> tuple[pa.Table, bytes]:
     with _refusals(runs):
         rows = _Rows(runs)
         return rows.table(), rows.leaves()
+
+
+def encode_pieces(pieces: Sequence[LedgerRun]) -> pa.Table:
+    """Encode these pieces of runs, which were encoded before, as rows in their order, with columns of `CODED_SCHEMA`.
+
+    Pieces of one run need not follow one another.
+    """
+    return _Rows(pieces, are_pieces=True).table()
 
 
 def encode_lines(runs: Sequence[LedgerRun]) -> list[bytes]:

@@ -1,0 +1,307 @@
+"""A ledger of format 2: the same events as in format 1, however they are cut, sealed, compacted or upgraded."""
+
+import multiprocessing
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UsageError
+from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, NODES
+from fsar_ledger.ledger.log import pack
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, root_of_inclusion
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.opening import open_for_answers, open_ledger
+from fsar_ledger.ledger.rows.pieces import joined
+from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.store.proof import check_proof, prove
+from fsar_ledger.ledger.store.view import View
+from fsar_ledger.ledger.upgrading import upgrade
+from fsar_ledger.ledger.verify.notes import read_anchor
+from fsar_ledger.ledger.verify.report import Asked
+from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.writing import open_writer
+from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
+
+RUNS = [made_up_run(f"run-{number}", 30, number) for number in range(4)]
+KEPT = sorted((Path(__file__).parent.parent / "ledgers").glob("*/ledger"))
+SIGNER = Signer(ORIGIN, b"k" * 32)
+
+
+def piece(run: LedgerRun, first: int, end: int) -> LedgerRun:
+    """Return these events of a run, which goes on unless they are its last."""
+    return LedgerRun(
+        run.run_id,
+        run.times_us[first:end],
+        run.caused_by[first:end],
+        run.events[first:end],
+        first,
+        end < len(run.events),
+    )
+
+
+def events_of(view: View) -> list[bytes]:
+    """Return the canonical bytes of all events."""
+    return [view.event(index) for index in range(view.head.size)]
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """Return a ledger with two segments and a journal."""
+    path = tmp_path / "ledger"
+    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+        writer.append(stage(path, RUNS[:1]))
+        writer.append(stage(path, [piece(RUNS[1], 0, 20)]))
+        writer.add([piece(RUNS[1], 20, 25), piece(RUNS[2], 0, 5)])
+        writer.add([piece(RUNS[2], 5, 30)])
+    return path
+
+
+# --- the same events ---
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_however_runs_are_cut_sealed_and_compacted_rows_root_and_runs_are_the_same(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.mktemp("cut") / "ledger"
+    rows: list[LedgerRun] = []
+    with ChainWriter(path, ORIGIN) as writer:
+        for run in RUNS[:2]:
+            at = 0
+            while at < len(run.events):
+                end = min(len(run.events), at + data.draw(st.integers(1, 30)))
+                how = data.draw(st.sampled_from(["add", "append", "seal", "compact"]))
+                one = piece(run, at, end)
+                writer.append(stage(path, [one])) if how == "append" else writer.add([one])
+                rows.append(one)
+                at = end
+                if how == "seal":
+                    writer.seal()
+                elif how == "compact":
+                    writer.compact()
+    append_all(path.with_name("first-format"), [RUNS[:2]])
+    found, expected = open_for_answers(path), open_for_answers(path.with_name("first-format"))
+    assert (found.head.size, found.head.root) == (expected.head.size, expected.head.root)
+    assert events_of(found) == events_of(expected)
+    assert list(found.runs()) == list(expected.runs()) == RUNS[:2]
+    report = verify(path)
+    assert (report.ok, report.problems, report.remarks, report.runs) == (True, (), (), 2)
+    assert report.commits == len(rows)
+
+
+@given(st.lists(st.integers(1, 300), min_size=1, max_size=8))
+def test_the_pack_gives_every_proof_of_every_tree_that_it_grew_through(sizes: list[int]) -> None:
+    leaves = [leaf_hash(b"%d" % number) for number in range(sum(sizes))]
+    tree, held = Frontier(), b""
+    for size in sizes:
+        tree, more = pack.grow(tree, b"".join(leaves[tree.size : tree.size + size]))
+        held += more
+        assert len(held) == pack.count(tree.size) * HASH_BYTES
+        assert tree == Frontier().extend(b"".join(leaves[: tree.size]))
+
+    def read(place: int) -> bytes:
+        return held[place * HASH_BYTES : (place + 1) * HASH_BYTES]
+
+    node = pack.node_of(read, lambda first, end: b"".join(leaves[first:end]))
+    for index in {0, tree.size // 2, tree.size - 1}:
+        proof = inclusion_proof(node, index, tree.size)
+        assert root_of_inclusion(leaves[index], index, tree.size, proof) == tree.root()
+
+
+def test_a_ledger_of_each_release_is_upgraded_with_its_root_rows_and_signatures(tmp_path: Path) -> None:
+    for number, old in enumerate(KEPT):
+        new = tmp_path / str(number)
+        head = upgrade(old, new)
+        before, after = open_for_answers(old), open_for_answers(new)
+        assert (head.root, head.commits) == (before.head.root, before.head.commits)
+        assert str(after.note()) == str(before.note())
+        assert [*after.tables()] == [*before.tables()]
+        report = verify(new, asked=Asked(anchor=read_anchor(old / "checkpoint")))
+        assert (report.ok, report.signed) == (True, before.head.commits)
+    assert len(KEPT) >= 7
+
+
+def test_an_interrupted_upgrade_goes_on_and_other_events_are_left_alone(tmp_path: Path) -> None:
+    append_all(tmp_path / "old", [[run] for run in RUNS])
+    done = 0
+
+    def stop(now: int, _: int) -> None:
+        nonlocal done
+        done = now
+        if now == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        upgrade(tmp_path / "old", tmp_path / "new", stop)
+    assert done == 2
+    assert upgrade(tmp_path / "old", tmp_path / "new").root == open_ledger(tmp_path / "old").head.root
+    before = contents(tmp_path / "new")
+    append_all(tmp_path / "other", [[RUNS[3]]])
+    with pytest.raises(UsageError, match="found a ledger of other events, expected a free path"):
+        upgrade(tmp_path / "other", tmp_path / "new")
+    with pytest.raises(UsageError, match="found a ledger of format 2, expected one of format 1"):
+        upgrade(tmp_path / "new", tmp_path / "newer")
+    assert contents(tmp_path / "new") == before
+    assert not (tmp_path / "newer").exists()
+
+
+def test_proofs_and_anchors_that_were_given_still_hold_after_sealing_and_compaction(path: Path) -> None:
+    view = open_for_answers(path)
+    proofs = [prove(view, index) for index in range(0, view.head.size, 7)]
+    shutil.copy(path / "checkpoint", path.with_name("anchor"))
+    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+        assert writer.compact() == 3
+        writer.add([piece(RUNS[1], 25, 30)])
+    assert [file.name for file in (path / "segments").iterdir()] == ["000000000000-000000000085.parquet"]
+    for number, proof in enumerate(proofs):
+        assert check_proof("a proof", proof, SIGNER.verifier).event["seq"] is not None
+        again = prove(open_for_answers(path), number * 7)
+        assert again.event == proof.event
+    for quick in (False, True):
+        asked = Asked(is_quick=quick, anchor=read_anchor(path.with_name("anchor")), trusted=SIGNER.verifier)
+        report = verify(path, asked=asked)
+        assert (report.ok, report.anchored, report.signature) == (True, 85, "signed"), report.problems
+
+
+# --- several writers ---
+
+
+def test_writers_take_turns_and_each_goes_on_from_what_the_other_added(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    with ChainWriter(path, ORIGIN) as one, ChainWriter(path, ORIGIN) as other:
+        for at in range(0, 30, 10):
+            one.add([piece(RUNS[0], at, at + 10)])
+            other.append(stage(path, [piece(RUNS[1], at, at + 10)]))
+            one.seal()
+        assert other.compact() > 0
+        one.add([RUNS[2]])
+    assert sorted(run.run_id for run in open_for_answers(path).runs()) == ["run-0", "run-1", "run-2"]
+    assert verify(path).ok
+
+
+def _add_runs(path: str, name: str, count: int) -> None:
+    with ChainWriter(Path(path), ORIGIN) as writer:
+        for number in range(count):
+            run = msgspec.structs.replace(RUNS[number % len(RUNS)], run_id=f"{name}-{number}")
+            if number % 3:
+                writer.add([piece(run, 0, 15)])
+                writer.add([piece(run, 15, 30)])
+            else:
+                writer.append(stage(Path(path), [run]))
+
+
+def test_eight_processes_that_append_at_once_all_finish_and_lose_nothing(tmp_path: Path) -> None:
+    context = multiprocessing.get_context("fork")
+    path = str(tmp_path / "ledger")
+    ChainWriter(Path(path), ORIGIN).close()
+    writers = [context.Process(target=_add_runs, args=(path, f"writer-{number}", 3)) for number in range(8)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join(60)
+    assert [writer.exitcode for writer in writers] == [0] * 8
+    view = open_for_answers(Path(path))
+    assert len(list(view.runs())) == 24
+    assert view.head.size == 24 * 30
+    assert verify(Path(path)).ok
+
+
+# --- what is refused ---
+
+
+@pytest.mark.parametrize(
+    ("pieces", "found"),
+    [
+        ([made_up_run("run-0", 12, 9)], "run run-0, seq 0, field run_id: found run run-0 once more"),
+        ([piece(RUNS[1], 24, 28)], "run run-1, seq 24, field seq: found 24, expected 25"),
+        ([piece(RUNS[1], 26, 28)], "run run-1, seq 26, field seq: found 26, expected 25"),
+        ([piece(RUNS[3], 5, 28)], "run run-3, seq 5, field seq: found 5, expected 0"),
+        ([piece(RUNS[3], 0, 5), piece(RUNS[3], 5, 9)], "the run twice in one batch"),
+        (
+            [msgspec.structs.replace(piece(RUNS[1], 25, 27), times_us=[0, 1])],
+            "run run-1, seq 25, field time_us: found 0, expected no less than at the event before",
+        ),
+    ],
+)
+def test_events_that_do_not_continue_their_run_are_refused_and_nothing_changes(
+    path: Path, pieces: Sequence[LedgerRun], found: str
+) -> None:
+    before = contents(path)
+    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+        with pytest.raises(InvalidRun) as refused:
+            writer.add(pieces)
+        assert found in str(refused.value)
+        if len(pieces) == 1:
+            with pytest.raises(InvalidRun) as refused:
+                writer.append(stage(path, pieces))
+            assert found in str(refused.value)
+    assert contents(path) == before
+
+
+def test_a_run_that_has_ended_is_never_continued(path: Path) -> None:
+    longer = made_up_run("run-2", 40, 2)
+    more = LedgerRun("run-2", longer.times_us[30:], longer.caused_by[30:], longer.events[30:], 30)
+    later = msgspec.structs.replace(more, times_us=[60_000_000] * 10)
+    with ChainWriter(path, ORIGIN, SIGNER) as writer, pytest.raises(InvalidRun, match="a run that has ended"):
+        writer.add([later])
+
+
+def test_a_ledger_is_continued_in_its_own_format(tmp_path: Path, path: Path) -> None:
+    append_all(tmp_path / "first", [RUNS[:1]])
+    with pytest.raises(UsageError, match="found a ledger of format 1, expected 2; a ledger is continued"):
+        open_writer(tmp_path / "first", ORIGIN, version=2)
+    with open_writer(path, ORIGIN, SIGNER) as writer:
+        assert isinstance(writer, ChainWriter)
+
+
+# --- torn ends and damage ---
+
+
+def test_a_torn_end_of_the_journal_is_no_commit_and_the_next_writer_removes_it(path: Path) -> None:
+    whole = open_for_answers(path)
+    data = (path / JOURNAL).read_bytes()
+    first = data.index(b'{"kind":"commit"', 10) if b'{"kind":"commit"' in data[10:] else len(data)
+    (path / "checkpoint").write_text(str(whole.commits[2].note(ORIGIN)))  # type: ignore[attr-defined]
+    for cut in range(len(data) - 1, len(data) - 600, -97):
+        (path / JOURNAL).write_bytes(data[:cut])
+        view = open_for_answers(path)
+        assert (view.head.commits, view.head.size) == (3, 60)
+        assert verify(path).ok
+    assert first
+    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+        assert writer.head.size == 60
+        writer.add([piece(RUNS[2], 5, 30)])
+    assert open_for_answers(path).head.root == whole.head.root
+    assert verify(path).remarks == ()
+
+
+@pytest.mark.parametrize("name", [CHAIN, JOURNAL, NODES, "checkpoint", "ledger.json"])
+def test_a_changed_byte_anywhere_is_found(path: Path, name: str) -> None:
+    data = (path / name).read_bytes()
+    for at in range(0, len(data), max(1, len(data) // 40)):
+        (path / name).write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        report = verify(path)
+        assert not report.ok, (name, at)
+    (path / name).write_bytes(data)
+    assert verify(path).ok
+
+
+def test_a_reader_refuses_a_ledger_whose_chain_was_cut(path: Path) -> None:
+    lines = (path / CHAIN).read_bytes().splitlines(keepends=True)
+    (path / CHAIN).write_bytes(b"".join(lines[:2]))
+    with pytest.raises(LedgerCorrupted):
+        open_for_answers(path)
+    assert not verify(path).ok
+
+
+def test_pieces_make_the_run_that_they_were_cut_from() -> None:
+    assert joined([piece(RUNS[0], 0, 7), piece(RUNS[0], 7, 30)]) == RUNS[0]
