@@ -5,11 +5,14 @@ schema      the columns, derived from the event types
 releases    the columns that each release wrote
 runs        what a run handed to a writer may hold
 codec       runs of events <-> one Arrow table
+small       a few events -> their bytes, without columns
+making      helpers for making columns
 canonical   the hashed bytes of a row, made from structs and again from columns
 check       the rules for every stored row
+blocks      which rows of which run a table holds; pieces: a run put together from several
 segment     one batch of runs as one Parquet file
 layout      whether a segment has the accepted form: grammar (which bytes may be there), footer (what is wrong)
 bounds      what a segment may cost to read
-arrow       helpers for columns
+arrow       helpers for reading columns
 ```
 """

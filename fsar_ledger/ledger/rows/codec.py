@@ -4,11 +4,10 @@ Only current types are encoded; decoded events of retired types are upcast, so n
 processed by type and column, never row by row, which makes it fast.
 """
 
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import chain, count, pairwise
-from typing import Any, NamedTuple, TypeAlias
+from itertools import chain, pairwise
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +19,7 @@ from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts
+from fsar_ledger.ledger.rows.making import Codes, Positions, Texts, Values, array_of, bits, require_exact
 from fsar_ledger.ledger.rows.runs import (
     ALLOWED,
     CAUSE,
@@ -56,10 +56,6 @@ __all__ = [
     "upcast_rows",
 ]
 
-Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
-Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
-Values: TypeAlias = "np.ndarray[tuple[int], np.dtype[Any]]"
-
 _LAYOUTS = tuple(LAYOUTS.values())
 _CODES = {cls: code for code, cls in enumerate(EVENT_TYPES)}
 _TAGS = tuple(LAYOUTS)
@@ -71,25 +67,6 @@ class _Part(NamedTuple):
 
     at: Positions
     values: Sequence[object]
-
-
-class _Texts:
-    """The strings of all columns, each held once, with codes from 1. The code of None is 0."""
-
-    def __init__(self) -> None:
-        self._codes: defaultdict[object, int] = defaultdict(count(1).__next__, {None: 0})
-
-    def codes(self, texts: Iterable[object], size: int) -> Codes:
-        """Return the codes of these strings."""
-        return np.fromiter(map(self._codes.__getitem__, texts), np.int32, size)
-
-    def sorted(self) -> tuple[Values, Codes]:
-        """Return None and then all strings in order, and for each code the index of its string there."""
-        _, *texts = self._codes
-        order = sorted(range(len(texts)), key=texts.__getitem__)  # type: ignore[arg-type]
-        places = np.zeros(len(texts) + 1, np.int32)
-        places[1:][order] = np.arange(1, len(texts) + 1)
-        return np.array([None, *[texts[at] for at in order]], object), places
 
 
 class _Rows:
@@ -150,14 +127,14 @@ class _Rows:
         """
         times_us, causes = pa.array(self.times_us, pa.int64()), pa.array(self.causes, pa.int64())
         numbers = causes.fill_null(-1).to_numpy()
-        _require_exact("time_us", times_us.to_numpy())
+        require_exact("time_us", times_us.to_numpy())
         if np.where(self.seqs == 0, np.asarray(causes.is_valid()), (numbers < 0) | (numbers >= self.seqs)).any():
             raise ValueError("found causes that are no earlier events, expected None at seq 0, else an earlier seq")
         return {"seq": pa.array(self.seqs), "time_us": times_us, "caused_by": causes}
 
     def _strings(self, columns: dict[str, list[_Part]]) -> dict[str, pa.DictionaryArray]:
         """Return the string columns, the envelope's included, each with a sorted dictionary of its own values."""
-        texts = _Texts()
+        texts = Texts()
         everywhere: Positions = np.arange(self.size)
         found = {"run_id": (everywhere, np.repeat(texts.codes(self.runs, len(self.runs)), self.sizes))}
         found["type"] = (everywhere, texts.codes(_TAGS, len(_TAGS))[self.codes])
@@ -177,7 +154,7 @@ class _Rows:
         indices[at] = codes[places]
         used = pa.array(dictionary[is_used], pa.string())
         # Unchecked: each code is less than the number of used strings.
-        return pa.DictionaryArray.from_arrays(_array(indices, indices >= 0), used, safe=False)
+        return pa.DictionaryArray.from_arrays(array_of(indices, indices >= 0), used, safe=False)
 
     def _numbers(self, name: str, parts: list[_Part]) -> pa.Array:
         """Return a column of integers or booleans, NULL if the event type has no such field."""
@@ -188,8 +165,8 @@ class _Rows:
             zero_copy_only=False
         )
         if COLUMNS[name] == "integer":
-            _require_exact(name, values)
-        return _array(values, is_valid)
+            require_exact(name, values)
+        return array_of(values, is_valid)
 
     def _lists(self, parts: list[_Part]) -> pa.Array:
         """Return a column of lists of strings, NULL if the event type has no such field."""
@@ -201,7 +178,7 @@ class _Rows:
         is_valid[at] = column.is_valid() if column.null_count else True
         np.cumsum(ends, out=ends)
         return pa.Array.from_buffers(
-            column.type, self.size, [_bits(is_valid), pa.py_buffer(ends)], children=[column.flatten()]
+            column.type, self.size, [bits(is_valid), pa.py_buffer(ends)], children=[column.flatten()]
         )
 
     def lines(self) -> list[bytes]:
@@ -268,24 +245,6 @@ def _positions(parts: list[_Part]) -> Positions:
 def _joined(parts: list[_Part], kind: pa.DataType) -> tuple[Positions, pa.Array]:
     """Return the rows and the values of all parts."""
     return _positions(parts), pa.array(list(chain.from_iterable(part.values for part in parts)), kind)
-
-
-def _bits(is_set: Values) -> pa.Buffer:
-    """Return booleans as an Arrow bitmap; Arrow's own conversion from a mask of bytes is slower."""
-    return pa.py_buffer(np.packbits(is_set, bitorder="little"))
-
-
-def _array(values: Values, is_valid: Values) -> pa.Array:
-    """Return an Arrow array of int32, int64 or bool, NULL where it is not valid."""
-    data = _bits(values) if values.dtype == bool else pa.py_buffer(values)
-    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [_bits(is_valid), data])
-
-
-def _require_exact(name: str, numbers: Values) -> None:
-    """Refuse an integer beyond 2^53 - 1, which JSON readers may round. Raises: ValueError."""
-    least, most = int(numbers.min(initial=0)), int(numbers.max(initial=0))
-    if least < -MAX_INTEGER or most > MAX_INTEGER:
-        raise ValueError(f"column {name}: found integers from {least} to {most}, expected at most 2^53 - 1 in size")
 
 
 @contextmanager

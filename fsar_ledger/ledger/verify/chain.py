@@ -91,6 +91,8 @@ class ChainVerification:
             self._add(view, placement, found, is_behind=is_behind)
             if progress is not None:
                 progress(number, len(chain.placed))
+        if self.asked.is_quick:
+            self.tree = chain.tree()
         for frame in view.journal.frames:
             self._add_frame(frame)
         self.problems += _check_segments(view)
