@@ -1,6 +1,6 @@
 """The timeline of runs: a line that people read for each event, as rows of `queries/facts/log_lines.sql`.
 
-A run is in one commit, so the lines of all runs are told commit by commit, with one of them in memory at a time.
+The lines of all runs are told segment by segment, or by groups of those that share runs, with one in memory at a time.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -12,6 +12,7 @@ import pyarrow as pa
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST
 from fsar_ledger.ledger.store.view import View
@@ -91,7 +92,7 @@ def about_of(database: Database, asked: Asked) -> Provenance:
 
 
 def stream(ledger: Path, asked: Asked, about: Provenance, demanded: str | None, pause: Pause | None) -> Iterator[Table]:
-    """Yield the lines of all runs, a table for each commit; with `pause`, go on with later commits as they come.
+    """Yield the lines of all runs, some at a time; with `pause`, go on with later commits as they come.
 
     Args:
         ledger: Its folder.
@@ -105,16 +106,16 @@ def stream(ledger: Path, asked: Asked, about: Provenance, demanded: str | None, 
     """
     for view, first in _growth(ledger, pause):
         provenance = Provenance(view.head, is_verified(view, demanded), None, about.not_observed)
-        for number in range(len(view.releases)):
-            if view.first(number) >= first:
-                yield Table(_lines_in(view, number, asked), provenance)
+        for group in view.groups():
+            if view.end(group[-1]) > first:
+                yield Table(_lines_in(view, group, asked, first), provenance)
 
 
-def _lines(database: Database, asked: Asked) -> pa.Table:
+def _lines(database: Database, asked: Asked, *conditions_too: str) -> pa.Table:
     """Return the lines asked for of all runs here, in the order of the ledger."""
     meant, values = asked.meant.sql()
     bound: dict[str, Value] = dict(values)
-    conditions = ["run_id = $run"] if asked.meant.run is not None else []
+    conditions = [*conditions_too, *(["run_id = $run"] if asked.meant.run is not None else [])]
     if asked.about:
         conditions.append("list_contains($about, concern)")
         bound["about"] = list(asked.about)
@@ -125,12 +126,15 @@ def _lines(database: Database, asked: Asked) -> pa.Table:
     return database.table(f"SELECT * FROM log_lines {where} ORDER BY list_position($runs, run_id), seq", bound)
 
 
-def _lines_in(view: View, number: int, asked: Asked) -> pa.Table:
-    """Return the lines of one commit."""
-    segment = view.segment(number)
-    with Database(view.head, [segment]) as database:
-        relation.hold_segments(database, [segment], [view.releases[number]])
-        return _lines(database, asked)
+def _lines_in(view: View, group: Sequence[int], asked: Asked, first: int) -> pa.Table:
+    """Return the lines of the events in these segments from this index on."""
+    segments = [view.segment(number) for number in group]
+    with Database(view.head, segments) as database:
+        relation.hold_segments(database, segments, [view.releases[number] for number in group])
+        if view.first(group[0]) >= first:
+            return _lines(database, asked)
+        database.hold("untold", pa.concat_tables(view.tables_from(first, ["run_id", "seq"])))
+        return _lines(database, asked, "(run_id, seq) IN (SELECT run_id, seq FROM untold)")
 
 
 def _require_in_run(database: Database, run: str | None, since: Time, since_us: int) -> None:
@@ -146,7 +150,7 @@ def _require_in_run(database: Database, run: str | None, since: Time, since_us: 
 def _growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[View, int]]:
     """Yield the ledger as it is, then, with `pause`, each time it has grown; and the first event not yet yielded.
 
-    Between two looks only the state of three files is read. Raises: As `open_for_answers` and `_require_same`.
+    Between two looks only the state of a few files is read. Raises: As `open_for_answers` and `_require_same`.
     """
     state = _state(ledger)
     view = open_for_answers(ledger)
@@ -165,7 +169,7 @@ def _growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[View, int]]:
 def _state(ledger: Path) -> tuple[tuple[int, int, int] | None, ...]:
     """Return what changes when the ledger grows or is replaced; None for a file that is not there."""
     found: list[tuple[int, int, int] | None] = []
-    for name in (MANIFEST, COMMITS, CHECKPOINT):
+    for name in (MANIFEST, COMMITS, CHAIN, JOURNAL, CHECKPOINT):
         try:
             status = (ledger / name).stat()
         except OSError:

@@ -13,6 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from tests.ledger.chain_trials import ChainLaboratory, write_with
 from tests.ledger.crash_trials import Laboratory, Tally, append_with
 from tests.ledger.crash_writer import Nursery, Order
 from tests.ledger.crowd import NAMES, judge
@@ -90,10 +91,30 @@ def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, s
     return acknowledged
 
 
+def chain_faults(folder: Path, pairs: int) -> Tally:
+    """Try the same of a writer of format 2, which appends, journals, seals and compacts; return the tally."""
+    laboratory = ChainLaboratory(folder)
+    root = folder / "calls"
+    root.mkdir()
+    calls = calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger"))
+    single_faults(laboratory, calls)
+    pairs_of_faults(laboratory, calls, pairs)
+    return laboratory.tally
+
+
 def soak(folder: Path, kills: int, pairs: int) -> Tally:
     """Run all parts, and print a line on each."""
     laboratory = Laboratory(folder)
     tally = laboratory.tally
+    start = time.monotonic()
+    (folder / "chain").mkdir()
+    chain = chain_faults(folder / "chain", pairs // 10)
+    print(
+        f"{time.monotonic() - start:6.0f} s  format 2: {chain.faults:,} faults, {chain.faults_in_recovery:,} during "
+        f"the recovery, {chain.power_failures:,} power failures",
+        flush=True,
+    )
+    tally.lost, tally.torn, tally.complaints = chain.lost, chain.torn, chain.complaints
     root = folder / "calls"
     root.mkdir()
     calls = calls_of(root, lambda: append_with(FaultyOs(root), root / "out" / "ledger"))

@@ -84,6 +84,11 @@ class ChainView(msgspec.Struct, frozen=True):
         placed = self.chain.placed
         return placed[number].first if number < len(placed) else self.chain.placed_size
 
+    def end(self, number: int) -> int:
+        """Return the index in the ledger after the last event of this segment."""
+        placed = self.chain.placed
+        return placed[number].end if number < len(placed) else self.chain.size
+
     def segment(self, number: int) -> Path:
         """Return this segment, after checking that it is the placed one and within the bounds.
 

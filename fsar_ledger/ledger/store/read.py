@@ -78,6 +78,10 @@ class LedgerView(msgspec.Struct, frozen=True):
         """Return the index in the ledger of the first event of this segment."""
         return self.records[number - 1].tree_size if number else 0
 
+    def end(self, number: int) -> int:
+        """Return the index in the ledger after the last event of this segment."""
+        return self.records[number].tree_size
+
     @property
     def head(self) -> Head:
         """Return how far the ledger goes."""
@@ -161,6 +165,12 @@ class LedgerView(msgspec.Struct, frozen=True):
             if path.exists():
                 raise
             return segment.read_table(self.segment(number), columns)  # a writer moved it into place meanwhile
+
+    def tables_from(self, first: int, columns: list[str]) -> Iterator[pa.Table]:
+        """Yield these columns of the events from this index on, a table for each commit. Raises: As `table`."""
+        for number, record in enumerate(self.records):
+            if record.tree_size > first:
+                yield self.table(number, columns).slice(max(0, first - self.first(number)))
 
     def event(self, index: int) -> bytes:
         """Return the canonical bytes of the event at this index. Raises: As `row`."""

@@ -75,6 +75,9 @@ class View(Protocol):
     def first(self, number: int) -> int:
         """Return the index in the ledger of the first event of this segment."""
 
+    def end(self, number: int) -> int:
+        """Return the index in the ledger after the last event of this segment."""
+
     def segment(self, number: int) -> Path:
         """Return this segment, counted from 0, after checking that it is as committed. Raises: LedgerCorrupted."""
 
@@ -83,6 +86,9 @@ class View(Protocol):
 
     def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
         """Yield the stored rows of each segment with these columns (None: all). Raises: LedgerCorrupted."""
+
+    def tables_from(self, first: int, columns: list[str]) -> Iterator[pa.Table]:
+        """Yield these columns of the events from this index on, a table for each segment. Raises: LedgerCorrupted."""
 
     def event(self, index: int) -> bytes:
         """Return the canonical bytes of the event at this index. Raises: LedgerCorrupted."""

@@ -1,0 +1,80 @@
+"""Runs that are simulated in slices, and stored in as many commits as they need."""
+
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.rows.pieces import joined
+from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.runtime import staging
+from fsar_ledger.runtime.experiment import Experiment, carry_out
+from fsar_ledger.runtime.replay import replay
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run, simulate_slices
+from tests.ledger.samples import contents
+from tests.quick import few
+
+WHOLE = Experiment(ARCHITECTURES, SCENARIOS[:2], 3)
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("scenario", few(SCENARIOS, SCENARIOS[2:3]))
+@pytest.mark.parametrize("most", few([1, 37, 1_000, 10**6], [37]))
+def test_slices_are_the_run(architecture: str, scenario: str, most: int) -> None:
+    for fleet_size in (4, 16):
+        spec = RunSpec(7, architecture, "full", scenario, fleet_size, 1)
+        whole, parts = simulate_run(spec, Constants()), list(simulate_slices(spec, Constants(), most))
+        assert joined(parts) == whole
+        assert [part.goes_on for part in parts] == [*[True] * (len(parts) - 1), False]
+        assert max(len(part.events) for part in parts[1:] or parts) < most + 200
+
+
+@pytest.fixture
+def small_commits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(staging, "COMMIT_EVENTS", 300)  # a run has some 500
+
+
+def test_in_both_formats_the_same_experiment_has_the_same_root(tmp_path: Path, small_commits: None) -> None:
+    first, second = (carry_out(tmp_path / str(version), WHOLE, 1, version=version).head for version in (1, 2))
+    assert (first.size, first.root) == (second.size, second.root)
+    assert second.commits > 2 * 18 / 2
+    one, other = (open_for_answers(tmp_path / str(version)) for version in (1, 2))
+    assert list(one.runs()) == list(other.runs())
+    assert verify(tmp_path / "2").ok
+    assert replay(tmp_path / "2").ok
+
+
+@pytest.mark.parametrize("stop", few(range(1, 30, 3), [1, 7, 16]))
+def test_a_simulation_that_is_interrupted_within_a_run_goes_on_with_that_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_commits: None, stop: int
+) -> None:
+    from fsar_ledger.ledger.chain.append import ChainWriter
+
+    carry_out(tmp_path / "whole", WHOLE, 1, version=2)
+    append = ChainWriter.append
+    commits = 0
+
+    def interrupted(self: ChainWriter, *given: object) -> object:
+        nonlocal commits
+        commits += 1
+        if commits > stop:
+            raise KeyboardInterrupt
+        return append(self, *given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(ChainWriter, "append", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        carry_out(tmp_path / "stopped", WHOLE, 1, version=2)
+    monkeypatch.setattr(ChainWriter, "append", append)
+    made = carry_out(tmp_path / "stopped", WHOLE, 1, version=2)
+    whole, found = open_for_answers(tmp_path / "whole"), open_for_answers(tmp_path / "stopped")
+    assert (found.head.size, found.head.root) == (whole.head.size, whole.head.root)
+    assert made.held == WHOLE.size
+    assert list(found.runs()) == list(whole.runs())
+    assert verify(tmp_path / "stopped").ok
+
+
+def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
+    for workers in (1, 2):
+        carry_out(tmp_path / str(workers), WHOLE, workers, version=2)
+    assert contents(tmp_path / "1") == contents(tmp_path / "2")
