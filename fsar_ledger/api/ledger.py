@@ -290,12 +290,14 @@ class Ledger(Timelines, Replays, Integrity):
         parameters: Mapping[str, object] | None = None,
         *,
         raw: bool = False,
+        tiles: bool = False,
         progress: Progress | None = None,
     ) -> "Written":
         """Write every event, or the answer of a query, to a .csv, .parquet, .ndjson or .jsonl file.
 
         Args:
             out: The file; replaced if it exists.
+            tiles: Write the hashes of the tree to the new folder `out` instead, as C2SP tlog-tiles, and the checkpoint.
             query: The name of a query; None: every event as it is stored.
             parameters: The parameters of the query.
             raw: Do not escape text in CSV that a terminal or a spreadsheet would act on.
@@ -308,6 +310,12 @@ class Ledger(Timelines, Replays, Integrity):
         from .files import Written, require_place, write_events, write_table
 
         file = Path(out)
+        if tiles:
+            if query is not None or parameters or raw:
+                raise UsageError("export: found tiles and a query, parameters or raw text, expected tiles alone")
+            from .tiles import write_tiles
+
+            return write_tiles(self.path, file, demanded=self._demanded, progress=progress)
         require_place(file)
         if query is not None:
             found = self.query(query, **(parameters or {}))

@@ -12,9 +12,14 @@ from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.log.merkle import tree_root
+from fsar_ledger.ledger.log.tiles import node_of
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.derived import tile_reader
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from tests.ledger.samples import contents
 
 RUNS = [simulate_run(RunSpec(7, name, "full", "door-relay", 4, 0), Constants()) for name in ("fsar", "cfc")]
 ORIGIN = "example.org/growing"
@@ -58,6 +63,21 @@ def test_every_answer_is_that_of_whole_runs(both: tuple[Ledger, Ledger]) -> None
         whole.sql("SELECT count(*) AS n, sum(seq) AS s FROM events").rows()
     )
     assert [row.holds for row in pieces.audit().rows] == [row.holds for row in whole.audit().rows]
+
+
+def test_tiles_are_those_that_format_1_keeps(both: tuple[Ledger, Ledger], tmp_path: Path) -> None:
+    whole, pieces = both
+    for number, ledger in enumerate(both):
+        assert ledger.export(tmp_path / str(number), tiles=True).row_count > 3
+    kept, made = contents(whole.path), contents(tmp_path / "0")
+    assert made == {name: data for name, data in kept.items() if name.startswith(("tile/", "checkpoint"))}
+    view = open_for_answers(pieces.path)
+    assert (tmp_path / "1" / "checkpoint").read_text() == str(view.note())
+    assert tree_root(node_of(tile_reader(tmp_path / "1"), view.head.size), view.head.size).hex() == view.head.root
+    with pytest.raises(UsageError, match="found something there, expected a free path for a new folder"):
+        pieces.export(tmp_path / "1", tiles=True)
+    with pytest.raises(UsageError, match="expected tiles alone"):
+        pieces.export(tmp_path / "2", "metrics/run_metrics", tiles=True)
 
 
 def test_an_event_is_proven_in_whichever_piece_of_its_run_it_is(both: tuple[Ledger, Ledger]) -> None:

@@ -14,6 +14,7 @@ from fsar_ledger.cli.terminal import show
 EXAMPLES = examples(
     "fsar-ledger export out/ledger --out out/events.parquet",
     "fsar-ledger export out/ledger --query metrics/run_metrics --out out/run_metrics.csv",
+    "fsar-ledger export out/ledger --tiles --out out/tiles",
 )
 
 
@@ -24,7 +25,7 @@ def export(
         typer.Option(
             "--out",
             metavar="FILE",
-            help="A .csv, .parquet, .ndjson or .jsonl file; replaced if it exists.",
+            help="A .csv, .parquet, .ndjson or .jsonl file; replaced if it exists. With --tiles a new folder.",
             show_default=False,
         ),
     ],
@@ -40,6 +41,10 @@ def export(
     ] = None,
     param: ParameterOption = None,
     raw: RawOption = False,
+    tiles: Annotated[
+        bool,
+        typer.Option("--tiles", help="Write the hashes of the tree and the checkpoint instead, as C2SP tlog-tiles."),
+    ] = False,
     verified: VerifiedOption = False,
 ) -> None:
     """Write events, or the answer of a query, to a file.
@@ -50,9 +55,10 @@ def export(
     from fsar_ledger.api.files import require_place
     from fsar_ledger.cli.answering import opened, warn
 
-    require_place(out)
+    if not tiles:
+        require_place(out)
     asked = opened(ledger, verified=verified)
     with Progress("exported", "commits") as progress:
-        written = asked.export(out, name, parameters_of(param), raw=raw, progress=progress)
+        written = asked.export(out, name, parameters_of(param), raw=raw, tiles=tiles, progress=progress)
     warn(ledger, written.provenance)
-    show(printable.line(f"{out}: {written.row_count:,} rows"))
+    show(printable.line(f"{out}: {written.row_count:,} {'tiles' if tiles else 'rows'}"))

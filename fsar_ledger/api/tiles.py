@@ -1,0 +1,69 @@
+"""Write the hashes of a ledger's tree as files for any client of C2SP tlog-tiles, whatever the ledger's format."""
+
+import os
+import shutil
+from pathlib import Path
+
+from fsar_ledger.errors import LedgerCorrupted, UsageError, option
+from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile, partial_tiles
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import CHECKPOINT, require_outside
+from fsar_ledger.metrics.progress import each
+from fsar_ledger.metrics.verified import is_verified
+
+from .files import Written
+from .provenance import Provenance
+from .workload import Progress
+
+
+def write_tiles(ledger: Path, out: Path, *, demanded: str | None = None, progress: Progress | None = None) -> Written:
+    """Write every tile of the newest tree, and its checkpoint, into a new folder; return the number of tiles.
+
+    The hashes are those of the rows, each of which is read and hashed. `progress` is called with the segments that were
+    hashed, and their number.
+
+    Raises:
+        UsageError: Something is at `out`, or it lies inside a ledger.
+        LedgerCorrupted: The rows do not lead to the recorded root, or a segment is not as committed.
+        WriteFailed: The folder cannot be written; nothing is left there.
+    """
+    if os.path.lexists(out):
+        raise UsageError(f"{option('out', out)}: found something there, expected a free path for a new folder")
+    require_outside(out, option("out", out))
+    view = open_for_answers(ledger)
+    provenance = Provenance(view.head, is_verified(view, demanded))
+    work = disk.temporary_name(out)
+    try:
+        with disk.refusals(out, "writing tiles"):
+            work.mkdir(parents=True)
+        count, edge = 0, Edge()
+        for table, _ in zip(view.tables(), each(view.releases, progress), strict=True):
+            edge, made = edge.extend(canonical.leaves(table))
+            count += _write(work, out, {tile: data for tile, data in made.items() if tile.width == WIDTH})
+        if edge.frontier().root().hex() != view.head.root:
+            raise LedgerCorrupted(
+                f"{ledger}: found rows that lead to root {edge.frontier().root().hex()}, expected {view.head.root} as "
+                "committed; run fsar-ledger verify"
+            )
+        count += _write(work, out, {tile: edge.partial[tile.level] for tile in partial_tiles(edge.size)})
+        note = view.note()
+        with disk.refusals(out, "writing tiles"):
+            if note is not None:
+                (work / CHECKPOINT).write_bytes(str(note).encode())
+            os.rename(work, out)
+    except BaseException:
+        shutil.rmtree(work, ignore_errors=True)
+        raise
+    return Written(count, provenance)
+
+
+def _write(work: Path, out: Path, tiles: dict[Tile, bytes]) -> int:
+    """Write these tiles. Raises: WriteFailed."""
+    with disk.refusals(out, "writing tiles"):
+        for tile, data in tiles.items():
+            file = work / tile.name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(data)
+    return len(tiles)
