@@ -49,7 +49,7 @@ from fsar_ledger.ledger.store.read import read_manifest
 from fsar_ledger.ledger.store.record import sha256_hex
 from fsar_ledger.ledger.store.view import Head
 
-SEAL_ROWS, SEAL_BYTES = 1 << 15, 1 << 23
+SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
 """A journal is sealed before it holds more events or bytes; so many fit into a segment, whatever they are."""
 
 

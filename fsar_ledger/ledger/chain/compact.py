@@ -12,9 +12,9 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store.append import Staged
 
-MERGED_ROWS = 1 << 15
+MERGED_ROWS = 1 << 14
 """The most events of a segment that others are put into."""
-MERGED_BYTES = 1 << 21
+MERGED_BYTES = 1 << 20
 """The most bytes of the segments that are put together; a tenth of what a segment may have."""
 
 
