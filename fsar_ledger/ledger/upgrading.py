@@ -10,7 +10,7 @@ from fsar_ledger.ledger.opening import version_of
 from fsar_ledger.ledger.rows.blocks import blocks_of
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Staged
-from fsar_ledger.ledger.store.paths import require_outside, staged_path
+from fsar_ledger.ledger.store.paths import staged_path
 from fsar_ledger.ledger.store.read import LedgerView, open_ledger
 from fsar_ledger.ledger.store.record import VERSION, CommitRecord
 from fsar_ledger.ledger.store.view import Head
@@ -32,7 +32,6 @@ def upgrade(ledger: Path, into: Path, progress: Progress | None = None) -> Head:
     if version_of(ledger) != VERSION:
         raise UsageError(f"{ledger}: found a ledger of format {version_of(ledger)}, expected one of format {VERSION}")
     view = open_ledger(ledger)
-    require_outside(into, str(into)) if not into.exists() else None
     with ChainWriter(into, view.manifest.origin) as writer:
         done = _require_begun(view, into, writer)
         for record in view.records[done:]:
