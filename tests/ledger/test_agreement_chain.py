@@ -1,0 +1,133 @@
+"""Two verifiers that share no code agree on ledgers of format 2, good and damaged, and name the same first file."""
+
+import json
+import random
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.upgrading import upgrade
+from fsar_ledger.ledger.verify.verify import verify
+from tests.ledger.agreement import ROOT
+from tests.ledger.samples import ORIGIN, contents
+from tests.ledger.test_chain import KEPT, RUNS, piece
+from tests.quick import few
+
+SIGNER = Signer(ORIGIN, b"k" * 32)
+TYPES = json.loads((ROOT / "docs" / "event-types.json").read_text("utf-8"))
+
+
+@pytest.fixture(scope="module")
+def independent() -> Iterator[Any]:
+    """Import the second verifier as its command does."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    try:
+        import independent_chain  # type: ignore[import-not-found]
+
+        yield independent_chain
+    finally:
+        sys.path.remove(str(ROOT / "tests"))
+
+
+def write(path: Path) -> Path:
+    """Write a ledger with two segments, of which the second ends within a run, and two commits in its journal."""
+    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+        writer.append(stage(path, RUNS[:1]))
+        writer.append(stage(path, [piece(RUNS[1], 0, 20)]))
+        writer.add([piece(RUNS[1], 20, 25), piece(RUNS[2], 0, 5)])
+        writer.add([piece(RUNS[2], 5, 30)])
+    return path
+
+
+def judged(independent: Any, path: Path) -> tuple[str | None, str | None]:
+    """Return the first file that each verifier doubts, None where it doubts none."""
+    problems = verify(path).problems
+    try:
+        independent.verifier_of(path, None, None, TYPES).verify()
+    except independent.ProblemError as error:
+        return (problems[0].where if problems else None), error.where
+    return (problems[0].where if problems else None), None
+
+
+def _sealed(path: Path) -> None:
+    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+        writer.seal()
+
+
+def _compacted(path: Path) -> None:
+    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+        writer.compact()
+        writer.add([piece(RUNS[1], 25, 30)])
+
+
+def _nothing(path: Path) -> None:
+    pass
+
+
+@pytest.mark.parametrize("change", [_nothing, _sealed, _compacted])
+def test_both_find_nothing_wrong_with_a_good_ledger(
+    independent: Any, tmp_path: Path, change: Callable[[Path], None]
+) -> None:
+    path = write(tmp_path / "ledger")
+    change(path)
+    assert judged(independent, path) == (None, None)
+    size, root, signature, _ = independent.verifier_of(path, None, None, TYPES).verify()
+    report = verify(path)
+    assert (size, root, signature) == (report.events, report.root, report.signature)
+
+
+def test_both_find_nothing_wrong_with_an_empty_and_with_an_upgraded_ledger(independent: Any, tmp_path: Path) -> None:
+    ChainWriter(tmp_path / "empty", ORIGIN).close()
+    upgrade(KEPT[-1], tmp_path / "upgraded")
+    for name in ("empty", "upgraded"):
+        assert judged(independent, tmp_path / name) == (None, None)
+
+
+def damages(path: Path, count: int, seed: int) -> Iterator[tuple[str, dict[str, bytes]]]:
+    """Yield damages: what was done, and the files with what they hold then."""
+    draw, good = random.Random(seed), contents(path)
+    for name, data in good.items():
+        others = {other: held for other, held in good.items() if other != name}
+        yield f"{name} is gone", others
+        yield f"{name} is longer", others | {name: data + b"x"}
+        for _ in range(count):
+            at = draw.randrange(len(data))
+            yield f"{name} is cut at {at}", others | {name: data[:at]}
+            changed = bytes([data[at] ^ 1 << draw.randrange(8)])
+            yield f"{name} is changed at {at}", others | {name: data[:at] + changed + data[at + 1 :]}
+    for name in (CHAIN, JOURNAL):
+        lines = good[name].splitlines(keepends=True)
+        for at in range(len(lines)):
+            yield f"{name} lacks line {at}", good | {name: b"".join(lines[:at] + lines[at + 1 :])}
+            yield f"{name} has line {at} twice", good | {name: b"".join([*lines[:at], lines[at], *lines[at:]])}
+            yield f"{name} ends before line {at}", good | {name: b"".join(lines[:at])}
+            swapped = [*lines[: at - 1], lines[at], lines[at - 1], *lines[at + 1 :]]
+            yield f"{name} has line {at} earlier", good | {name: b"".join(swapped) if at else good[name]}
+    for stray in ("stray", "segments/stray", "commits/000000000000.json"):
+        yield f"{stray} is there", good | {stray: b"x"}
+
+
+@pytest.mark.parametrize("count", few([2, 60], [2]))
+def test_both_name_the_same_first_file_of_a_damaged_ledger(independent: Any, tmp_path: Path, count: int) -> None:
+    path = write(tmp_path / "ledger")
+    found = 0
+    for what, files in list(damages(path, count, 7)):
+        for name in contents(path).keys() - files.keys():
+            (path / name).unlink()
+        for name, data in files.items():
+            (path / name).parent.mkdir(exist_ok=True)
+            (path / name).write_bytes(data)
+        ours, theirs = judged(independent, path)
+        assert ours == theirs, what
+        found += ours is not None
+        if (path / "commits").exists():
+            (path / "commits" / "000000000000.json").unlink()
+            (path / "commits").rmdir()
+    assert found > 60
