@@ -7,16 +7,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.held import HeldRuns
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.upgrading import upgrade
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import ROOT
-from tests.ledger.samples import ORIGIN, contents
+from tests.ledger.samples import ORIGIN, contents, made_up_run
 from tests.ledger.test_chain import KEPT, RUNS, piece
 from tests.quick import few
 
@@ -88,6 +91,43 @@ def test_both_find_nothing_wrong_with_an_empty_and_with_an_upgraded_ledger(indep
     upgrade(KEPT[-1], tmp_path / "upgraded")
     for name in ("empty", "upgraded"):
         assert judged(independent, tmp_path / name) == (None, None)
+
+
+LONGER = made_up_run("run-0", 40, 0)
+NARROW = msgspec.structs.replace(
+    RUNS[3], events=[msgspec.structs.replace(RUNS[3].events[0], observes=("registry",)), *RUNS[3].events[1:]]
+)
+FORGED: dict[str, tuple[list[LedgerRun], tuple[str, int] | None]] = {
+    "a gap": ([piece(RUNS[1], 0, 10), piece(RUNS[1], 12, 20)], ("run-1", 12)),
+    "some events again": ([piece(RUNS[1], 0, 10), piece(RUNS[1], 8, 20)], ("run-1", 8)),
+    "a run again": ([RUNS[0], made_up_run("run-0", 12, 9)], ("run-0", 0)),
+    "a concern that the run does not observe": ([piece(NARROW, 0, 1), piece(NARROW, 1, 30)], ("run-3", 1)),
+    "more of a run that has ended": (
+        [RUNS[0], LedgerRun("run-0", LONGER.times_us[30:], LONGER.caused_by[30:], LONGER.events[30:], 30)],
+        None,
+    ),
+    "no beginning": ([piece(RUNS[2], 5, 9)], None),
+}
+"""What a writer refuses, and the event that verifiers name if one has stored it all the same; None: the checkpoint."""
+
+
+@pytest.mark.parametrize("how", ["append", "add"])
+@pytest.mark.parametrize("what", FORGED)
+def test_both_name_the_event_that_breaks_a_rule_across_commits(
+    independent: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, how: str
+) -> None:
+    monkeypatch.setattr(HeldRuns, "refused", lambda *_: None)
+    path, (pieces, event) = tmp_path / "ledger", FORGED[what]
+    with ChainWriter(path, ORIGIN) as writer:
+        for one in pieces:
+            writer.append(stage(path, [one])) if how == "append" else writer.add([one])
+    problem = verify(path).problems[0]
+    with pytest.raises(independent.ProblemError) as caught:
+        independent.verifier_of(path, None, None, TYPES).verify()
+    theirs = caught.value
+    assert problem.where == theirs.where
+    assert (problem.commit, problem.run, problem.seq) == (theirs.commit, theirs.run, theirs.seq)
+    assert (problem.run, problem.seq) == (event or (None, None))
 
 
 def damages(path: Path, count: int, seed: int) -> Iterator[tuple[str, dict[str, bytes]]]:

@@ -166,7 +166,9 @@ class ChainVerification:
         seen: set[tuple[int, str]] = set()
         for block in blocks:
             if (flaw := self.runs.flaw(block)) is not None:
-                self.problems.append(Problem(file, flaw.found, flaw.expected, None, flaw.run, flaw.seq, flaw.field))
+                self.problems.append(
+                    Problem(file, flaw.found, flaw.expected, commits[index].number, flaw.run, flaw.seq, flaw.field)
+                )
                 return
             self.runs.add(block)
             seq, end = block.first, at + block.rows
