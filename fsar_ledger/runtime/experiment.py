@@ -33,6 +33,8 @@ from .world.schedule import happening
 ORIGIN = "fsar-ledger/simulated"
 WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # a ledger of its own: no key signs two trees under one origin
 BATCH_RUNS = 25  # runs in a commit, if it can hold that many; independent of the number of workers
+MOST_ROBOTS = 1 << 16
+"""The most robots of a run that may span commits; nobody has made a run of more than 4,096."""
 MAX_OWN = 60_000
 """The most characters of parameters that contain a fleet or a scenario; readers take them constant by constant.
 
@@ -335,6 +337,10 @@ def carry_out(
     spans_commits = version_for(out, version) == CHAINED
     if not spans_commits:
         experiment.require_fits()
+    elif experiment.fleet_size > MOST_ROBOTS:
+        raise InvalidExperiment(
+            f"fleet size: found {experiment.fleet_size}, expected at most {MOST_ROBOTS}: a fleet is held in memory"
+        )
     with open_writer(out, name, signer, adopts=adopts, version=version) as writer:
         found = writer.held()
         going_on = {} if isinstance(writer, Writer) else writer.going_on()

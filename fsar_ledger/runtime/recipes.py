@@ -184,6 +184,7 @@ def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
         raise Unmade("model_version", f"{MODEL_VERSION!r}; replay it with {maker}", repr(started.model_version))
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
+        _require_recorded_fleet(spec.fleet_size, event_count)
         recipe = Recipe(spec, _constants(started.parameters or ""), parsed(started.changes or ()))
         for constants in (recipe.constants, *worlds_from_times_on(recipe).values()):
             _require_few_facts(constants, spec.fleet_size, event_count)
@@ -210,6 +211,13 @@ def require_possible(recipe: Recipe) -> None:
         (spec.configuration,),
         recipe.constants,
     )
+
+
+def _require_recorded_fleet(fleet_size: int, event_count: int) -> None:
+    """Check that the record is long enough for its robots to have joined, before any of them is made."""
+    if fleet_size > event_count:
+        found = f"fleet size: found {fleet_size}, expected at most {event_count}, the events of the run"
+        raise Unmade(None, "a run that can be simulated", found)
 
 
 def _require_few_facts(constants: Constants, fleet_size: int, event_count: int) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.constants import Constants
+from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.verify.verify import verify
@@ -78,3 +79,9 @@ def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
     for workers in (1, 2):
         carry_out(tmp_path / str(workers), WHOLE, workers, version=2)
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
+
+
+def test_a_fleet_that_no_memory_holds_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InvalidExperiment, match="fleet size: found 1000000000, expected at most 65536"):
+        carry_out(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], 1, fleet_size=10**9), 1, version=2)
+    assert not (tmp_path / "ledger").exists()
