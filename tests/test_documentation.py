@@ -316,7 +316,9 @@ ELSEWHERE = (
 do."""
 
 
-MADE = {shlex.split(example)[2]: example for name, example in examples() if name == "simulate"}
+MADE = {shlex.split(example)[2]: example for name, example in examples() if name == "simulate"} | {
+    "out/ledger2": "fsar-ledger upgrade out/ledger --into out/ledger2"
+}
 """The example that makes each ledger that other examples read."""
 
 
@@ -334,7 +336,7 @@ def test_every_quick_example_runs(
     monkeypatch.chdir(folder)
     words = shlex.split(example, comments=True)[1:]
     for word in words[1:] if words[0] != "simulate" else ():
-        if word in MADE and not Path(word).exists():  # another process runs the example that makes it
+        if MADE.get(word, example) != example and not Path(word).exists():  # another process runs what makes it
             assert run(shlex.split(MADE[word], comments=True)[1:]) == 0
     capsys.readouterr()
     assert run(words) == 0
