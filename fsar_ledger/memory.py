@@ -80,7 +80,7 @@ def bytes_held() -> int:
     own = _held_by("self")
     if own is None:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _PEAK_UNIT
-    return own + sum(_held_by(child) or 0 for child in children())
+    return own + sum(_held_by(child) or 0 for child in children() if _has_begun(child))
 
 
 def bytes_reserved() -> int:
@@ -98,6 +98,17 @@ def children() -> list[str]:
             with suppress(OSError), open(f"/proc/self/task/{thread}/children", encoding="ascii") as file:
                 found += file.read().split()
     return found
+
+
+def _has_begun(child: str) -> bool:
+    """Return whether a child runs its own program: until then it shares the memory of this process."""
+    return _command(child) != _command("self")
+
+
+def _command(process: str) -> bytes | None:
+    with suppress(OSError), open(f"/proc/{process}/cmdline", "rb") as file:
+        return file.read()
+    return None
 
 
 def _held_by(process: str) -> int | None:

@@ -40,12 +40,31 @@ print("done")
 """
 
 
+FORKING = """
+import os
+from fsar_ledger import memory
+kept = bytearray(b"x") * (1 << 28)
+before = memory.bytes_held()
+waits, ends = os.pipe()
+if not (child := os.fork()):
+    os.close(ends)
+    os.read(waits, 1)
+    os._exit(0)
+print(before > 1 << 28, memory.bytes_held() < before * 1.1)
+"""
+
+
 @pytest.fixture(scope="module")
 def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ledger of 20 runs of each scenario under each architecture."""
     path = tmp_path_factory.mktemp("many") / "ledger"
     assert cost_of(["simulate", str(path), "--runs", "20"], path.parent).code == 0
     return path
+
+
+def test_a_child_that_has_not_begun_its_program_is_not_counted_twice() -> None:
+    done = subprocess.run([sys.executable, "-c", FORKING], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("True True\n", "")
 
 
 @pytest.mark.parametrize("verb", ["info", "metrics", "statistics", "compare", "audit", "explain", "verify", "recover"])
