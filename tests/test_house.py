@@ -17,7 +17,7 @@ from fsar_ledger.metrics.library import generated
 ROOT = Path(__file__).resolve().parent.parent
 CODE = ("fsar_ledger", "queries", "reports", "tests", "benchmarks", "docs")
 FILE_LINES_MAX, FUNCTION_LINES_MAX, QUERY_LINES_MAX = 400, 60, 80
-LONGER = {"tests/independent_verifier.py": 520, "tests/independent_chain.py": 540}
+LONGER = {"tests/independent_verifier.py": 520, "tests/independent_chain.py": 570}
 """Files that may be longer: the verifier keeps the order of docs/ledger-format.md, to be read beside it as one text."""
 TOP_LEVEL = {"README.md", "pyproject.toml", "fsar_ledger", "queries", "reports", "tests"}
 REQUIREMENTS = {f"requirements{part}.{kind}" for part in ("", "-test", "-all") for kind in ("in", "txt")}
@@ -284,6 +284,9 @@ def test_the_wheel_has_every_module_query_and_report(tree: Path, tmp_path_factor
         if "__pycache__" not in path.parts and path.is_file()
     }
     expected = {path.relative_to(tree).as_posix() for path in (tree / "fsar_ledger").rglob("*") if path.is_file()}
+    compiled = "fsar_ledger/ledger/log/_hashing"  # C, which a machine without a compiler leaves out
+    expected -= {f"{compiled}.c", f"{compiled}.abi3.so"}
+    packaged -= {f"{compiled}.abi3.so"}
     expected = {
         name for name in expected if not name.startswith("fsar_ledger/view/src/")
     }  # what is built from it is in

@@ -77,6 +77,12 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("prove", ledger, EVIL),
     )
     yield from (
+        ("upgrade", ledger, "--into", out / "second\x1b[2J"),
+        ("upgrade", ledger, "--into", ledger / EVIL),
+        ("compact", out / "second\x1b[2J"),
+        ("compact", ledger),
+    )
+    yield from (
         ("view", ledger, "--run", run, "--out", out / "page.html", "--perfetto", out / "trace.json"),
         ("view", ledger, "--run", EVIL, "--out", out / "page.html"),
     )
