@@ -36,12 +36,13 @@ from independent_verifier import (  # type: ignore[import-not-found]
 
 Row = dict[str, Any]
 FOLDERS = {"segments", "staging"}
-FILES = {"ledger.json", "chain.jsonl", "journal.jsonl", "nodes", "checkpoint"}
+FILES = {"ledger.json", "chain.jsonl", "journal.jsonl", "nodes", "index.jsonl", "checkpoint"}
 MANIFEST = {"format": '"fsar-ledger"', "origin": TEXT, "version": "2"}
 NAMES = rf"\[({TEXT}(,{TEXT})*)?\]"
 COMMIT = {"kind": '"commit"', "number": COUNT, "previous_sha256": HASH, "release": TEXT, "rows": COUNT}
 COMMIT |= {"tree_size": COUNT, "tree_root": HASH}
 OPTIONAL = {"continues": r"\[.+\]", "goes_on": r"\[.+\]", "signature": TEXT}
+ADDING = {"index_bytes": r"[1-9]\d*", "index_sha256": HASH}
 PLACEMENT = {"kind": '"placement"', "number": COUNT, "previous_sha256": HASH, "release": TEXT, "schema_sha256": HASH}
 PLACEMENT |= {"segment_sha256": HASH, "segment_bytes": COUNT, "first": COUNT, "rows": COUNT}
 PLACEMENT |= {"frontier": rf"\[({HASH}(,(?!\])|(?=\])))*\]"}
@@ -58,7 +59,7 @@ def read_record(line: bytes) -> Row:
     if not isinstance(found, dict) or canonical(found) != line or len(line) >= MOST_LINE:
         raise ValueError("no canonical JSON of an object, or too long")
     must = PLACEMENT if found.get("kind") == "placement" else COMMIT
-    may = {} if must is PLACEMENT else OPTIONAL
+    may = ADDING if must is PLACEMENT else OPTIONAL
     if not must.keys() <= found.keys() or not found.keys() <= must.keys() | may.keys():
         raise ValueError(f"members {sorted(found)}")
     for name, value in found.items():
@@ -66,7 +67,8 @@ def read_record(line: bytes) -> Row:
             raise ValueError(f"{name} {value!r:.80}")
         if isinstance(value, int) and value > MAX_INTEGER:
             raise ValueError(f"{name} {value}")
-    if not 1 <= found["rows"] <= MOST_ROWS or not 1 <= found.get("segment_bytes", 1) <= MOST_BYTES:
+    sizes = found.get("segment_bytes", 1), found.get("index_bytes", 1)
+    if not 1 <= found["rows"] <= MOST_ROWS or not 1 <= min(sizes) <= max(sizes) <= MOST_BYTES:
         raise ValueError(f"rows {found['rows']}, or too many bytes")
     for run, seq in found.get("continues", []):
         if not isinstance(run, str) or type(seq) is not int or not 0 <= seq <= MAX_INTEGER:
@@ -87,13 +89,14 @@ class Chain:
         self.digest, self.types = digest, types
         self.commits: list[Row] = []
         self.placements: list[Row] = []
+        self.added: list[Row] = []
         self.placed: dict[int, Row] = {}
         self.going: set[str] = set()
         self.before = 0  # events that segments held before the last append
 
     def copy(self) -> "Chain":
         other = Chain(self.digest, self.types)
-        other.commits, other.placements = list(self.commits), list(self.placements)
+        other.commits, other.placements, other.added = list(self.commits), list(self.placements), list(self.added)
         other.placed, other.going, other.before = dict(self.placed), set(self.going), self.before
         return other
 
@@ -138,6 +141,8 @@ class Chain:
             raise ValueError(f"schema_sha256 {record['schema_sha256']}")
         if first != placed and first not in self.placed:
             raise ValueError(f"first {first}")
+        if (first == placed) != ("index_bytes" in record and "index_sha256" in record):
+            raise ValueError("a line of the index, or none")
         root = next((one["tree_root"] for one in self.commits if one["tree_size"] == end), None)
         if root is None or (end < placed and end not in self.placed):
             raise ValueError(f"rows {record['rows']}")
@@ -146,6 +151,7 @@ class Chain:
         self.before = placed
         self.placed = {at: one for at, one in self.placed.items() if not first <= at < end} | {first: record}
         self.placements.append(record)
+        self.added += [record] if first == placed else []
 
 
 class ChainVerifier:
@@ -181,12 +187,13 @@ class ChainVerifier:
             self.add_rows(where, rows, own)
             self.check_nodes(first, end, chain)
             self.check_runs(where, rows, own)
+            self.check_index(first, rows, chain)
         for commit, rows in frames:
             self.add_rows("journal.jsonl", rows, [commit])
             self.check_rows("journal.jsonl", rows, commit["number"])
             self.check_runs("journal.jsonl", rows, [commit])
         self.check_strays(chain)
-        self.check_size_of_nodes(chain)
+        self.check_sizes(chain)
         notes = [self.note_of(commit) for commit in chain.commits]
         signature = self.check_signatures(notes)
         self.check_anchor(chain)
@@ -395,6 +402,28 @@ class ChainVerifier:
             if found != self.tree.levels[height][number] and not (self.is_behind and first >= chain.before):
                 raise ProblemError("nodes", found.hex() or "nothing", self.tree.levels[height][number].hex())
 
+    def check_index(self, start: int, rows: list[Row], chain: Chain) -> None:
+        """Compare the lines of the index for these rows with their placements, and with the file (section 5)."""
+        if self.types is None:  # nor is it known which events stand alone
+            return
+        data, at = self.bytes_of("index.jsonl"), 0
+        for number, one in enumerate(chain.added):
+            place, at = at, at + one["index_bytes"]
+            if not start <= one["first"] < start + len(rows):
+                continue
+            blocks: dict[str, Row] = {}
+            for row in rows[one["first"] - start : one["first"] - start + one["rows"]]:
+                run, us = row["run_id"], row["time_us"]
+                is_alone = {"is_alone": True} if row["type"] in self.stand_alone else {}
+                new = {"run": run, "first": row["seq"], "rows": 0, "first_us": us, **is_alone}
+                block = blocks.setdefault(run, new)
+                block |= {"rows": block["rows"] + 1, "last_us": us}
+            line = canonical({"blocks": list(blocks.values()), "first": one["first"]}) + b"\n"
+            if (len(line), sha256(line).hex()) != (one["index_bytes"], one["index_sha256"]):
+                raise ProblemError("chain.jsonl", "another line of the index", f"{line!r:.200}")
+            if data[place:at] != line and not (self.is_behind and start >= chain.before):
+                raise ProblemError("index.jsonl", f"line {number + 1}: {data[place:at]!r:.200}", f"{line!r:.200}")
+
     def check_runs(self, where: str, rows: list[Row], commits: list[Row]) -> None:
         """Check what spans commits: seq, `continues`, `goes_on`, events that stand alone, and concerns."""
         start = commits[0]["tree_size"] - commits[0]["rows"]
@@ -430,10 +459,13 @@ class ChainVerifier:
         for name in sorted(set(os.listdir(self.ledger / "segments")) - named):
             raise ProblemError(f"segments/{name}", "a file of no placement", "only segments of the chain")
 
-    def check_size_of_nodes(self, chain: Chain) -> None:
-        size, expected = len(self.bytes_of("nodes")), 32 * len(list(places_between(0, chain.placed_size)))
-        if size > expected or (size < expected and not self.is_behind):
-            raise ProblemError("nodes", f"{size} bytes", expected)
+    def check_sizes(self, chain: Chain) -> None:
+        of_nodes = 32 * len(list(places_between(0, chain.placed_size)))
+        of_index = sum(one["index_bytes"] for one in chain.added)
+        for name, expected in (("nodes", of_nodes), ("index.jsonl", of_index)):
+            size = len(self.bytes_of(name))
+            if size > expected or (size < expected and not self.is_behind):
+                raise ProblemError(name, f"{size} bytes", expected)
 
     def check_signatures(self, notes: list["Whole"]) -> str:
         if self.key is None:

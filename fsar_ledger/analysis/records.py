@@ -1,8 +1,8 @@
 """The record of one run, read from its ledger."""
 
-from bisect import bisect_right
 from collections.abc import Iterator
 
+import numpy as np
 import pyarrow.compute as pc
 
 from fsar_ledger import printable
@@ -11,7 +11,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.pieces import joined
-from fsar_ledger.ledger.store.proof import blocks
+from fsar_ledger.ledger.store.places import segments_of
 from fsar_ledger.ledger.store.view import View
 
 
@@ -25,12 +25,10 @@ def record_of(view: View, run: str, size: int | None = None) -> LedgerRun:
         LedgerCorrupted: A segment cannot be read.
     """
     pieces: list[LedgerRun] = []
-    for number, names in enumerate(view.tables(["run_id"])):
-        is_its = pc.equal(names.column("run_id"), run)
-        if pc.any(is_its).as_py():
-            table = segment.read_table(view.segment(number))
-            most = len(table) if size is None else max(0, size - view.first(number))
-            pieces += codec.decode(table.slice(0, most).filter(is_its.slice(0, most)), is_whole=False)
+    for number in segments_of(view, view.parts(run)):
+        table = segment.read_table(view.segment(number))
+        table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
+        pieces += codec.decode(table.filter(pc.equal(table.column("run_id"), run)), is_whole=False)
     if not pieces:
         raise _missing(view, run)
     return joined(pieces)
@@ -41,19 +39,17 @@ def commits_of(view: View, run: str) -> list[tuple[int, int]]:
 
     Raises: as `record_of`.
     """
-    found: list[tuple[int, int]] = []
-    for block in blocks(view):
-        if block.run != run:
-            continue
-        at, seq = block.first, block.seq
-        while at < block.first + block.events:
-            number = bisect_right(view.commits, at, key=lambda commit: commit.tree_size)
-            found.append((seq, number))
-            seq += view.commits[number].tree_size - at
-            at = view.commits[number].tree_size
+    found: dict[int, int] = {}
+    sizes = np.array([commit.tree_size for commit in view.commits])
+    for number in segments_of(view, view.parts(run)):
+        table = segment.read_table(view.segment(number), ["run_id", "seq"])
+        places = np.flatnonzero(pc.equal(table.column("run_id"), run).to_numpy())
+        commits = np.searchsorted(sizes, view.first(number) + places, side="right")
+        for commit, seq in zip(commits.tolist(), table.column("seq").to_numpy()[places].tolist(), strict=True):
+            found.setdefault(commit, seq)
     if not found:
         raise _missing(view, run)
-    return found
+    return [(seq, commit) for commit, seq in found.items()]
 
 
 def starts_of(view: View) -> Iterator[tuple[str, RunStarted]]:

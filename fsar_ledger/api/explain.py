@@ -13,8 +13,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
-from .lookup import names_on_record, numbers_of, run_of
-from .names import Run
+from .lookup import names_on_record, no_run, numbers_of
 from .provenance import Provenance, of_rows
 from .table import Table
 
@@ -105,22 +104,8 @@ def requests(database: Database, run: str) -> Table:
     return Table(database.query("audit/requests", {"run": run, "action": "all"}), _about(database, run))
 
 
-def chosen_run(database: Database, ledger: Path, asked: Run | None) -> str:
-    """Return the run that was asked for, or the first of the ledger. Raises: UsageError if there is none."""
-    first = database.rows("SELECT run_id FROM run_numbers WHERE number = 1")
-    if not first:
-        raise UsageError(f"{ledger}: found no run, so there is nothing to explain")
-    return str(first[0]["run_id"]) if asked is None else run_of(database, asked, ledger)
-
-
-def run_with(database: Database, ledger: Path, asked: Run | None, action: str | None) -> str:
-    """Return the run that was asked for, else the only one that has the action, or the first if none is named.
-
-    Raises:
-        UsageError: There is no such run, or none or several have the action.
-    """
-    if asked is not None or not action:
-        return chosen_run(database, ledger, asked)
+def run_with(database: Database, ledger: Path, action: str) -> str:
+    """Return the only run that has the action. Raises: UsageError if there is none, or several."""
     sql = """
         SELECT run_id FROM run_numbers
         WHERE run_id IN (SELECT run_id FROM keyed_events WHERE action_id = $action)
@@ -135,8 +120,10 @@ def run_with(database: Database, ledger: Path, asked: Run | None, action: str | 
             f"{option('run')} one of {named}"
         )
     if not found:
-        only = chosen_run(database, ledger, None)
-        raise UsageError(_no_action(database, ledger, only if len(numbers_of(database)) == 1 else None, action))
+        runs = [row["run_id"] for row in database.rows("SELECT run_id FROM run_numbers")]
+        if not runs:
+            raise UsageError(no_run(ledger))
+        raise UsageError(_no_action(database, ledger, runs[0] if len(runs) == 1 else None, action))
     return found[0]
 
 

@@ -184,10 +184,10 @@ class Ledger(Timelines, Replays, Integrity):
 
     def requests(self, run: Run | None = None) -> "Table":
         """Return the requests of a run, the first by default: who asked, allowed, executed, supervised; the result."""
-        from .explain import chosen_run, requests
+        from .explain import requests
 
-        with self.database() as database:
-            return requests(database, chosen_run(database, self.path, run))
+        with self.about_run(run) as (database, name):
+            return requests(database, name)
 
     def explain(self, run: Run | None = None, request: str | None = None, failure: str | None = None) -> "Account":
         """Give an account of a request of a run, or of a failure, level by level.
@@ -197,12 +197,10 @@ class Ledger(Timelines, Replays, Integrity):
         Raises:
             UsageError: There is no such request, several runs have it, it has not failed, or both or neither are named.
         """
-        from .explain import account, run_with
+        from .explain import account
 
-        with self.database() as database:
-            return account(
-                database, self.path, run_with(database, self.path, run, request or failure), request, failure
-            )
+        with self.about_run(run, request or failure) as (database, name):
+            return account(database, self.path, name, request, failure)
 
     # --- judgement ---
 

@@ -22,7 +22,6 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.verified import is_verified
 
 from .events import Filter, span
-from .explain import chosen_run
 from .lookup import robot_of, run_of
 from .names import Run, Time, known, names_of
 from .provenance import Provenance, of_rows
@@ -50,7 +49,7 @@ class Asked(NamedTuple):
 def asked_of(
     database: Database,
     ledger: Path,
-    run: Run | None,
+    run: Run,
     since: Time,
     until: Time,
     robot: str | None,
@@ -58,7 +57,7 @@ def asked_of(
     *,
     is_growing: bool = False,
 ) -> Asked:
-    """Return what a person asks for, with full names; no run is the first, `all` every one.
+    """Return what a person asks for, with full names; the run is `all` for every one.
 
     Raises:
         UsageError: There is no such run, robot or concern, or no such time in these runs. If the ledger is growing, any
@@ -66,7 +65,7 @@ def asked_of(
     """
     since_us, until_us = span(since, until)
     concerns = concerns_of(about)
-    name = chosen_run(database, ledger, None) if run is None else None if run == ALL else run_of(database, run, ledger)
+    name = None if run == ALL else run_of(database, run, ledger)
     if since_us is not None and not is_growing:
         _require_in_run(database, name, since, since_us)
     full = None if robot is None else robot_of(database, robot, name)

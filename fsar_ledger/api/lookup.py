@@ -1,6 +1,7 @@
 """Look up what a question names, as the ledger names it: runs, robots, actions, times and the rest of parameters."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from fsar_ledger.metrics.query_parameters import TIME, require_known
 from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named
 
 if TYPE_CHECKING:
+    from fsar_ledger.ledger.store.view import View
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.library import Query
     from fsar_ledger.metrics.query_parameters import Parameter
@@ -64,9 +66,57 @@ def run_of(database: "Database", asked: object, ledger: Path | None = None) -> s
         UsageError: No run, or several, match, or it is neither text nor a whole number.
     """
     runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (_RUNS, _PLANS))
-    if ledger is None:
-        return run_named(asked, runs, plans)
-    return run_named(asked, runs, plans, f"`fsar-ledger query runs {printable.word(ledger)}` lists them")
+    return run_named(asked, runs, plans) if ledger is None else run_named(asked, runs, plans, _way(ledger))
+
+
+def _way(ledger: Path) -> str:
+    """Say how to list the runs of a ledger."""
+    return f"`fsar-ledger query runs {printable.word(ledger)}` lists them"
+
+
+def run_in(view: "View", asked: object) -> str:
+    """Return the full name of a run that is given by name, number or unique part. Raises: As `run_of`."""
+    names = list(view.names())
+    runs = [name for name, is_plan in names if not is_plan]
+    plans = [name for name, is_plan in names if is_plan]
+    return run_named(asked, runs, plans, _way(view.path))
+
+
+def no_run(ledger: Path) -> str:
+    """Say that a ledger has no run."""
+    return f"{ledger}: found no run, so there is nothing to explain"
+
+
+def chosen_in(view: "View", asked: object) -> str:
+    """Return the full name of the run that was asked for, or of the first. Raises: UsageError if there is none."""
+    first = next((name for name, is_plan in view.names() if not is_plan), None)
+    if first is None:
+        raise UsageError(no_run(view.path))
+    return first if asked is None else run_in(view, asked)
+
+
+def numbers_in(view: "View") -> dict[str, int]:
+    """Return the number that names each run, as `run_of` takes it; none that is itself the name of a run or a plan."""
+    names = dict(view.names())
+    runs = (name for name, is_plan in names.items() if not is_plan)
+    return {name: number for number, name in enumerate(runs, start=1) if f"{number}" not in names}
+
+
+@contextmanager
+def about_run(ledger: Path, asked: object, demanded: str | None) -> "Iterator[tuple[Database, str]]":
+    """Yield a database over the events of a run, the first if none is asked for, and its full name.
+
+    Raises:
+        UsageError: As `chosen_in`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
+    """
+    from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.metrics.database import connect_run
+
+    view = open_for_answers(ledger)
+    run = chosen_in(view, asked)
+    with connect_run(view, run, demanded) as database:
+        yield database, run
 
 
 def numbers_of(database: "Database") -> dict[str, int]:

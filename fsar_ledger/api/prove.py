@@ -5,12 +5,12 @@ from pathlib import Path
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.proof import Proof, Proven, blocks, check_proof, prove
+from fsar_ledger.ledger.store.places import event_at, place_of
+from fsar_ledger.ledger.store.proof import Proof, Proven, check_proof, prove
 from fsar_ledger.ledger.store.view import View
-from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.verified import is_verified
 
-from .lookup import run_of
+from .lookup import run_in
 from .names import MAX_DIGITS
 
 
@@ -21,15 +21,15 @@ def prove_event(ledger: Path, event: str, demanded: str | None = None) -> Proof:
         UsageError: There is no such event, or more than one such run.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers` and `prove`.
     """
-    run, seq = asked_event(ledger, event, demanded)
-    view = open_for_answers(ledger)  # after the run was found, so that it is there, too
+    view = open_for_answers(ledger)
     is_verified(view, demanded)
+    run, seq = asked_event(view, event)
     proof = prove(view, _index_of(view, run, seq))
     _require_asked(view, run, seq, check_proof(str(ledger), proof))
     return proof
 
 
-def asked_event(ledger: Path, event: str, demanded: str | None = None) -> tuple[str | None, str]:
+def asked_event(view: View, event: str) -> tuple[str | None, str]:
     """Return the full name of the run and the digits of the seq, or None and the digits of a place in the ledger.
 
     Raises:
@@ -41,20 +41,13 @@ def asked_event(ledger: Path, event: str, demanded: str | None = None) -> tuple[
             f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the "
             "event's place in the ledger"
         )
-    return _run(ledger, asked, demanded) if asked else None, seq
+    return run_in(view, asked) if asked else None, seq
 
 
 def found_event(view: View, run: str | None, seq: str) -> tuple[str, int]:
     """Return run and seq of the event that `asked_event` gave. Raises: UsageError if there is no such event."""
-    place = _index_of(view, run, seq)
-    block = next(block for block in blocks(view) if block.first <= place < block.first + block.events)
-    return block.run, block.seq + place - block.first
-
-
-def _run(ledger: Path, asked: str, demanded: str | None) -> str:
-    """Return the full name of the run. Raises: As `run_of` and `connect`."""
-    with connect(ledger, demanded=demanded) as database:
-        return run_of(database, asked, ledger)
+    found = event_at(view, _index_of(view, run, seq))
+    return str(found["run_id"]), int(str(found["seq"]))
 
 
 def _index_of(view: View, run: str | None, seq: str) -> int:
@@ -69,15 +62,14 @@ def _index_of(view: View, run: str | None, seq: str) -> int:
                 f"EVENT {seq}: found {view.head.size:,} events in {view.path}, expected a number below that, or RUN:SEQ"
             )
         return int(seq)
-    events = 0
-    for block in blocks(view):
-        if block.run == run:
-            events = block.seq + block.events
-            if len(seq) <= MAX_DIGITS and block.seq <= int(seq) < events:
-                return block.first + int(seq) - block.seq
-    raise UsageError(
-        f"EVENT {printable.value(run)}:{seq}: found {events:,} events in the run, expected a seq from 0 to {events - 1}"
-    )
+    try:
+        return place_of(view, run, int(seq[: MAX_DIGITS + 1]))
+    except KeyError as error:
+        (events,) = error.args
+        raise UsageError(
+            f"EVENT {printable.value(run)}:{seq}: found {events:,} events in the run, expected a seq from 0 to "
+            f"{events - 1}"
+        ) from error
 
 
 def _require_asked(view: View, run: str | None, seq: str, proven: Proven) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from fsar_ledger.errors import UsageError
 
-from .lookup import robot_of, run_of, time_of
+from .lookup import robot_of, time_of
 from .names import Place, Run, Time, names_of
 
 if TYPE_CHECKING:
@@ -58,10 +58,9 @@ class Replays:
         return view, Provenance(view.head, is_verified(view, self._demanded))
 
     def _name(self, run: Run) -> str:
-        from fsar_ledger.metrics.database import connect
+        from .lookup import run_in
 
-        with connect(self.path, demanded=self._demanded) as database:
-            return run_of(database, run, self.path)
+        return run_in(self._view()[0], run)
 
     def state(
         self,
@@ -84,13 +83,11 @@ class Replays:
         Raises:
             UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
         """
-        from fsar_ledger.metrics.database import connect
-
+        from .lookup import about_run
         from .moment import moment
 
         view, provenance = self._view()
-        with connect(self.path, demanded=self._demanded) as database:
-            name = run_of(database, run, self.path)
+        with about_run(self.path, run, self._demanded) as (database, name):
             at_us = time_of(database, "at", at, name)
             whose = None if robot is None else robot_of(database, robot, name)
         return moment(view, provenance, name, at_us, whose, as_known_by, by_commit)
@@ -106,13 +103,12 @@ class Replays:
             UsageError: There is no such run, or `at` is no time of it.
         """
         from fsar_ledger.analysis.records import record_of
-        from fsar_ledger.metrics.database import connect
 
+        from .lookup import about_run
         from .walks import Steps
 
         view, provenance = self._view()
-        with connect(self.path, demanded=self._demanded) as database:
-            name = run_of(database, run, self.path)
+        with about_run(self.path, run, self._demanded) as (database, name):
             at_us = time_of(database, "at", at, name)
         return Steps(record_of(view, name), provenance, at_us)
 
@@ -329,7 +325,7 @@ class Replays:
 
         view, provenance = self._view()
         if isinstance(event, str):
-            run, seq = found_event(view, *asked_event(self.path, event, self._demanded))
+            run, seq = found_event(view, *asked_event(view, event))
         else:
             run, seq = self._name(event[0]), event[1]
         return why_of(record_of(view, run), provenance, seq, depth)
@@ -345,9 +341,8 @@ class Replays:
         Raises:
             UsageError: There is no such run or kind.
         """
-        from fsar_ledger.metrics.database import connect
-
+        from .lookup import about_run
         from .whys import verdicts_of
 
-        with connect(self.path, demanded=self._demanded) as database:
-            return verdicts_of(database, run_of(database, run, self.path), kind)
+        with about_run(self.path, run, self._demanded) as (database, name):
+            return verdicts_of(database, name, kind)

@@ -1,6 +1,7 @@
 """The methods of `Ledger` that tell runs event by event, in words."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,8 @@ from fsar_ledger.errors import UsageError
 from .names import Run, Time
 
 if TYPE_CHECKING:
+    from fsar_ledger.metrics.database import Database
+
     from .log import Pause
     from .table import Table
 
@@ -21,12 +24,35 @@ class Timelines:
 
     def numbers(self) -> dict[str, int]:
         """Return the number of each run, by its name: the short name that every question takes for it."""
+        from fsar_ledger.ledger.opening import open_for_answers
+
+        from .lookup import numbers_in
+
+        return numbers_in(open_for_answers(self.path))
+
+    @contextmanager
+    def about_run(self, run: Run | None, action: str | None = None) -> "Iterator[tuple[Database, str]]":
+        """Yield a connection over the events of one run, and its full name; without a run, perhaps over all events.
+
+        Args:
+            run: The run; None: the only one with this action or, without an action, the first.
+            action: As `run` says.
+
+        Raises:
+            UsageError: There is no such run, or none or several have the action.
+        """
+        from .lookup import about_run
+
+        if run is not None or not action:
+            with about_run(self.path, run, self._demanded) as found:
+                yield found
+            return
         from fsar_ledger.metrics.database import connect
 
-        from .lookup import numbers_of
+        from .explain import run_with
 
         with connect(self.path, demanded=self._demanded) as database:
-            return numbers_of(database)
+            yield database, run_with(database, self.path, action)
 
     def log(
         self,
@@ -51,10 +77,14 @@ class Timelines:
         """
         from fsar_ledger.metrics.database import connect
 
-        from .log import asked_of, timeline
+        from .log import ALL, asked_of, timeline
+        from .lookup import about_run
 
-        with connect(self.path, demanded=self._demanded) as database:
-            return timeline(database, asked_of(database, self.path, run, since, until, robot, about))
+        if run == ALL:
+            with connect(self.path, demanded=self._demanded) as database:
+                return timeline(database, asked_of(database, self.path, ALL, since, until, robot, about))
+        with about_run(self.path, run, self._demanded) as (database, name):
+            return timeline(database, asked_of(database, self.path, name, since, until, robot, about))
 
     def stream_log(
         self,

@@ -7,6 +7,8 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store.places import segments_of
+from fsar_ledger.ledger.store.view import View
 
 from . import relation
 from .connection import (
@@ -30,6 +32,7 @@ __all__ = [
     "Database",
     "Value",
     "connect",
+    "connect_run",
     "first_damage",
     "from_rows",
     "from_table",
@@ -37,6 +40,7 @@ __all__ = [
     "table_of",
 ]
 
+_NUMBERS = pa.schema([("run_id", pa.string()), ("number", pa.int64())])
 FEW_ROWS = 20_000
 """Up to this many rows, copying costs less than planning over an Arrow table does."""
 
@@ -61,15 +65,45 @@ def connect(
     rows_verified = is_verified(view, demanded)
     segments = view.segments()
     database = Database(view.head, segments, threads, rows_verified=rows_verified, file=file)
+    _fill(database, segments, view.releases)
+    return database
+
+
+def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
+    """Open a database over the events of this run; only the segments that hold it are read.
+
+    `run_numbers` has every run.
+
+    Raises:
+        LedgerCorrupted: A segment is not as committed.
+        SequenceConflict: As `is_verified`.
+    """
+    rows_verified = is_verified(view, demanded)
+    held = segments_of(view, view.parts(run))
+    segments = [view.segment(number) for number in held]
+    names = [name for name, is_plan in view.names() if not is_plan]
+    numbers = pa.table({"run_id": names, "number": range(1, len(names) + 1)}, schema=_NUMBERS)
+    database = Database(view.head, segments, rows_verified=rows_verified)
+    _fill(database, segments, [view.releases[number] for number in held], run, numbers)
+    return database
+
+
+def _fill(
+    database: Database,
+    segments: Sequence[Path],
+    releases: Sequence[str],
+    run: str | None = None,
+    run_numbers: pa.Table | None = None,
+) -> None:
+    """Hold the rows of these segments as `hold_segments`, or close the database if that fails. Raises: As that."""
     try:
         if segments:
-            relation.hold_segments(database, segments, view.releases)
+            relation.hold_segments(database, segments, releases, run, run_numbers)
         else:
             database.hold("events", SCHEMA.empty_table())
     except BaseException:
         database.close()
         raise
-    return database
 
 
 def from_table(events: pa.Table, threads: int | None = None) -> Database:

@@ -25,8 +25,19 @@ from .library import SQL_TYPES
 _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 
 
-def hold_segments(database: Database, segments: Sequence[Path], releases: Sequence[str]) -> None:
-    """Make the rows of these segments, given the release of each, the database's `events`. Raises: as `_upcast`."""
+def hold_segments(
+    database: Database,
+    segments: Sequence[Path],
+    releases: Sequence[str],
+    run: str | None = None,
+    run_numbers: pa.Table | None = None,
+) -> None:
+    """Make the rows of these segments, given the release of each, the database's `events`.
+
+    With `run`, only the rows of this run. Without `run_numbers`, runs are numbered as these segments hold them.
+
+    Raises: as `_upcast`.
+    """
     types = _types(database, segments)
     database.absent = frozenset(
         tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types))
@@ -36,14 +47,20 @@ def hold_segments(database: Database, segments: Sequence[Path], releases: Sequen
     for path, release in zip(segments, releases, strict=True):
         alike.setdefault(FINGERPRINTS[release], []).append(path)
     present = {FINGERPRINTS[release]: frozenset(SCHEMAS[release].names) for release in releases}
-    parts = [(_parquet(paths), present[fingerprint]) for fingerprint, paths in alike.items()]
-    if types:
+    of_run = "" if run is None else f" WHERE run_id = {_literal(run)}"
+    parts = [
+        (f"(SELECT * FROM {_parquet(paths)}{of_run})" if of_run else _parquet(paths), present[fingerprint])
+        for fingerprint, paths in alike.items()
+    ]
+    if run_numbers is not None:
+        database.hold("run_numbers", run_numbers)
+    elif types:
         _number_runs(database, segments)
     if holding:
-        _hold_newest(database, parts, holding)
+        _hold_newest(database, parts, holding, of_run)
         return
     database.define("events", "\nUNION ALL\n".join(_select(*part) for part in parts))
-    if alike.keys() == {FINGERPRINTS[RELEASE]}:
+    if alike.keys() == {FINGERPRINTS[RELEASE]} and not of_run:
         database.source = _parquet(segments)
 
 
@@ -80,11 +97,14 @@ def _number_runs(database: Database, segments: Sequence[Path], *, is_stored: boo
 
 
 def _hold_newest(
-    database: Database, parts: Sequence[tuple[str, frozenset[str]]], holding: Mapping[str, Sequence[Path]]
+    database: Database,
+    parts: Sequence[tuple[str, frozenset[str]]],
+    holding: Mapping[str, Sequence[Path]],
+    of_run: str = "",
 ) -> None:
     """Make the rows of these relations, which have these columns, the database's `events`.
 
-    Bring retired types up to date.
+    Bring retired types up to date, of the rows with this condition.
     """
     others = {tag: paths for tag, paths in holding.items() if RETIRED[tag].cls not in ADDITIONS}
     added = [tag for tag in holding if tag not in others]
@@ -92,7 +112,7 @@ def _hold_newest(
     selects = [f"{_select(*part, added)}{kept}" for part in parts]
     if (newest := _upcast(others)) is not None:
         database.hold(_UPCAST, newest)
-        selects.append(f"SELECT * FROM {_UPCAST}")
+        selects.append(f"SELECT * FROM {_UPCAST}{of_run}")
     database.define("events", "\nUNION ALL\n".join(selects))
     # Most types have no retired rows. Their views need not read types that are made row by row, of which DuckDB knows
     # nothing before it has read the rest.

@@ -14,7 +14,6 @@ from fsar_ledger.api.lookup import action_of, numbers_of, run_of
 from fsar_ledger.api.names import MAX_SECONDS, microseconds, named, principal_named, run_named
 from fsar_ledger.errors import InvalidQuery, UnknownQuery, UsageError
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.proof import blocks
 from fsar_ledger.metrics.library import library, parse
 from fsar_ledger.metrics.query_parameters import KINDS, Parameter
 from tests.api.conftest import RUN
@@ -144,7 +143,7 @@ def test_a_plan_has_a_name_and_no_number() -> None:
 def test_numbers_of_runs_are_their_places_in_the_ledger(ledger: fsar_ledger.Ledger) -> None:
     rows = ledger.runs().rows()
     known = {row["run_id"] for row in rows}
-    placed = [block.run for block in blocks(open_for_answers(ledger.path)) if block.run in known]
+    placed = [run for run, _ in open_for_answers(ledger.path).names() if run in known]
     numbered = sorted(rows, key=lambda row: row["number"])
     assert ledger.runs().columns[0] == "number"
     assert [row["run_id"] for row in numbered] == placed

@@ -15,8 +15,8 @@ from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import commit_path, segment_path
 from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
-from fsar_ledger.ledger.store.walk import find_segment
-from fsar_ledger.ledger.verify import walk
+from fsar_ledger.ledger.store.walk import Names, find_segment
+from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine
 
 
@@ -91,14 +91,19 @@ class Examined:
         number: int,
         record: CommitRecord | None,
         second_reader: SecondReader | None = None,
+        names: Names | None = None,
     ) -> SegmentFacts:
         """As `examine`."""
         try:
-            file = find_segment(Path(ledger), number, record).file if record is not None else ""
+            file = find_segment(Path(ledger), number, record, names).file if record is not None else ""
             known = record and self._known.get(self._key(disk.read_document(Path(ledger, file)), number, record))
         except OSError:
             known = None
-        return msgspec.structs.replace(known, file=file) if known else examine(ledger, number, record, second_reader)
+        return (
+            msgspec.structs.replace(known, file=file)
+            if known
+            else examine(ledger, number, record, second_reader, names)
+        )
 
 
 _examined: dict[tuple[tuple[str, str], ...], Examined] = {}
@@ -121,5 +126,5 @@ def examined_once(ledger: Path | Examined) -> Iterator[None]:
         if held not in _examined:
             _examined[held] = Examined(ledger)
         examined = _examined[held]
-    with patch.object(walk, "examine", examined):
+    with patch.object(verify_segment, "examine", examined):
         yield

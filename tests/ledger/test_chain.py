@@ -2,7 +2,7 @@
 
 import multiprocessing
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -10,21 +10,26 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UsageError
 from fsar_ledger.ledger.chain.append import ChainWriter
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, NODES
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES
+from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, root_of_inclusion
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
+from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.store.places import place_of
 from fsar_ledger.ledger.store.proof import check_proof, prove
 from fsar_ledger.ledger.store.view import View
 from fsar_ledger.ledger.upgrading import upgrade
 from fsar_ledger.ledger.verify.notes import read_anchor
+from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.ledger.writing import open_writer
@@ -48,8 +53,10 @@ def piece(run: LedgerRun, first: int, end: int) -> LedgerRun:
 
 
 def events_of(view: View) -> list[bytes]:
-    """Return the canonical bytes of all events."""
-    return [view.event(index) for index in range(view.head.size)]
+    """Return the canonical bytes of all events; each is found by its place, too."""
+    found = [row for table in view.tables() for row in canonical.from_table(table.combine_chunks())]
+    assert all(view.event(index) == found[index] for index in {0, 30, view.head.size // 2, view.head.size - 1})
+    return found
 
 
 @pytest.fixture
@@ -93,6 +100,12 @@ def test_however_runs_are_cut_sealed_and_compacted_rows_root_and_runs_are_the_sa
     assert (found.head.size, found.head.root) == (expected.head.size, expected.head.root)
     assert events_of(found) == events_of(expected)
     assert list(found.runs()) == list(expected.runs()) == RUNS[:2]
+    assert list(found.names()) == list(expected.names()) == [("run-0", False), ("run-1", False)]
+    events = [msgspec.json.decode(event) for event in events_of(found)]
+    for index in range(0, len(events), 11):
+        assert place_of(found, events[index]["run_id"], events[index]["seq"]) == index
+    assert isinstance(found, ChainView)
+    assert all(found.chain.index_lines((path / INDEX).read_bytes() if found.chain.placed else b""))
     report = verify(path)
     assert (report.ok, report.problems, report.remarks, report.runs) == (True, (), (), 2)
     assert report.commits == len(rows)
@@ -170,6 +183,65 @@ def test_proofs_and_anchors_that_were_given_still_hold_after_sealing_and_compact
         asked = Asked(is_quick=quick, anchor=read_anchor(path.with_name("anchor")), trusted=SIGNER.verifier)
         report = verify(path, asked=asked)
         assert (report.ok, report.anchored, report.signature) == (True, 85, "signed"), report.problems
+
+
+# --- the index ---
+
+
+def _gone(data: bytes) -> bytes:
+    return b""
+
+
+def _cut(data: bytes) -> bytes:
+    return data[: len(data) // 2]
+
+
+def _renamed(data: bytes) -> bytes:
+    return data.replace(b"run-1", b"run-9")
+
+
+def _swapped(data: bytes) -> bytes:
+    return b"".join(reversed(data.splitlines(keepends=True)))
+
+
+@pytest.mark.parametrize("change", [_gone, _cut, _renamed, _swapped])
+def test_whatever_the_index_holds_a_reader_finds_each_run_and_recover_makes_it_again(
+    path: Path, change: Callable[[bytes], bytes]
+) -> None:
+    before = open_for_answers(path)
+    names, parts = list(before.names()), [before.parts(run.run_id) for run in RUNS]
+    data = (path / INDEX).read_bytes()
+    (path / INDEX).write_bytes(change(data))
+    after = open_for_answers(path)
+    assert list(after.names()) == names == [("run-0", False), ("run-1", False), ("run-2", False)]
+    assert [after.parts(run.run_id) for run in RUNS] == parts
+    assert [sum(part.block.rows for part in one) for one in parts] == [30, 25, 30, 0]
+    report = verify(path)
+    assert [problem.where for problem in report.problems] == [INDEX]
+    recover(path)
+    assert (path / INDEX).read_bytes() == data
+    assert verify(path).problems == ()
+
+
+def test_a_placement_with_another_line_of_the_index_than_the_rows_have_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    with ChainWriter(path, ORIGIN) as writer:
+        staged = stage(path, RUNS[:2])
+        first, second = staged.blocks
+        writer.append(msgspec.structs.replace(staged, blocks=(first, msgspec.structs.replace(second, rows=29))))
+    report = verify(path)
+    assert [(problem.where, problem.field) for problem in report.problems] == [(CHAIN, "index_sha256")]
+
+
+def test_a_question_about_one_run_reads_only_the_segments_that_hold_it(path: Path) -> None:
+    ledger = Ledger(path)
+    told = [ledger.prove("run-1:3").event, ledger.record("run-1"), ledger.log("run-1").rows()]
+    first, _ = sorted((path / "segments").iterdir())
+    first.write_bytes(b"damaged".ljust(first.stat().st_size, b"."))
+    assert [ledger.prove("run-1:3").event, ledger.record("run-1"), ledger.log("run-1").rows()] == told
+    for asked in (lambda: ledger.record("run-0"), lambda: ledger.log("all"), lambda: ledger.prove("run-0:3")):
+        with pytest.raises(LedgerCorrupted, match=first.name):
+            asked()
 
 
 # --- several writers ---
@@ -269,14 +341,12 @@ def test_a_ledger_is_continued_in_its_own_format(tmp_path: Path, path: Path) -> 
 def test_a_torn_end_of_the_journal_is_no_commit_and_the_next_writer_removes_it(path: Path) -> None:
     whole = open_for_answers(path)
     data = (path / JOURNAL).read_bytes()
-    first = data.index(b'{"kind":"commit"', 10) if b'{"kind":"commit"' in data[10:] else len(data)
     (path / "checkpoint").write_text(str(whole.commits[2].note(ORIGIN)))  # type: ignore[attr-defined]
     for cut in range(len(data) - 1, len(data) - 600, -97):
         (path / JOURNAL).write_bytes(data[:cut])
         view = open_for_answers(path)
         assert (view.head.commits, view.head.size) == (3, 60)
         assert verify(path).ok
-    assert first
     with ChainWriter(path, ORIGIN, SIGNER) as writer:
         assert writer.head.size == 60
         writer.add([piece(RUNS[2], 5, 30)])
@@ -284,7 +354,7 @@ def test_a_torn_end_of_the_journal_is_no_commit_and_the_next_writer_removes_it(p
     assert verify(path).remarks == ()
 
 
-@pytest.mark.parametrize("name", [CHAIN, JOURNAL, NODES, "checkpoint", "ledger.json"])
+@pytest.mark.parametrize("name", [CHAIN, JOURNAL, NODES, INDEX, "checkpoint", "ledger.json"])
 def test_a_changed_byte_anywhere_is_found(path: Path, name: str) -> None:
     data = (path / name).read_bytes()
     for at in range(0, len(data), max(1, len(data) // 40)):

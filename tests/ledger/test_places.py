@@ -15,9 +15,9 @@ from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.ledger.store.paths import commit_path, segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify import segment as verify_segment
-from fsar_ledger.ledger.verify import walk as row_walk
 from fsar_ledger.ledger.verify.derived import BEHIND
 from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify.segment import examine
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger import thrift
 from tests.ledger.damage import only_problem
@@ -134,7 +134,7 @@ def test_a_segment_that_its_writer_moves_meanwhile_is_examined_where_it_is_now(
         return read(ledger, file, *rest, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr(verify_segment, "read_segment", moved)
-    facts = verify_segment.examine(str(path), 2, record)
+    facts = examine(str(path), 2, record)
     assert (facts.problems, facts.file, facts.rows) == ((), f"segments/{LAST}.parquet", SIZES[2])
 
 
@@ -143,7 +143,7 @@ def test_a_segment_that_is_gone_whenever_it_is_read_is_a_problem(path: Path, mon
         raise FileNotFoundError(2, "No such file or directory")
 
     monkeypatch.setattr(verify_segment, "read_segment", gone)
-    facts = verify_segment.examine(str(path), 2, record_of(path, 2))
+    facts = examine(str(path), 2, record_of(path, 2))
     assert [problem.where for problem in facts.problems] == [f"segments/{LAST}.parquet"]
     assert "FileNotFoundError" in facts.problems[0].found
 
@@ -229,7 +229,7 @@ def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place
     ):
         with monkeypatch.context() as patch:
             patch.setattr(module, name, fail)
-            patch.setattr(row_walk, "examine", verify_segment.examine)  # each segment is decoded
+            patch.setattr(verify_segment, "examine", examine)  # each segment is decoded
             assert place in {problem.where for problem in verify(path).problems if "ZeroDivisionError" in problem.found}
 
 
@@ -250,7 +250,7 @@ def test_what_is_wrong_with_the_installation_is_no_problem_of_the_ledger(
         raise error
 
     monkeypatch.setattr(verify_segment, "first_flaw", fail)
-    monkeypatch.setattr(row_walk, "examine", verify_segment.examine)  # each segment is decoded
+    monkeypatch.setattr(verify_segment, "examine", examine)  # each segment is decoded
     with pytest.raises(type(error)):
         verify(path)
 

@@ -13,10 +13,10 @@ from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.rows import canonical, codec
 from fsar_ledger.ledger.store.derived import tile_reader
 from fsar_ledger.ledger.store.paths import segment_path
+from fsar_ledger.ledger.store.places import place_of
 from fsar_ledger.ledger.store.proof import (
     Proof,
     Value,
-    blocks,
     check_proof,
     parse_proof,
     prove,
@@ -99,9 +99,12 @@ def test_without_a_trusted_key_the_signature_is_only_told(intact: Path, tmp_path
 
 
 def test_runs_are_found_where_they_are(intact: Path) -> None:
-    assert [(block.run, block.first, block.events) for block in blocks(open_ledger(intact))] == [
-        (f"run-{n:04d}", 60 * n, 60) for n in range(6)
-    ]
+    view = open_ledger(intact)
+    runs = [f"run-{number:04d}" for number in range(6)]
+    assert list(view.names()) == [(run, False) for run in runs]
+    assert [place_of(view, run, 59) for run in runs] == [60 * number + 59 for number in range(6)]
+    assert [view.parts(run)[0].block.rows for run in runs] == [60] * 6
+    assert view.parts("run-9999") == []
 
 
 def test_what_is_not_there_has_no_proof(intact: Path, tmp_path: Path) -> None:

@@ -21,8 +21,8 @@ from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify import verify as verification
-from fsar_ledger.ledger.verify import walk
 from fsar_ledger.ledger.verify.derived import BEHIND
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
@@ -45,7 +45,7 @@ def test_a_worker_that_was_ended_from_outside_says_nothing_of_the_ledger(
     def ended(*_: object) -> None:
         raise WorkerDied("a worker was ended")
 
-    monkeypatch.setattr(walk, "examine", ended)
+    monkeypatch.setattr(verify_segment, "examine", ended)
     with pytest.raises(WorkerDied):
         verify(path)
 

@@ -77,7 +77,7 @@ def explain(
     recovery tried at each level, for how long, and why it moved on. Without --request and --failure, list the requests
     of the run.
     """
-    from fsar_ledger.api.explain import account, requests, run_with
+    from fsar_ledger.api.explain import account, requests
     from fsar_ledger.api.lookup import numbers_of
     from fsar_ledger.cli.answering import opened, warn
     from fsar_ledger.cli.output import json_text, run_text
@@ -94,8 +94,7 @@ def explain(
     for kind, path in files.items():
         require_outside(path, f"--{kind} {path}")
     asked = opened(ledger, verified=verified)
-    with asked.database() as database:
-        name = run_with(database, ledger, run, request or failure)
+    with asked.about_run(run, request or failure) as (database, name):
         number = numbers_of(database).get(name)
         if request is None and failure is None:
             listed = requests(database, name)

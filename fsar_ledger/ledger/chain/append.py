@@ -23,9 +23,10 @@ from types import TracebackType
 from fsar_ledger.errors import NotALedger, UsageError, WriteFailed, option
 from fsar_ledger.ledger.chain import paths
 from fsar_ledger.ledger.chain.compact import mergeable, merged_segment
+from fsar_ledger.ledger.chain.derived import append_derived
 from fsar_ledger.ledger.chain.held import HeldRuns
+from fsar_ledger.ledger.chain.index import index_line
 from fsar_ledger.ledger.chain.journal import Frame, JournalFile
-from fsar_ledger.ledger.chain.nodes import append_nodes
 from fsar_ledger.ledger.chain.prepare import create, repair
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
@@ -35,7 +36,7 @@ from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Signer, doubt
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.blocks import Block
+from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.codec import encode_pieces
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
@@ -176,7 +177,7 @@ class ChainWriter:
                 self._seal()
             tree, nodes = pack.grow(self._view.tree(), staged.leaves)
             commit = self._commit(staged.rows, tree, continues, staged.goes_on, staged.release, signature)
-            self._place(staged, [canonical.document(commit)], tree, nodes)
+            self._place(staged, [canonical.document(commit)], tree, nodes, staged.blocks)
             self._runs().add(staged.blocks)
         return self._view.head
 
@@ -194,7 +195,7 @@ class ChainWriter:
         goes_on = tuple(sorted(run.run_id for run in runs if run.goes_on))
         with disk.turn(self._path / SEGMENTS):
             self._catch_up()
-            if (flaw := self._runs().refused(blocks, self._view.chain.going_on)) is not None:
+            if (flaw := self._runs().refused(blocks, self._view)) is not None:
                 raise refusal(flaw)
             size = sum(map(len, rows)) + len(rows)
             journal = self._view.journal
@@ -263,7 +264,7 @@ class ChainWriter:
         table = encode_pieces(self._pieces) if is_own else self._view.journal_table()
         staged = stage_table(self._path, table, bytes(journal.leaves))
         _, nodes = pack.grow(self._view.chain.tree(), staged.leaves)
-        self._place(staged, [frame.line for frame in journal.frames], journal.tree, nodes)
+        self._place(staged, [frame.line for frame in journal.frames], journal.tree, nodes, tuple(blocks_of(table)))
         self._journal.remove()
         self._pieces = []
 
@@ -297,7 +298,7 @@ class ChainWriter:
 
     def _continued(self, staged: Staged) -> tuple[tuple[str, int], ...]:
         """Return the runs that the segment continues. Raises: InvalidRun if the ledger cannot hold its events."""
-        if (flaw := self._runs().refused(staged.blocks, self._view.chain.going_on)) is not None:
+        if (flaw := self._runs().refused(staged.blocks, self._view)) is not None:
             disk.remove(staged_path(self._path, staged.segment_sha256))
             raise refusal(flaw)
         return continued(staged.blocks)
@@ -319,10 +320,13 @@ class ChainWriter:
             len(chain.commits), chain.sha256, release, rows, tree.size, root.hex(), continues, goes_on, signature
         )
 
-    def _place(self, staged: Staged, lines: Sequence[bytes], tree: Frontier, nodes: bytes) -> None:
+    def _place(
+        self, staged: Staged, lines: Sequence[bytes], tree: Frontier, nodes: bytes, blocks: Sequence[Block]
+    ) -> None:
         """Append these lines of commits, and the placement of their rows; then all that follows from them."""
         chain = self._view.chain
-        placement = self._placement(staged, chain.placed_size, tree, sha256_hex(lines[-1]))
+        line = index_line(chain.placed_size, blocks)
+        placement = self._placement(staged, chain.placed_size, tree, sha256_hex(lines[-1]), line)
         data = b"\n".join((*lines, canonical.document(placement), b""))
         self._is_broken = True  # unless everything below succeeds
         with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
@@ -330,7 +334,8 @@ class ChainWriter:
         self._view = self._view.grown(data, tree)
         try:
             disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
-            append_nodes(self._path, placement.first, nodes)
+            append_derived(self._path, paths.NODES, nodes, pack.count(placement.first) * HASH_BYTES)
+            append_derived(self._path, paths.INDEX, line, chain.index_bytes - len(line))
             self._write_checkpoint()
         except OSError as error:
             raise WriteFailed(
@@ -339,8 +344,10 @@ class ChainWriter:
             ) from error
         self._is_broken = False
 
-    def _placement(self, staged: Staged, first: int, tree: Frontier, previous_sha256: str) -> Placement:
-        """Return the line that says where the rows from `first` to the end of this tree are."""
+    def _placement(
+        self, staged: Staged, first: int, tree: Frontier, previous_sha256: str, line: bytes = b""
+    ) -> Placement:
+        """Return the line for the rows from `first` to the end of this tree, which have this line of the index."""
         return Placement(
             len(self._view.chain.placements),
             previous_sha256,
@@ -351,6 +358,8 @@ class ChainWriter:
             first,
             staged.rows,
             tuple(subtree.hex() for subtree in tree.subtrees),
+            len(line),
+            sha256_hex(line) if line else "",
         )
 
     def _write_checkpoint(self) -> None:

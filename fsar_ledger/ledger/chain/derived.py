@@ -1,10 +1,14 @@
-"""The pack of a ledger's tree on disk: the file `nodes`, derived from the events that segments hold."""
+"""The files of a ledger of format 2 that are derived from the events that segments hold, and grow with these.
+
+`nodes` is the pack of the tree, `index.jsonl` the index.
+"""
 
 import os
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.paths import NODES
+from fsar_ledger.ledger.chain.links import Chain
+from fsar_ledger.ledger.chain.paths import INDEX, NODES
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.store import disk, growing
@@ -33,27 +37,23 @@ def read_node(ledger: Path, place: int) -> bytes:
     return found
 
 
-def append_nodes(ledger: Path, before: int, nodes: bytes) -> None:
-    """Write these hashes, durably, after those of the tree of this many events.
+def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:
+    """Write these bytes, durably, to a derived file after the first so many, which are there.
 
-    What is there already beyond them is replaced. Raises: OSError.
+    What is there already beyond is replaced. Raises: OSError.
     """
-    start = pack.count(before) * HASH_BYTES
-    handle = os.open(ledger / NODES, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    handle = os.open(ledger / name, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
         size = os.fstat(handle).st_size
         if size < start:
             raise OSError(0, f"it has {size} bytes, and needs {start} before the next ones")
-        growing.write_at(handle, nodes, start)
-        os.ftruncate(handle, start + len(nodes))
+        growing.write_at(handle, data, start)
+        os.ftruncate(handle, start + len(data))
         os.fdatasync(handle)
     finally:
         os.close(handle)
 
 
-def nodes_size(ledger: Path) -> int:
-    """Return the bytes of the pack; 0 if there is none. Raises: OSError."""
-    try:
-        return os.lstat(ledger / NODES).st_size
-    except FileNotFoundError:
-        return 0
+def derived_sizes(chain: Chain) -> dict[str, int]:
+    """Return the bytes that each derived file has when it has all."""
+    return {NODES: pack.count(chain.placed_size) * HASH_BYTES, INDEX: chain.index_bytes}

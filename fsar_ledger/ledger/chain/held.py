@@ -1,28 +1,28 @@
 """Which runs a ledger of format 2 holds, and how far, for its writer: a run goes on where it stopped."""
 
-from collections.abc import Container, Sequence
+from collections.abc import Iterable, Sequence
 
 from fsar_ledger.ledger.chain.read import ChainView
-from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
+from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.store.held import Held
-
-_COLUMNS = ["run_id", "seq", "time_us", "type", "observes"]
+from fsar_ledger.ledger.store.places import event_at, place_of
 
 
 class HeldRuns:
-    """The runs of a ledger. Raises: LedgerCorrupted if a segment is missing or cannot be read."""
+    """The runs of a ledger. Raises: LedgerCorrupted if rows must be read and cannot be."""
 
     def __init__(self, view: ChainView) -> None:
         self._runs = Runs()
-        self.add_from(view, 0)
+        self.add(view.index.blocks())
+        self._indexed = set(self._runs.known)  # what these observe is not known: the index does not say it
 
     def add_from(self, view: ChainView, first: int) -> None:
         """Add the events of this view from that index on. Raises: LedgerCorrupted if they cannot be read."""
-        for table in view.tables_from(first, _COLUMNS):
-            self.add(list(blocks_of(table)))
+        for table in view.tables_from(first, BLOCK_COLUMNS):
+            self.add(blocks_of(table))
 
-    def add(self, blocks: Sequence[Block]) -> None:
+    def add(self, blocks: Iterable[Block]) -> None:
         """Add what was committed."""
         for block in blocks:
             self._runs.add(block)
@@ -37,15 +37,27 @@ class HeldRuns:
         known = self._runs.known.get(run)
         return 0 if known is None else known.next
 
-    def refused(self, blocks: Sequence[Block], going_on: Container[str]) -> Flaw | None:
-        """Return why these blocks cannot be the next of the ledger, some of whose runs go on; None if they can."""
+    def refused(self, blocks: Sequence[Block], view: ChainView) -> Flaw | None:
+        """Return why these blocks cannot be the next of this ledger; None if they can.
+
+        Raises: LedgerCorrupted if the beginning of a run that goes on cannot be read.
+        """
         seen: set[str] = set()
         for block in blocks:
             if block.run in seen:
                 return Flaw(-1, block.run, block.first, "run_id", "the run twice in one commit", "each run once")
             seen.add(block.run)
+            if block.first and block.run in self._indexed:
+                self._read(block.run, view)
             if (flaw := self._runs.flaw(block) or self._runs.backwards(block)) is not None:
                 return flaw
-            if block.first and block.run not in going_on:
+            if block.first and block.run not in view.chain.going_on:
                 return Flaw(-1, block.run, block.first, "seq", f"{block.first}", "no more of a run that has ended")
         return None
+
+    def _read(self, run: str, view: ChainView) -> None:
+        """Read what the run observes. Raises: LedgerCorrupted."""
+        observes = event_at(view, place_of(view, run, 0)).get("observes")
+        told = tuple(map(str, observes)) if isinstance(observes, list) else None
+        self._runs.known[run] = self._runs.known[run]._replace(observes=told)
+        self._indexed.remove(run)

@@ -24,9 +24,10 @@ Doubt = tuple[str, object, object]
 class Chain:
     """What the lines of a chain say so far, each after the one before.
 
-    `placed` are the placements in force, which hold all events from 0 on without a gap; `sha256` is the hash of the
-    newest line; `going_on` are the runs of which later commits may hold more. The last append began when segments held
-    the first `settled` events, and so when all that is derived from these was on disk.
+    `placed` are the placements in force, which hold all events from 0 on without a gap; `added` are those that added
+    events, in force or not, each with a line of the index, which has `index_bytes`. `sha256` is the hash of the newest
+    line; `going_on` are the runs of which later commits may hold more. The last append began when segments held the
+    first `settled` events, and so when all that is derived from these was on disk.
     """
 
     def __init__(self, manifest_sha256: str) -> None:
@@ -34,6 +35,8 @@ class Chain:
         self.commits: list[Commit] = []
         self.placements: list[Placement] = []
         self.placed: list[Placement] = []
+        self.added: list[Placement] = []
+        self.index_bytes = 0
         self.settled = 0
         self.going_on: frozenset[str] = frozenset()
 
@@ -55,6 +58,22 @@ class Chain:
         """Return the tree of the events up to the end of this segment in force; 0 is the empty one."""
         return next((one.tree() for one in self.placed if one.end == end), Frontier())
 
+    def added_in(self, number: int) -> range:
+        """Return which of those added are in this segment in force; none is in two."""
+        one = self.placed[number]
+        return range(
+            bisect_left(self.added, one.first, key=lambda each: each.first),
+            bisect_left(self.added, one.end, key=lambda each: each.first),
+        )
+
+    def index_lines(self, data: bytes) -> Iterator[bytes]:
+        """Yield the line of the index of each placement that added events; nothing where these bytes hold another."""
+        at = 0
+        for one in self.added:
+            line = data[at : at + one.index_bytes]
+            yield line if hashlib.sha256(line).hexdigest() == one.index_sha256 else b""
+            at += one.index_bytes
+
     def forget(self, commits: int, sha256: str) -> None:
         """Go back to this many commits, none of them placed since, and the line with this hash."""
         if commits < len(self.commits):
@@ -73,6 +92,11 @@ class Chain:
             return
         self.placements.append(record)
         self.settled = self.placed_size
+        if record.first == self.settled:
+            self.placed.append(record)
+            self.added.append(record)
+            self.index_bytes += record.index_bytes
+            return
         start = bisect_left(self.placed, record.first, key=lambda one: one.first)
         end = bisect_left(self.placed, record.end, key=lambda one: one.first)
         self.placed[start:end] = [record]
@@ -117,23 +141,29 @@ class Chain:
             yield "number", placement.number, len(self.placements)
         if (known := FINGERPRINTS.get(placement.release)) not in (None, placement.schema_sha256):
             yield "schema_sha256", placement.schema_sha256, known
-        if placement.first not in (*self._starts(placement.first), self.placed_size):
+        is_added = placement.first == self.placed_size
+        if not is_added and not self._starts(placement.first):
             yield "first", placement.first, f"{self.placed_size}, or the first event of a segment"
         root = self.root_at(placement.end)
         if root is None or (placement.end < self.placed_size and not self._starts(placement.end)):
             yield "rows", placement.rows, "events up to the end of a commit, and of the segments that it supersedes"
         elif placement.tree().root() != root:
             yield "frontier", placement.tree().root().hex(), f"one of root {root.hex()}, as committed"
+        if is_added != bool(placement.index_bytes):
+            expected = "those of the events' line of the index" if is_added else "none, as no events are added"
+            yield "index_bytes", placement.index_bytes, expected
 
-    def _starts(self, index: int) -> tuple[int, ...]:
-        """Return the index if a segment begins with it."""
+    def _starts(self, index: int) -> bool:
+        """Return whether a segment begins with this event."""
         at = bisect_left(self.placed, index, key=lambda one: one.first)
-        return (index,) if at < len(self.placed) and self.placed[at].first == index else ()
+        return at < len(self.placed) and self.placed[at].first == index
 
     def root_at(self, size: int) -> bytes | None:
         """Return the root of this many events, as committed; None if no commit ends there."""
         if not size:
             return EMPTY_ROOT
+        if size == self.size:
+            return bytes.fromhex(self.commits[-1].tree_root)
         at = bisect_left(self.commits, size, key=lambda one: one.tree_size)
         if at == len(self.commits) or self.commits[at].tree_size != size:
             return None

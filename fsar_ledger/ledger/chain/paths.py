@@ -5,6 +5,7 @@ from fsar_ledger.ledger.chain.record import Placement
 CHAIN = "chain.jsonl"
 JOURNAL = "journal.jsonl"
 NODES = "nodes"
+INDEX = "index.jsonl"
 
 
 def segment_name(first: int, end: int) -> str:

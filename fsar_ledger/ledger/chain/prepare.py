@@ -7,8 +7,8 @@ from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger
 from fsar_ledger.ledger.chain.checkpoint import behind
-from fsar_ledger.ledger.chain.nodes import append_nodes, nodes_size
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, segment_of
+from fsar_ledger.ledger.chain.derived import append_derived, derived_sizes
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, segment_of
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
@@ -17,7 +17,7 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING, is_unfinished, require_outside
 from fsar_ledger.ledger.store.read import read_manifest
-from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest
+from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest, sha256_hex
 
 
 def create(ledger: Path, origin: str) -> None:
@@ -112,15 +112,40 @@ def _clean(view: ChainView, *, is_alone: bool) -> None:
 
 
 def _derive(view: ChainView, *, is_settled: bool) -> None:
-    """Bring the pack up to the events that segments hold; what the last append added is written again if not settled.
+    """Bring pack and index up to the events that segments hold.
+
+    What the last append added is written again if not settled.
 
     Raises: LedgerCorrupted if a segment is not as placed.
     """
-    placed = view.chain.placed
     good = view.chain.placed_size if is_settled else view.chain.settled
-    have = nodes_size(view.path)
-    if have == pack.count(view.chain.placed_size) * HASH_BYTES and good == view.chain.placed_size:
+    sizes = {name: growing.size_of(view.path / name) for name in (NODES, INDEX)}
+    if sizes == derived_sizes(view.chain) and is_settled:
         return
+    _derive_nodes(view, good, sizes[NODES])
+    _derive_index(view, good, sizes[INDEX])
+
+
+def _derive_index(view: ChainView, good: int, have: int) -> None:
+    """Write the lines of the index beyond the first so many events, or bytes. Raises: As `_derive`."""
+    chain, at = view.chain, 0
+    for number, placement in enumerate(chain.placed):
+        added = [chain.added[place] for place in chain.added_in(number)]
+        size = sum(one.index_bytes for one in added)
+        if placement.end > good or at + size > have:
+            lines = view.index_lines(number)
+            if [sha256_hex(line) for line in lines] != [one.index_sha256 for one in added]:
+                raise LedgerCorrupted(
+                    f"{view.segment(number)}: found rows with other lines of the index than those placed; run "
+                    "fsar-ledger verify"
+                )
+            append_derived(view.path, INDEX, b"".join(lines), at)
+        at += size
+
+
+def _derive_nodes(view: ChainView, good: int, have: int) -> None:
+    """Write the hashes of the pack beyond those of the first so many events, or bytes. Raises: As `_derive`."""
+    placed = view.chain.placed
     begin = 0
     while begin < len(placed) and placed[begin].end <= good and pack.count(placed[begin].end) * HASH_BYTES <= have:
         begin += 1
@@ -133,4 +158,4 @@ def _derive(view: ChainView, *, is_settled: bool) -> None:
                 f"{view.segment(number)}: found rows that lead to root {tree.root().hex()}, expected "
                 f"{placed[number].tree().root().hex()} as placed; run fsar-ledger verify"
             )
-        append_nodes(view.path, first, nodes)
+        append_derived(view.path, NODES, nodes, pack.count(first) * HASH_BYTES)

@@ -9,17 +9,18 @@ import shutil
 import tempfile
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.chain.derived import read_node
+from fsar_ledger.ledger.chain.index import Index, line_of
 from fsar_ledger.ledger.chain.journal import Journal, read_frames
 from fsar_ledger.ledger.chain.links import Chain, Followed, follow
-from fsar_ledger.ledger.chain.nodes import read_node
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, segment_of
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, segment_of
 from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
 from fsar_ledger.ledger.chain.tables import table_of
 from fsar_ledger.ledger.log import merkle, pack
@@ -27,6 +28,7 @@ from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note
 from fsar_ledger.ledger.rows import canonical, codec, segment
+from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.layout import check_layout
 from fsar_ledger.ledger.rows.pieces import joined
@@ -34,7 +36,7 @@ from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.record import CHAINED, Manifest, parse_manifest, sha256_hex
-from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head, Part
 from fsar_ledger.ledger.store.walk import Names, find_segment, read_segment
 
 MAX_CHAIN_BYTES = 1 << 32
@@ -42,7 +44,7 @@ MAX_JOURNAL_BYTES = 1 << 30
 _TRIES = 10
 
 
-class ChainView(msgspec.Struct, frozen=True):
+class ChainView(msgspec.Struct, frozen=True, dict=True):
     """A ledger of format 2 as it was when it was opened (see `store.view.View`).
 
     `followed` says how far the chain could be followed, `journal` what is not in a segment yet.
@@ -226,6 +228,49 @@ class ChainView(msgspec.Struct, frozen=True):
                 held.setdefault(piece.run_id, []).append(piece)
             for run in [run for run in held if last.get(run, 0) < end]:
                 yield joined(held.pop(run))
+
+    @cached_property
+    def index(self) -> Index:
+        """Return the index of all events: of those in the journal, and where the file is not right, by their rows.
+
+        Raises: LedgerCorrupted if rows are needed and are no events.
+        """
+        try:
+            data = disk.read_large(self.path / INDEX, MAX_CHAIN_BYTES)
+        except OSError:
+            data = b""
+        lines = list(self.chain.index_lines(data))
+        if not all(lines):
+            made = [line for number in range(len(self.chain.placed)) for line in self._needed(number, lines)]
+            lines = [line or made.pop(0) for line in lines]
+        if self.journal.frames:
+            lines.append(line_of(self.chain.placed_size, self.journal_table()))
+        return Index(lines)
+
+    def _needed(self, number: int, lines: Sequence[bytes]) -> list[bytes]:
+        """Return the lines for this segment that are empty among those of the whole index, by its rows."""
+        lacks = [not lines[at] for at in self.chain.added_in(number)]
+        return (
+            [line for line, is_lacking in zip(self.index_lines(number), lacks, strict=True) if is_lacking]
+            if any(lacks)
+            else []
+        )
+
+    def index_lines(self, number: int) -> list[bytes]:
+        """Return the lines of the index for the events of this segment in force, by its rows. Raises: As `segment`."""
+        start = self.chain.placed[number].first
+        table = segment.read_table(self.segment(number), BLOCK_COLUMNS).combine_chunks()
+        added = [self.chain.added[at] for at in self.chain.added_in(number)]
+        return [line_of(one.first, table.slice(one.first - start, one.rows)) for one in added]
+
+    def names(self) -> Iterator[tuple[str, bool]]:
+        """Yield the name of each run and plan, in the order of their first events, and whether it is a plan."""
+        return self.index.names()
+
+    def parts(self, run: str) -> list[Part]:
+        """Return where the run of this name is. Raises: As `segment`."""
+        ends = [(one.first, one.end) for one in self.chain.added] + [(self.chain.placed_size, self.chain.size)]
+        return [Part(*ends[number], block) for number, block in self.index.of_run(run)]
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours."""

@@ -69,9 +69,10 @@ class Placement(
 ):
     """Which segment holds the events from `first` on, and its columns: those of `release`.
 
-    `frontier` holds the roots of the complete subtrees of the tree that ends with these events, largest first.
+    `frontier` holds the roots of the complete subtrees of the tree that ends with these events, largest first. Of a
+    placement that adds events, `index_bytes` and `index_sha256` are those of their line of the index.
 
-    Units: `rows` events, `segment_bytes` bytes; hashes in hex.
+    Units: `rows` events, `segment_bytes` and `index_bytes` bytes; hashes in hex.
     """
 
     number: Count
@@ -83,6 +84,8 @@ class Placement(
     first: Count
     rows: Annotated[int, msgspec.Meta(ge=1, le=MAX_ROWS)]
     frontier: tuple[str, ...]
+    index_bytes: Annotated[int, msgspec.Meta(ge=0, le=MAX_SEGMENT_BYTES)] = 0
+    index_sha256: str = ""
 
     @property
     def end(self) -> int:
@@ -118,9 +121,13 @@ def parse_line(line: bytes) -> Record:
         hashes = (record.previous_sha256, record.schema_sha256, record.segment_sha256, *record.frontier)
         if len(record.frontier) != record.end.bit_count():
             raise ValueError(f"{len(record.frontier)} hashes of a tree of {record.end} events")
-    for value in hashes:
-        if len(value) != 2 * HASH_BYTES or value.strip("0123456789abcdef"):
-            raise ValueError(f"{value!r:.80}, which is no SHA-256 in lower-case hex")
+        if record.index_bytes:
+            hashes += (record.index_sha256,)
+        elif record.index_sha256:
+            raise ValueError("the SHA-256 of a line of the index that has no bytes")
+    if set(map(len, hashes)) != {2 * HASH_BYTES} or "".join(hashes).strip("0123456789abcdef"):
+        value = next(one for one in hashes if len(one) != 2 * HASH_BYTES or one.strip("0123456789abcdef"))
+        raise ValueError(f"{value!r:.80}, which is no SHA-256 in lower-case hex")
     return record
 
 

@@ -4,7 +4,7 @@ In a ledger of format 2 a run may span commits and segments. Each table is check
 `Runs` compares what follows from several of them, block by block.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,8 +18,8 @@ from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.rows.schema import CONCERNED, STANDS_ALONE
 
 
-class Block(msgspec.Struct, frozen=True):
-    """Consecutive rows of one run: the seq of the first, how many, and the times of the first and the last.
+class Block(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Rows of one run that follow one another: the seq of the first, how many, and the times of the first and the last.
 
     `observes` is what the run's event 0 says, None if that is elsewhere or says nothing; `concerns` are those of the
     block's events, left out where event 0 is in the block, because the table alone shows whether they fit. `is_alone`
@@ -39,6 +39,22 @@ class Block(msgspec.Struct, frozen=True):
     def end(self) -> int:
         """Return the seq after the last."""
         return self.first + self.rows
+
+
+def by_run(blocks: Iterable[Block]) -> tuple[Block, ...]:
+    """Return one block for each run of these, which are in the order of their rows, without what its events say."""
+    found: dict[str, Block] = {}
+    for block in blocks:
+        before = found.get(block.run)
+        found[block.run] = Block(
+            block.run,
+            before.first if before else block.first,
+            block.rows + (before.rows if before else 0),
+            before.first_us if before else block.first_us,
+            block.last_us,
+            is_alone=block.is_alone,
+        )
+    return tuple(found.values())
 
 
 def blocks_of(table: pa.Table) -> Iterator[Block]:
@@ -66,6 +82,10 @@ def blocks_of(table: pa.Table) -> Iterator[Block]:
             tuple(sorted(concerns)),
             tags[codes[start]] in STANDS_ALONE,
         )
+
+
+BLOCK_COLUMNS = ["run_id", "seq", "time_us", "type", "observes"]
+"""What `blocks_of` reads of a table."""
 
 
 class Known(NamedTuple):

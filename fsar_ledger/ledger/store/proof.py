@@ -14,12 +14,9 @@ fsar-ledger/simulated                        the checkpoint, signed or not
 
 import base64
 from bisect import bisect_right
-from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
-import pyarrow.compute as pc
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
@@ -64,15 +61,6 @@ class Proven(msgspec.Struct, frozen=True):
     origin: str
     signature: Signed
     signer: str | None
-
-
-class Block(msgspec.Struct, frozen=True):
-    """Events of one run that lie together: the index of the first in the ledger, its seq, and how many."""
-
-    run: str
-    first: int
-    seq: int
-    events: int
 
 
 def prove(view: View, index: int) -> Proof:
@@ -121,18 +109,6 @@ def prove_inclusion(ledger: Path, node: Node, tree: Checkpoint, index: int) -> t
 def _segment_of(view: View, index: int) -> Path:
     """Return the segment that holds the event at this index. Raises: LedgerCorrupted if it is not as committed."""
     return view.segment(bisect_right(range(len(view.releases)), index, key=view.first) - 1)
-
-
-def blocks(view: View) -> Iterator[Block]:
-    """Yield the runs of the ledger, block by block. Raises: LedgerCorrupted for a segment that cannot be read."""
-    seqs: Counter[str] = Counter()
-    for number, table in enumerate(view.tables(["run_id"])):
-        first, start = view.first(number), 0
-        runs = pc.run_end_encode(table.column("run_id").combine_chunks())
-        for run, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
-            yield Block(run, first + start, seqs[run], end - start)
-            seqs[run] += end - start
-            start = end
 
 
 def read_proof(path: Path) -> Proof:

@@ -11,19 +11,23 @@ from typing import NamedTuple
 
 import msgspec
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Note
 from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.rows import canonical, codec, segment
+from fsar_ledger.ledger.rows.arrow import whole
+from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, blocks_of, by_run
+from fsar_ledger.ledger.rows.check import standing_alone
 from fsar_ledger.ledger.rows.layout import check_layout
 from fsar_ledger.ledger.rows.releases import is_later
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
 from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, require_created
 from fsar_ledger.ledger.store.record import CommitRecord, Manifest, parse_manifest, sha256_hex
-from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head, Part
 from fsar_ledger.ledger.store.walk import (
     Commit,
     check_folders,
@@ -176,6 +180,22 @@ class LedgerView(msgspec.Struct, frozen=True):
         """Return the canonical bytes of the event at this index. Raises: As `row`."""
         number = bisect_right(self.records, index, key=lambda record: record.tree_size)
         return self.row(number, index - self.first(number))
+
+    def names(self) -> Iterator[tuple[str, bool]]:
+        """Yield the name of each run and plan, in order, and whether it is a plan. Raises: As `table`."""
+        for table in self.tables(["run_id", "seq", "type"]):
+            begins = table.filter(pc.equal(table.column("seq"), 0)).combine_chunks()
+            yield from zip(
+                begins.column("run_id").to_pylist(), standing_alone(whole(begins.column("type"))).tolist(), strict=True
+            )
+
+    def parts(self, run: str) -> list[Part]:
+        """Return where the run of this name is: in one commit. Raises: As `table`."""
+        for number, table in enumerate(self.tables(BLOCK_COLUMNS)):
+            own = table.filter(pc.equal(table.column("run_id"), run)).combine_chunks()
+            if own.num_rows:
+                return [Part(self.first(number), self.end(number), block) for block in by_run(blocks_of(own))]
+        return []
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run: each by itself."""

@@ -9,6 +9,7 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Note
+from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.record import Manifest
 
@@ -23,6 +24,17 @@ class Head(msgspec.Struct, frozen=True):
 
 
 EMPTY_HEAD = Head(0, 0, merkle.EMPTY_ROOT.hex())
+
+
+class Part(msgspec.Struct, frozen=True):
+    """A part of a run: those of the events from index `first` to `end` of the ledger that are its own.
+
+    Events of other runs may be among them. The block has neither `observes` nor `concerns`.
+    """
+
+    first: int
+    end: int
+    block: Block
 
 
 class Committed(Protocol):
@@ -95,6 +107,15 @@ class View(Protocol):
 
     def runs(self) -> Iterator[LedgerRun]:
         """Yield every run, in the order of their first events. Raises: LedgerCorrupted, UnknownEventTag."""
+
+    def names(self) -> Iterator[tuple[str, bool]]:
+        """Yield the name of each run and plan, in the order of their first events, and whether it is a plan.
+
+        Raises: LedgerCorrupted.
+        """
+
+    def parts(self, run: str) -> list[Part]:
+        """Return where the run of this name is, in order; empty if there is none. Raises: LedgerCorrupted."""
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours. Raises: LedgerCorrupted."""

@@ -4,16 +4,15 @@ import os
 import stat
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, suppress
-from itertools import repeat
+from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.ledger.chain.checkpoint import behind
+from fsar_ledger.ledger.chain.derived import derived_sizes
+from fsar_ledger.ledger.chain.index import index_line
 from fsar_ledger.ledger.chain.journal import Frame
-from fsar_ledger.ledger.chain.nodes import nodes_size
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, NODES, segment_of
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, segment_of
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.chain.tables import table_of
@@ -26,18 +25,17 @@ from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem, refusal
-from fsar_ledger.ledger.store.record import CHAINED, VERSION, parse_manifest
+from fsar_ledger.ledger.store.record import CHAINED, VERSION, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.walk import MISSING, Names, check_manifest, names_in
 from fsar_ledger.ledger.verify.notes import Anchor, Signatures, check_anchor, check_signatures
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
-from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine, examine_file
-from fsar_ledger.workers import WorkerPool
+from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 FOLDERS = frozenset({SEGMENTS, STAGING})
-FILES = frozenset({MANIFEST, CHAIN, JOURNAL, NODES, CHECKPOINT})
+FILES = frozenset({MANIFEST, CHAIN, JOURNAL, NODES, INDEX, CHECKPOINT})
 BEHIND = (
-    "the pack and the checkpoint are behind the chain, as a crash leaves them; the next writer, or fsar-ledger "
-    "recover, goes on from there"
+    "the pack, the index and the checkpoint are behind the chain, as a crash leaves them; the next writer, or "
+    "fsar-ledger recover, goes on from there"
 )
 OPEN = "the checkpoint is behind the journal, as a writer that was not closed leaves it"
 TORN = "an append was interrupted, and what is left of it is no commit; the next writer removes it"
@@ -56,7 +54,7 @@ def is_chained(path: Path) -> bool:
 
 def chain_moment(path: Path) -> tuple[int, ...]:
     """Return what changes while a writer is at work. Raises: OSError."""
-    found = [path / CHAIN, path / JOURNAL, path / NODES]
+    found = [path / CHAIN, path / JOURNAL, path / NODES, path / INDEX]
     return tuple(growing.size_of(file) for file in found) + tuple(growing.inode_of(file) for file in found)
 
 
@@ -67,7 +65,8 @@ class ChainVerification:
         self.path, self.asked = path, asked
         self.problems: list[Problem] = []
         self.events = self.done = 0
-        self.derived: list[Problem] = []  # the first one of the pack
+        self.derived: list[Problem] = []  # the first one of the pack, and of the index
+        self.index: list[bytes] = []  # its lines; empty where they are not as their placements say
         self.trusted = (0, 0)  # placements, and commits, before the first doubt about one
         self.runs = Runs()
         self.tree: Frontier | None = Frontier()  # by the rows; None: unknown, because some were not read
@@ -83,14 +82,14 @@ class ChainVerification:
         view = open_chain(self.path, document, is_damage_told=False)
         chain = view.chain
         self.problems += [one for one in (view.followed.problem, view.journal.problem) if one is not None]
-        facts = _examine_all(
-            view, workers, None if self.asked.is_quick else self.asked.second_reader, is_quick=self.asked.is_quick
-        )
+        segments = [(one.number, one, Names(segment_of(one), CHAIN)) for one in chain.placed]
+        facts = examine_all(self.path, segments, workers, self.asked.second_reader, is_quick=self.asked.is_quick)
+        self.index = list(chain.index_lines(self._index_bytes()))
         is_behind = self._is_behind(view)
-        for number, (placement, found) in enumerate(zip(chain.placed, facts, strict=True), start=1):
-            self._add(view, placement, found, is_behind=is_behind)
+        for number, found in enumerate(facts):
+            self._add(view, number, found, is_behind=is_behind)
             if progress is not None:
-                progress(number, len(chain.placed))
+                progress(number + 1, len(chain.placed))
         if self.asked.is_quick:
             self.tree = chain.tree()
         for frame in view.journal.frames:
@@ -112,8 +111,9 @@ class ChainVerification:
         covered = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
         return back > 0 and covered < view.chain.placed_size
 
-    def _add(self, view: ChainView, placement: Placement, facts: SegmentFacts, *, is_behind: bool) -> None:
+    def _add(self, view: ChainView, number: int, facts: SegmentFacts, *, is_behind: bool) -> None:
         """Add one segment: its rows go into the tree, its blocks to the runs."""
+        placement = view.chain.placed[number]
         self.problems += facts.problems
         if self.asked.is_quick:
             self.events += facts.rows if not facts.problems else 0
@@ -125,10 +125,11 @@ class ChainVerification:
         before = len(self.problems)
         nodes = self._grow(facts, facts.leaves, placement, commits)
         if len(self.problems) == before and not facts.problems:
-            self._compare_nodes(
-                placement.first, nodes, is_needed=not (is_behind and placement.first >= view.chain.settled)
-            )
+            is_needed = not (is_behind and placement.first >= view.chain.settled)
+            self._compare_nodes(placement.first, nodes, is_needed=is_needed)
             self._follow(facts.file, facts.blocks, commits, placement.first)
+        if len(self.problems) == before and not facts.problems:
+            self._compare_index(view, number, facts.blocks, is_needed=is_needed)
         if len(self.problems) == before:
             self.events += placement.rows
             self.done += len(commits)
@@ -225,6 +226,15 @@ class ChainVerification:
             if self.done == commit.number + 1:
                 self.trusted = (self.trusted[0], self.done)
 
+    def _index_bytes(self) -> bytes:
+        if self.asked.is_quick:
+            return b""
+        try:
+            return growing.read_at(self.path / INDEX, 0, growing.size_of(self.path / INDEX))
+        except OSError as error:
+            self.derived.append(Problem(INDEX, f"an unreadable file ({error.strerror})", "the index"))
+            return b""
+
     def _compare_nodes(self, first: int, nodes: bytes, *, is_needed: bool) -> None:
         """Compare these hashes with those in the pack after the events before `first`."""
         start = pack.count(first) * HASH_BYTES
@@ -233,7 +243,7 @@ class ChainVerification:
         except OSError as error:
             self.derived.append(Problem(NODES, f"an unreadable file ({error.strerror})", "the pack of the tree"))
             return
-        if found == nodes or not is_needed or self.derived:
+        if found == nodes or not is_needed or any(problem.where == NODES for problem in self.derived):
             return
         place = next(
             at for at in range(0, len(nodes), HASH_BYTES) if found[at : at + HASH_BYTES] != nodes[at : at + HASH_BYTES]
@@ -241,14 +251,33 @@ class ChainVerification:
         there, expected = (data[place : place + HASH_BYTES].hex() or "nothing" for data in (found, nodes))
         self.derived.append(Problem(NODES, there, expected, field=f"hash {(start + place) // HASH_BYTES}"))
 
+    def _compare_index(self, view: ChainView, number: int, blocks: Sequence[Block], *, is_needed: bool) -> None:
+        """Compare the lines of the index for the events of this segment with their placements, and with the file."""
+        chain = view.chain
+        placement, places = chain.placed[number], chain.added_in(number)
+        is_whole = [chain.added[at] for at in places] == [placement]
+        lines = [index_line(placement.first, blocks)] if is_whole else view.index_lines(number)
+        for at, line in zip(places, lines, strict=True):
+            one = chain.added[at]
+            if (len(line), sha256_hex(line)) != (one.index_bytes, one.index_sha256):
+                found, expected = f"{one.index_sha256} of {one.index_bytes} bytes", f"{sha256_hex(line)} of {len(line)}"
+                self.problems.append(
+                    Problem(CHAIN, found, f"{expected}, by the rows from event {one.first}", field="index_sha256")
+                )
+                return
+            if not self.index[at] and is_needed and not any(problem.where == INDEX for problem in self.derived):
+                found, expected = "another line, or none", f"{line!r:.200}"
+                self.derived.append(Problem(INDEX, found, expected, field=f"line {at + 1}"))
+
     def _check_derived(self, view: ChainView, *, is_behind: bool) -> tuple[str, ...]:
         """Compare the size of the pack; return the remarks on what only a crash may have left."""
         if self.problems:
             return ()
-        size, expected = nodes_size(self.path), pack.count(view.chain.placed_size) * HASH_BYTES
-        if size > expected or (size < expected and not is_behind):
-            self.problems.append(Problem(NODES, f"{size} bytes", f"{expected}, for {view.chain.placed_size} events"))
-            return ()
+        for name, expected in derived_sizes(view.chain).items():
+            size = growing.size_of(self.path / name)
+            if size > expected or (size < expected and not is_behind):
+                self.problems.append(Problem(name, f"{size} bytes", f"{expected}, for {view.chain.placed_size} events"))
+                return ()
         back = behind(view)
         placed = {segment_of(one) for one in view.chain.placed}
         left = any(f"{SEGMENTS}/{name}" not in placed for name in names_in(self.path / SEGMENTS))
@@ -347,26 +376,3 @@ def _check_segments(view: ChainView) -> Iterator[Problem]:
     for name in names_in(view.path / SEGMENTS):
         if f"{SEGMENTS}/{name}" not in known:
             yield Problem(f"{SEGMENTS}/{name}", "a file of no placement", "segments that the chain names; take it away")
-
-
-def _examine_all(
-    view: ChainView, workers: int, second_reader: SecondReader | None, *, is_quick: bool
-) -> Iterator[SegmentFacts]:
-    """Yield what each segment in force holds, in order."""
-    placed = view.chain.placed
-    names = [Names(segment_of(placement), CHAIN) for placement in placed]
-    numbers = [placement.number for placement in placed]
-    path = repeat(str(view.path))
-    workers = min(workers, len(placed))
-    with ExitStack() as stack:
-        if is_quick and workers > 1:  # hashing releases the interpreter lock
-            pool = stack.enter_context(ThreadPoolExecutor(workers))
-            yield from pool.map(examine_file, path, numbers, placed, names)
-        elif is_quick:
-            yield from map(examine_file, path, numbers, placed, names)
-        elif workers > 1:
-            yield from stack.enter_context(WorkerPool(workers)).map(
-                examine, path, numbers, placed, repeat(second_reader), names
-            )
-        else:
-            yield from map(examine, path, numbers, placed, repeat(second_reader), names)

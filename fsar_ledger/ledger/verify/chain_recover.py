@@ -11,17 +11,17 @@ import msgspec
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.checkpoint import behind
+from fsar_ledger.ledger.chain.derived import derived_sizes
+from fsar_ledger.ledger.chain.index import line_of
 from fsar_ledger.ledger.chain.links import Chain
-from fsar_ledger.ledger.chain.nodes import nodes_size
-from fsar_ledger.ledger.chain.paths import CHAIN, NODES, segment_of
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, NODES, segment_of
 from fsar_ledger.ledger.chain.prepare import repair
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Placement, Record
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import doubt
-from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem
@@ -66,7 +66,7 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ask
     view = open_chain(path, manifest_of(path), is_damage_told=False)
     look = ChainVerification(path, msgspec.structs.replace(asked, is_quick=False))
     report = look.run(workers, progress)
-    problems = [one for one in report.problems if one.where.split("/")[0] not in (NODES, CHECKPOINT, MANIFEST)]
+    problems = [one for one in report.problems if one.where.split("/")[0] not in (NODES, INDEX, CHECKPOINT, MANIFEST)]
     problems = [one for one in problems if not _is_stray(one.where)]
     problems += _removed(view)
     placements, commits = look.trusted
@@ -102,8 +102,9 @@ def _removed(view: ChainView) -> list[Problem]:
     note = checkpoint_note(view.path)
     if note is not None and note.checkpoint.origin == view.manifest.origin and note.checkpoint.size > view.head.size:
         return [Problem(CHECKPOINT, f"a checkpoint of {note.checkpoint.size} events", expected)]
-    if nodes_size(view.path) > pack.count(view.chain.placed_size) * HASH_BYTES:
-        return [Problem(NODES, f"{nodes_size(view.path)} bytes", expected)]
+    for name, size in derived_sizes(view.chain).items():
+        if (found := growing.size_of(view.path / name)) > size:
+            return [Problem(name, f"{found} bytes", expected)]
     return []
 
 
@@ -158,6 +159,7 @@ def mend(found: Found, set_aside: SetAside, done: Done) -> None:
             disk.move(there, place)
             done("moved into place", str(there.relative_to(path)), segment_of(placement))
     _make_again(path, NODES, _nodes(view), set_aside, done)
+    _make_again(path, INDEX, _index(view), set_aside, done)
     try:
         behind(view)
     except LedgerCorrupted:
@@ -195,6 +197,10 @@ def _nodes(view: ChainView) -> bytes:
     return b"".join(found)
 
 
+def _index(view: ChainView) -> bytes:
+    return b"".join(line for number in range(len(view.chain.placed)) for line in view.index_lines(number))
+
+
 def write_copy(found: Found, work: Path) -> None:
     """Write a ledger of the trusted commits that segments hold to this new folder, durably.
 
@@ -207,15 +213,16 @@ def write_copy(found: Found, work: Path) -> None:
     disk.write_temporary(work / MANIFEST, manifest)
     chain = Chain(sha256_hex(manifest))
     lines: list[bytes] = []
-    for placement in view.chain.placed[: found.placements]:
+    for number, placement in enumerate(view.chain.placed[: found.placements]):
         source = view.located(placement)
         with open(source, "rb") as there, open(work / segment_of(placement), "xb") as target:
             shutil.copyfileobj(there, target)
             target.flush()
             os.fsync(target.fileno())
         held = [one for one in view.commits[: found.commits] if placement.first < one.tree_size <= placement.end]
-        records: tuple[Record, ...] = (*held, placement)
-        lines += [_relinked(one, chain) for one in records]
+        line = line_of(placement.first, segment.read_table(view.segment(number)))
+        lines += [_relinked(one, chain) for one in held]
+        lines.append(_relinked(_adding(placement, line), chain))
     if lines:
         growing.append_durably(work / CHAIN, b"".join(line + b"\n" for line in lines), 0)
         disk.write_temporary(
@@ -225,12 +232,15 @@ def write_copy(found: Found, work: Path) -> None:
         pass  # derives the rest
 
 
+def _adding(placement: Placement, line: bytes) -> Placement:
+    """Return the placement as one that adds its events, which have this line of the index."""
+    return msgspec.structs.replace(placement, index_bytes=len(line), index_sha256=sha256_hex(line))
+
+
 def _relinked(record: Record, chain: Chain) -> bytes:
     """Add the record to another chain, and return its line there."""
-    if isinstance(record, Placement):
-        made: Record = msgspec.structs.replace(record, number=len(chain.placements), previous_sha256=chain.sha256)
-    else:
-        made = msgspec.structs.replace(record, number=len(chain.commits), previous_sha256=chain.sha256)
+    number = len(chain.placements if isinstance(record, Placement) else chain.commits)
+    made: Record = msgspec.structs.replace(record, number=number, previous_sha256=chain.sha256)
     line = canonical.document(made)
     chain.add(line, made)
     return line

@@ -1,7 +1,10 @@
 """Examine one segment on its own: what a worker of `verify` does."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import partial
+from itertools import repeat
 from pathlib import Path
 
 import msgspec
@@ -21,6 +24,7 @@ from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.rows.segment import read_coded, to_parquet
 from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.store.walk import Names, Stored, find_segment, names_of, read_segment
+from fsar_ledger.workers import WorkerPool
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
@@ -67,6 +71,39 @@ def examine_file(ledger: str, number: int, record: Stored | None, names: Names |
     Raises: Only what `unexpected` raises.
     """
     return _guarded(_examine_file, Path(ledger), number, record, names)
+
+
+def examine_all(
+    ledger: Path,
+    segments: Sequence[tuple[int, Stored | None, Names | None]],
+    workers: int,
+    second_reader: SecondReader | None,
+    *,
+    is_quick: bool,
+) -> Iterator[SegmentFacts]:
+    """Yield what each segment holds, in order, as `examine` or, if `is_quick`, as `examine_file`.
+
+    Args:
+        ledger: Its folder.
+        segments: Number, record and names of each; nothing is read of one without a record.
+        workers: Processes, or threads if `is_quick`: hashing releases the interpreter lock.
+        second_reader: As in `examine`.
+        is_quick: Read no rows.
+    """
+    if not segments:
+        return
+    numbers, records, names = zip(*segments, strict=True)
+    quickly = (repeat(str(ledger)), numbers, records, names)
+    wholly = (repeat(str(ledger)), numbers, records, repeat(second_reader), names)
+    workers = min(workers, len(segments))
+    with ExitStack() as stack:
+        if is_quick:
+            each = stack.enter_context(ThreadPoolExecutor(workers)).map if workers > 1 else map
+            yield from each(examine_file, *quickly)
+        elif workers > 1:
+            yield from stack.enter_context(WorkerPool(workers)).map(examine, *wholly)
+        else:
+            yield from map(examine, *wholly)
 
 
 _Check = Callable[[Path, str, int, Stored, Names | None], SegmentFacts]

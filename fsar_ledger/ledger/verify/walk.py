@@ -4,9 +4,6 @@
 """
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
-from itertools import repeat
 from pathlib import Path
 
 import msgspec
@@ -19,8 +16,7 @@ from fsar_ledger.ledger.store.paths import commit_file
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import CommitRecord
 from fsar_ledger.ledger.store.walk import Commit
-from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine, examine_file
-from fsar_ledger.workers import WorkerPool
+from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine_all
 
 
 class Standing(msgspec.Struct, frozen=True):
@@ -61,7 +57,8 @@ class RowWalk:
 
         No rows are read of commits without a record.
         """
-        facts = _examine_all(self.ledger, commits, workers, second_reader, is_quick=self.is_quick)
+        segments = [(number, commit.record, None) for number, commit in enumerate(commits)]
+        facts = examine_all(self.ledger, segments, workers, second_reader, is_quick=self.is_quick)
         for commit, found in zip(commits, facts, strict=True):
             yield self._stand(commit, found)
 
@@ -124,21 +121,3 @@ class RowWalk:
             yield Problem(facts.file, found, expected, commit=number, run=again, seq=0, field="run_id")
         self.runs.update(facts.runs)
         self.alone |= facts.alone
-
-
-def _examine_all(
-    ledger: Path, commits: Sequence[Commit], workers: int, second_reader: SecondReader | None, *, is_quick: bool
-) -> Iterator[SegmentFacts]:
-    """Yield what each segment holds, in order; nothing if its record is unreadable."""
-    arguments = (repeat(str(ledger)), range(len(commits)), [commit.record for commit in commits])
-    again = (*arguments, repeat(second_reader)) if second_reader is not None else arguments
-    workers = min(workers, len(commits))
-    with ExitStack() as stack:
-        if workers > 1 and is_quick:  # hashing releases the interpreter lock
-            yield from stack.enter_context(ThreadPoolExecutor(workers)).map(examine_file, *arguments)
-        elif workers > 1:
-            yield from stack.enter_context(WorkerPool(workers)).map(examine, *again)
-        elif is_quick:
-            yield from map(examine_file, *arguments)
-        else:
-            yield from map(examine, *again)

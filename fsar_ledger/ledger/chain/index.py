@@ -1,0 +1,76 @@
+"""The index of a ledger of format 2: which runs are in it, and where. The file `index.jsonl`, derived.
+
+It has a line for each append that added events, whose placement holds the line's size and hash. So a reader knows
+without reading rows whether a line is the right one. One that is not there, or not the right one, it derives from the
+rows.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.blocks import Block, blocks_of, by_run
+from fsar_ledger.ledger.store.record import Count
+
+
+class IndexLine(msgspec.Struct, frozen=True):
+    """The runs of the events that one append added: a block for each, in the order of their first rows.
+
+    Rows of a block may have rows of other blocks between them. `first` is the index in the ledger of the first event.
+    """
+
+    blocks: tuple[Block, ...]
+    first: Count
+
+
+class _Named(msgspec.Struct, frozen=True, gc=False):
+    """What a block says of a name alone."""
+
+    run: str
+    first: int
+    is_alone: bool = False
+
+
+class _NamedLine(msgspec.Struct, frozen=True):
+    blocks: tuple[_Named, ...]
+
+
+_LINE, _NAMED = msgspec.json.Decoder(IndexLine), msgspec.json.Decoder(_NamedLine)
+
+
+def index_line(first: int, blocks: Sequence[Block]) -> bytes:
+    """Return the line of the events from this index in the ledger on, with a line feed."""
+    return canonical.document(IndexLine(by_run(blocks), first)) + b"\n"
+
+
+def line_of(first: int, table: pa.Table) -> bytes:
+    """Return the line of these rows, which begin with this index in the ledger."""
+    return index_line(first, tuple(blocks_of(table)))
+
+
+class Index:
+    """The lines of an index, in order."""
+
+    def __init__(self, lines: Sequence[bytes]) -> None:
+        self._lines = lines
+
+    def names(self) -> Iterator[tuple[str, bool]]:
+        """Yield the name of each run and plan, in the order of their first events, and whether it is a plan."""
+        for line in self._lines:
+            for block in _NAMED.decode(line).blocks:
+                if not block.first:
+                    yield block.run, block.is_alone
+
+    def blocks(self) -> Iterator[Block]:
+        """Yield the blocks of all lines."""
+        for line in self._lines:
+            yield from _LINE.decode(line).blocks
+
+    def of_run(self, run: str) -> Iterator[tuple[int, Block]]:
+        """Yield the number of each line that names the run, and its block there."""
+        name = b'"run":' + canonical.document(run)
+        for number, line in enumerate(self._lines):
+            if name in line:
+                yield from ((number, block) for block in _LINE.decode(line).blocks if block.run == run)

@@ -1,0 +1,46 @@
+"""Where in a ledger the events of a run are."""
+
+from collections.abc import Sequence
+
+import msgspec
+import pyarrow.compute as pc
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.rows import segment
+from fsar_ledger.ledger.store.view import Part, View
+
+
+def segments_of(view: View, parts: Sequence[Part]) -> list[int]:
+    """Return the numbers of the segments that hold these parts of a run, in order."""
+    numbers = range(len(view.releases))
+    return [
+        number
+        for number in numbers
+        if any(one.first < view.end(number) and one.end > view.first(number) for one in parts)
+    ]
+
+
+def place_of(view: View, run: str, seq: int) -> int:
+    """Return the index in the ledger of this event of the run.
+
+    Raises:
+        KeyError: The run has no such event; the argument is how many it has.
+        LedgerCorrupted: A segment cannot be read, or does not hold the event.
+    """
+    parts = view.parts(run)
+    part = next((one for one in parts if one.block.first <= seq < one.block.end), None)
+    if part is None:
+        raise KeyError(parts[-1].block.end if parts else 0)
+    for number in segments_of(view, [part]):
+        table = segment.read_table(view.segment(number), ["run_id", "seq"])
+        place = pc.index(pc.and_(pc.equal(table["run_id"], run), pc.equal(table["seq"], seq)), True).as_py()
+        if place >= 0:
+            return view.first(number) + int(place)
+    raise LedgerCorrupted(
+        f"{view.path}: found no event {seq} of run {run} where the index says that it is; run fsar-ledger verify"
+    )
+
+
+def event_at(view: View, place: int) -> dict[str, object]:
+    """Return the event with this index in the ledger, as it is stored. Raises: LedgerCorrupted."""
+    return msgspec.json.decode(view.event(place), type=dict[str, object])
