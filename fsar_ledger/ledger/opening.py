@@ -3,7 +3,7 @@
 To answer from it, it is opened after the checks of `verify --quick`: the records, their chain and notes, and the file
 `checkpoint` are compared here; the bytes of a segment when it is handed out (`View.segment`). Stray files are left to
 `verify`, because no answer reads a file that no record names. So are the derived hashes, except those of a proof, which
-is checked against the root.
+is checked against the root, and of the index, whose lines are compared with their records.
 """
 
 from pathlib import Path
