@@ -29,9 +29,10 @@ def place_of(view: View, run: str, seq: int) -> int:
     """
     parts = view.parts(run)
     part = next((one for one in parts if one.block.first <= seq < one.block.end), None)
-    if part is None:
-        raise KeyError(parts[-1].block.end if parts else 0)
-    for number in segments_of(view, [part]):
+    events = sum(one.block.rows for one in parts)
+    if part is None and seq >= events:
+        raise KeyError(events)
+    for number in segments_of(view, parts if part is None else [part]):
         table = segment.read_table(view.segment(number), ["run_id", "seq"])
         place = pc.index(pc.and_(pc.equal(table["run_id"], run), pc.equal(table["seq"], seq)), True).as_py()
         if place >= 0:
