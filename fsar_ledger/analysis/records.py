@@ -44,9 +44,8 @@ def commits_of(view: View, run: str) -> list[tuple[int, int]]:
     for number in segments_of(view, view.parts(run)):
         table = segment.read_table(view.segment(number), ["run_id", "seq"])
         places = np.flatnonzero(pc.equal(table.column("run_id"), run).to_numpy())
-        commits = np.searchsorted(sizes, view.first(number) + places, side="right")
-        for commit, seq in zip(commits.tolist(), table.column("seq").to_numpy()[places].tolist(), strict=True):
-            found.setdefault(commit, seq)
+        commits, at = np.unique(np.searchsorted(sizes, view.first(number) + places, side="right"), return_index=True)
+        found.update(zip(commits.tolist(), table.column("seq").to_numpy()[places[at]].tolist(), strict=True))
     if not found:
         raise _missing(view, run)
     return [(seq, commit) for commit, seq in found.items()]

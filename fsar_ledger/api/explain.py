@@ -13,7 +13,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
-from .lookup import names_on_record, no_run, numbers_of
+from .lookup import AboutRun, names_on_record, no_run, numbers_of
 from .provenance import Provenance, of_rows
 from .table import Table
 
@@ -65,12 +65,13 @@ class Account(msgspec.Struct, frozen=True):
         typeset.publish(place, figure(rows, form))
 
 
-def account(database: Database, ledger: Path, run: str, request: str | None, failure: str | None) -> Account:
+def account(about: AboutRun, ledger: Path, request: str | None, failure: str | None) -> Account:
     """Give an account of this action, as a request or as a failure.
 
     Raises:
         UsageError: The run has no such action, the action has not failed, or both or neither are named.
     """
+    database, run, number = about
     if "" in (request, failure):
         empty = option("request" if request == "" else "failure")
         raise UsageError(
@@ -83,7 +84,7 @@ def account(database: Database, ledger: Path, run: str, request: str | None, fai
         )
     timeline = _asked(database, "request_timeline", run, action)
     if not timeline:
-        raise UsageError(_no_action(database, ledger, run, action))
+        raise UsageError(_no_action(database, ledger, run, action, number))
     (parties,) = _asked(database, "requests", run, action)
     recovery = _asked(database, "failure_timeline", run, action)
     if failure is not None and not recovery:
@@ -123,7 +124,9 @@ def run_with(database: Database, ledger: Path, action: str) -> str:
         runs = [row["run_id"] for row in database.rows("SELECT run_id FROM run_numbers")]
         if not runs:
             raise UsageError(no_run(ledger))
-        raise UsageError(_no_action(database, ledger, runs[0] if len(runs) == 1 else None, action))
+        only = str(runs[0]) if len(runs) == 1 else None
+        number = numbers_of(database).get(only) if only else None
+        raise UsageError(_no_action(database, ledger, only, action, number))
     return found[0]
 
 
@@ -135,13 +138,13 @@ def _asked(database: Database, query: str, run: str, action: str) -> Rows:
     return plain_rows(database.query(f"audit/{query}", {"run": run, "action": action}))
 
 
-def _no_action(database: Database, ledger: Path, run: str | None, asked: str) -> str:
+def _no_action(database: Database, ledger: Path, run: str | None, asked: str, number: int | None = None) -> str:
     """Say that the run, or with None every run, lacks the action; name the nearest, and how to list those there are."""
     place = "any run" if run is None else f"run {printable.value(run)}"
     hint = printable.did_you_mean(asked, names_on_record(database, "action", run)) or ";"
     called = (
         f"query requests {printable.word(ledger)}"
         if run is None
-        else f"explain {printable.word(ledger)} --run {printable.word(numbers_of(database).get(run, run))}"
+        else f"explain {printable.word(ledger)} --run {printable.word(run if number is None else number)}"
     )
     return f"{asked}: there is no such request in {place}{hint} `fsar-ledger {called}` lists them"

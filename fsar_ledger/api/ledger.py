@@ -186,7 +186,7 @@ class Ledger(Timelines, Replays, Integrity):
         """Return the requests of a run, the first by default: who asked, allowed, executed, supervised; the result."""
         from .explain import requests
 
-        with self.about_run(run) as (database, name):
+        with self.about_run(run) as (database, name, _):
             return requests(database, name)
 
     def explain(self, run: Run | None = None, request: str | None = None, failure: str | None = None) -> "Account":
@@ -199,8 +199,8 @@ class Ledger(Timelines, Replays, Integrity):
         """
         from .explain import account
 
-        with self.about_run(run, request or failure) as (database, name):
-            return account(database, self.path, name, request, failure)
+        with self.about_run(run, request or failure) as about:
+            return account(about, self.path, request, failure)
 
     # --- judgement ---
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
@@ -57,6 +57,14 @@ _PRINCIPALS = ("robot", "supervisor")
 _WORDS = {"record": "kind of record", "case": "case number"}
 
 
+class AboutRun(NamedTuple):
+    """A run that was asked for: a database over its events, its full name, and its number (None: it has none)."""
+
+    database: "Database"
+    run: str
+    number: int | None
+
+
 def run_of(database: "Database", asked: object, ledger: Path | None = None) -> str:
     """Return the full name of a run that is given by name, number or unique part.
 
@@ -76,10 +84,8 @@ def _way(ledger: Path) -> str:
 
 def run_in(view: "View", asked: object) -> str:
     """Return the full name of a run that is given by name, number or unique part. Raises: As `run_of`."""
-    names = list(view.names())
-    runs = [name for name, is_plan in names if not is_plan]
-    plans = [name for name, is_plan in names if is_plan]
-    return run_named(asked, runs, plans, _way(view.path))
+    names = view.run_names
+    return run_named(asked, names.runs, names.plans, _way(view.path))
 
 
 def no_run(ledger: Path) -> str:
@@ -89,34 +95,24 @@ def no_run(ledger: Path) -> str:
 
 def chosen_in(view: "View", asked: object) -> str:
     """Return the full name of the run that was asked for, or of the first. Raises: UsageError if there is none."""
-    first = next((name for name, is_plan in view.names() if not is_plan), None)
-    if first is None:
+    if not view.run_names.runs:
         raise UsageError(no_run(view.path))
-    return first if asked is None else run_in(view, asked)
-
-
-def numbers_in(view: "View") -> dict[str, int]:
-    """Return the number that names each run, as `run_of` takes it; none that is itself the name of a run or a plan."""
-    names = dict(view.names())
-    runs = (name for name, is_plan in names.items() if not is_plan)
-    return {name: number for number, name in enumerate(runs, start=1) if f"{number}" not in names}
+    return view.run_names.runs[0] if asked is None else run_in(view, asked)
 
 
 @contextmanager
-def about_run(ledger: Path, asked: object, demanded: str | None) -> "Iterator[tuple[Database, str]]":
-    """Yield a database over the events of a run, the first if none is asked for, and its full name.
+def about_run(view: "View", asked: object, demanded: str | None) -> Iterator[AboutRun]:
+    """Yield what there is about a run, the first if none is asked for.
 
     Raises:
         UsageError: As `chosen_in`.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
+        LedgerCorrupted, SequenceConflict: As `connect_run`.
     """
-    from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import connect_run
 
-    view = open_for_answers(ledger)
     run = chosen_in(view, asked)
     with connect_run(view, run, demanded) as database:
-        yield database, run
+        yield AboutRun(database, run, view.run_names.numbers().get(run))
 
 
 def numbers_of(database: "Database") -> dict[str, int]:

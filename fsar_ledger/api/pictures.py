@@ -13,11 +13,10 @@ from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.observing import Unobserved
-from fsar_ledger.metrics.verified import is_verified
 
 from .files import whole_file
 from .log import asked_of, timeline
-from .lookup import about_run, numbers_of
+from .lookup import about_run
 from .names import Run
 from .provenance import Provenance
 
@@ -112,11 +111,9 @@ def _shown(source: Source, asked: Run | None) -> tuple["Shown", Provenance]:
     from fsar_ledger.view.drawn import drawn, words_of
     from fsar_ledger.view.page import Shown
 
-    with about_run(source.path, asked, source.demanded) as (database, name):
-        number = numbers_of(database).get(name)
-        told = timeline(database, asked_of(database, source.path, name, None, None, None, None))
     view = open_for_answers(source.path)
-    is_verified(view, source.demanded)
+    with about_run(view, asked, source.demanded) as (database, name, number):
+        told = timeline(database, asked_of(database, source.path, name, None, None, None, None))
     run = record_of(view, name)
     if type(run.events[0]) in ALONE:
         raise UsageError(

@@ -87,7 +87,7 @@ class Replays:
         from .moment import moment
 
         view, provenance = self._view()
-        with about_run(self.path, run, self._demanded) as (database, name):
+        with about_run(view, run, self._demanded) as (database, name, _):
             at_us = time_of(database, "at", at, name)
             whose = None if robot is None else robot_of(database, robot, name)
         return moment(view, provenance, name, at_us, whose, as_known_by, by_commit)
@@ -108,7 +108,7 @@ class Replays:
         from .walks import Steps
 
         view, provenance = self._view()
-        with about_run(self.path, run, self._demanded) as (database, name):
+        with about_run(view, run, self._demanded) as (database, name, _):
             at_us = time_of(database, "at", at, name)
         return Steps(record_of(view, name), provenance, at_us)
 
@@ -344,5 +344,5 @@ class Replays:
         from .lookup import about_run
         from .whys import verdicts_of
 
-        with about_run(self.path, run, self._demanded) as (database, name):
+        with about_run(self._view()[0], run, self._demanded) as (database, name, _):
             return verdicts_of(database, name, kind)

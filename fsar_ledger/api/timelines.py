@@ -10,9 +10,8 @@ from fsar_ledger.errors import UsageError
 from .names import Run, Time
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.database import Database
-
     from .log import Pause
+    from .lookup import AboutRun
     from .table import Table
 
 
@@ -26,13 +25,11 @@ class Timelines:
         """Return the number of each run, by its name: the short name that every question takes for it."""
         from fsar_ledger.ledger.opening import open_for_answers
 
-        from .lookup import numbers_in
-
-        return numbers_in(open_for_answers(self.path))
+        return open_for_answers(self.path).run_names.numbers()
 
     @contextmanager
-    def about_run(self, run: Run | None, action: str | None = None) -> "Iterator[tuple[Database, str]]":
-        """Yield a connection over the events of one run, and its full name; without a run, perhaps over all events.
+    def about_run(self, run: Run | None, action: str | None = None) -> "Iterator[AboutRun]":
+        """Yield what there is about one run; without a run, the database is perhaps over all events.
 
         Args:
             run: The run; None: the only one with this action or, without an action, the first.
@@ -41,10 +38,12 @@ class Timelines:
         Raises:
             UsageError: There is no such run, or none or several have the action.
         """
-        from .lookup import about_run
+        from fsar_ledger.ledger.opening import open_for_answers
+
+        from .lookup import AboutRun, about_run, numbers_of
 
         if run is not None or not action:
-            with about_run(self.path, run, self._demanded) as found:
+            with about_run(open_for_answers(self.path), run, self._demanded) as found:
                 yield found
             return
         from fsar_ledger.metrics.database import connect
@@ -52,7 +51,8 @@ class Timelines:
         from .explain import run_with
 
         with connect(self.path, demanded=self._demanded) as database:
-            yield database, run_with(database, self.path, action)
+            name = run_with(database, self.path, action)
+            yield AboutRun(database, name, numbers_of(database).get(name))
 
     def log(
         self,
@@ -78,12 +78,11 @@ class Timelines:
         from fsar_ledger.metrics.database import connect
 
         from .log import ALL, asked_of, timeline
-        from .lookup import about_run
 
         if run == ALL:
             with connect(self.path, demanded=self._demanded) as database:
                 return timeline(database, asked_of(database, self.path, ALL, since, until, robot, about))
-        with about_run(self.path, run, self._demanded) as (database, name):
+        with self.about_run(run) as (database, name, _):
             return timeline(database, asked_of(database, self.path, name, since, until, robot, about))
 
     def stream_log(

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 
 from fsar_ledger.ledger.opening import open_for_answers
@@ -81,26 +82,19 @@ def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
     rows_verified = is_verified(view, demanded)
     held = segments_of(view, view.parts(run))
     segments = [view.segment(number) for number in held]
-    names = [name for name, is_plan in view.names() if not is_plan]
-    numbers = pa.table({"run_id": names, "number": range(1, len(names) + 1)}, schema=_NUMBERS)
+    names = view.run_names.runs
+    numbers = pa.table({"run_id": names, "number": np.arange(1, len(names) + 1)}, schema=_NUMBERS)
     database = Database(view.head, segments, rows_verified=rows_verified)
-    _fill(database, segments, [view.releases[number] for number in held], run, numbers)
+    _fill(database, segments, [view.releases[number] for number in held], relation.OneRun(run, numbers))
     return database
 
 
 def _fill(
-    database: Database,
-    segments: Sequence[Path],
-    releases: Sequence[str],
-    run: str | None = None,
-    run_numbers: pa.Table | None = None,
+    database: Database, segments: Sequence[Path], releases: Sequence[str], only: relation.OneRun | None = None
 ) -> None:
     """Hold the rows of these segments as `hold_segments`, or close the database if that fails. Raises: As that."""
     try:
-        if segments:
-            relation.hold_segments(database, segments, releases, run, run_numbers)
-        else:
-            database.hold("events", SCHEMA.empty_table())
+        relation.hold_segments(database, segments, releases, only)
     except BaseException:
         database.close()
         raise

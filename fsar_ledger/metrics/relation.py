@@ -8,7 +8,7 @@ segments.
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
@@ -16,7 +16,7 @@ from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.events import ADDITIONS
 from fsar_ledger.ledger.rows.codec import upcast_rows
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, SCHEMAS
-from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS, RETIRED, STANDS_ALONE
+from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS, RETIRED, SCHEMA, STANDS_ALONE
 from fsar_ledger.ledger.rows.segment import read_table
 
 from .connection import Database
@@ -25,19 +25,25 @@ from .library import SQL_TYPES
 _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 
 
+class OneRun(NamedTuple):
+    """The run whose rows alone are asked for, and the relation `run_numbers` of the whole ledger."""
+
+    run: str
+    run_numbers: pa.Table
+
+
 def hold_segments(
-    database: Database,
-    segments: Sequence[Path],
-    releases: Sequence[str],
-    run: str | None = None,
-    run_numbers: pa.Table | None = None,
+    database: Database, segments: Sequence[Path], releases: Sequence[str], only: OneRun | None = None
 ) -> None:
     """Make the rows of these segments, given the release of each, the database's `events`.
 
-    With `run`, only the rows of this run. Without `run_numbers`, runs are numbered as these segments hold them.
+    With `only`, those of that run; else runs are numbered as these segments hold them.
 
     Raises: as `_upcast`.
     """
+    if not segments:
+        database.hold("events", SCHEMA.empty_table())
+        return
     types = _types(database, segments)
     database.absent = frozenset(
         tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types))
@@ -47,13 +53,13 @@ def hold_segments(
     for path, release in zip(segments, releases, strict=True):
         alike.setdefault(FINGERPRINTS[release], []).append(path)
     present = {FINGERPRINTS[release]: frozenset(SCHEMAS[release].names) for release in releases}
-    of_run = "" if run is None else f" WHERE run_id = {_literal(run)}"
+    of_run = "" if only is None else f" WHERE run_id = {_literal(only.run)}"
     parts = [
         (f"(SELECT * FROM {_parquet(paths)}{of_run})" if of_run else _parquet(paths), present[fingerprint])
         for fingerprint, paths in alike.items()
     ]
-    if run_numbers is not None:
-        database.hold("run_numbers", run_numbers)
+    if only is not None:
+        database.hold("run_numbers", only.run_numbers)
     elif types:
         _number_runs(database, segments)
     if holding:

@@ -143,7 +143,7 @@ def test_a_plan_has_a_name_and_no_number() -> None:
 def test_numbers_of_runs_are_their_places_in_the_ledger(ledger: fsar_ledger.Ledger) -> None:
     rows = ledger.runs().rows()
     known = {row["run_id"] for row in rows}
-    placed = [run for run, _ in open_for_answers(ledger.path).names() if run in known]
+    placed = [run for run in open_for_answers(ledger.path).run_names.runs if run in known]
     numbered = sorted(rows, key=lambda row: row["number"])
     assert ledger.runs().columns[0] == "number"
     assert [row["run_id"] for row in numbered] == placed

@@ -26,7 +26,7 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.places import place_of
 from fsar_ledger.ledger.store.proof import check_proof, prove
-from fsar_ledger.ledger.store.view import View
+from fsar_ledger.ledger.store.view import RunNames, View
 from fsar_ledger.ledger.upgrading import upgrade
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.recover import recover
@@ -100,7 +100,7 @@ def test_however_runs_are_cut_sealed_and_compacted_rows_root_and_runs_are_the_sa
     assert (found.head.size, found.head.root) == (expected.head.size, expected.head.root)
     assert events_of(found) == events_of(expected)
     assert list(found.runs()) == list(expected.runs()) == RUNS[:2]
-    assert list(found.names()) == list(expected.names()) == [("run-0", False), ("run-1", False)]
+    assert found.run_names == expected.run_names == RunNames(("run-0", "run-1"))
     events = [msgspec.json.decode(event) for event in events_of(found)]
     for index in range(0, len(events), 11):
         assert place_of(found, events[index]["run_id"], events[index]["seq"]) == index
@@ -209,11 +209,11 @@ def test_whatever_the_index_holds_a_reader_finds_each_run_and_recover_makes_it_a
     path: Path, change: Callable[[bytes], bytes]
 ) -> None:
     before = open_for_answers(path)
-    names, parts = list(before.names()), [before.parts(run.run_id) for run in RUNS]
+    names, parts = before.run_names, [before.parts(run.run_id) for run in RUNS]
     data = (path / INDEX).read_bytes()
     (path / INDEX).write_bytes(change(data))
     after = open_for_answers(path)
-    assert list(after.names()) == names == [("run-0", False), ("run-1", False), ("run-2", False)]
+    assert after.run_names == names == RunNames(("run-0", "run-1", "run-2"))
     assert [after.parts(run.run_id) for run in RUNS] == parts
     assert [sum(part.block.rows for part in one) for one in parts] == [30, 25, 30, 0]
     report = verify(path)

@@ -25,6 +25,7 @@ from fsar_ledger.ledger.store.proof import (
 )
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.ledger.store.view import RunNames
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
@@ -101,7 +102,7 @@ def test_without_a_trusted_key_the_signature_is_only_told(intact: Path, tmp_path
 def test_runs_are_found_where_they_are(intact: Path) -> None:
     view = open_ledger(intact)
     runs = [f"run-{number:04d}" for number in range(6)]
-    assert list(view.names()) == [(run, False) for run in runs]
+    assert view.run_names == RunNames(tuple(runs))
     assert [place_of(view, run, 59) for run in runs] == [60 * number + 59 for number in range(6)]
     assert [view.parts(run)[0].block.rows for run in runs] == [60] * 6
     assert view.parts("run-9999") == []

@@ -78,7 +78,6 @@ def explain(
     of the run.
     """
     from fsar_ledger.api.explain import account, requests
-    from fsar_ledger.api.lookup import numbers_of
     from fsar_ledger.cli.answering import opened, warn
     from fsar_ledger.cli.output import json_text, run_text
     from fsar_ledger.ledger.store.paths import require_outside
@@ -94,12 +93,12 @@ def explain(
     for kind, path in files.items():
         require_outside(path, f"--{kind} {path}")
     asked = opened(ledger, verified=verified)
-    with asked.about_run(run, request or failure) as (database, name):
-        number = numbers_of(database).get(name)
+    with asked.about_run(run, request or failure) as about:
+        database, name, number = about
         if request is None and failure is None:
             listed = requests(database, name)
         else:
-            told = account(database, ledger, name, request, failure)
+            told = account(about, ledger, request, failure)
     if request is None and failure is None:
         warn(ledger, listed.provenance)
         _list(ledger, (name, number), listed, as_json=as_json, wide=wide)

@@ -13,6 +13,7 @@ import pyarrow as pa
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of, by_run
 from fsar_ledger.ledger.store.record import Count
+from fsar_ledger.ledger.store.view import RunNames
 
 
 class IndexLine(msgspec.Struct, frozen=True):
@@ -25,7 +26,7 @@ class IndexLine(msgspec.Struct, frozen=True):
     first: Count
 
 
-class _Named(msgspec.Struct, frozen=True, gc=False):
+class _Named(msgspec.Struct, gc=False):
     """What a block says of a name alone."""
 
     run: str
@@ -33,8 +34,8 @@ class _Named(msgspec.Struct, frozen=True, gc=False):
     is_alone: bool = False
 
 
-class _NamedLine(msgspec.Struct, frozen=True):
-    blocks: tuple[_Named, ...]
+class _NamedLine(msgspec.Struct):
+    blocks: list[_Named]
 
 
 _LINE, _NAMED = msgspec.json.Decoder(IndexLine), msgspec.json.Decoder(_NamedLine)
@@ -56,12 +57,11 @@ class Index:
     def __init__(self, lines: Sequence[bytes]) -> None:
         self._lines = lines
 
-    def names(self) -> Iterator[tuple[str, bool]]:
-        """Yield the name of each run and plan, in the order of their first events, and whether it is a plan."""
-        for line in self._lines:
-            for block in _NAMED.decode(line).blocks:
-                if not block.first:
-                    yield block.run, block.is_alone
+    def run_names(self) -> RunNames:
+        """Return the names of the runs and plans, in the order of their first events."""
+        begins = [block for line in self._lines for block in _NAMED.decode(line).blocks if not block.first]
+        runs = tuple([block.run for block in begins if not block.is_alone])
+        return RunNames(runs, tuple([block.run for block in begins if block.is_alone]))
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks of all lines."""

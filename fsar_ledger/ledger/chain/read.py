@@ -30,13 +30,14 @@ from fsar_ledger.ledger.log.note import Note
 from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.rows.layout import check_layout
+from fsar_ledger.ledger.rows.layout import Layout, check_layout
 from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.rows.releases import RELEASE
+from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.record import CHAINED, Manifest, parse_manifest, sha256_hex
-from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head, Part
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head, Part, RunNames
 from fsar_ledger.ledger.store.walk import Names, find_segment, read_segment
 
 MAX_CHAIN_BYTES = 1 << 32
@@ -57,6 +58,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     followed: Followed
     journal: Journal
     checked: dict[int, Path] = msgspec.field(default_factory=dict)
+    kept: dict[int, pa.Table] = msgspec.field(default_factory=dict)
 
     @property
     def record_sha256(self) -> str:
@@ -111,6 +113,10 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
 
     def placed_segment(self, placement: Placement) -> Path:
         """Return the segment of this placement, after checking that it is as placed. Raises: As `segment`."""
+        return self._placed(placement)[0]
+
+    def _placed(self, placement: Placement) -> tuple[Path, bytes, Layout]:
+        """Return the segment of this placement, its bytes and its layout, both as placed. Raises: As `segment`."""
         names = Names(segment_of(placement), CHAIN)
         number = placement.number
         for _ in range(_TRIES):
@@ -123,8 +129,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
                 continue
             if problem is not None:
                 raise LedgerCorrupted(f"{self.path}/{problem}; restore the file")
-            check_layout(self.path / found.file, data)
-            return self.path / found.file
+            return self.path / found.file, data, check_layout(self.path / found.file, data)
         raise LedgerCorrupted(f"{self.path}/{names.place}: found no file to read, expected the segment; restore it")
 
     def located(self, placement: Placement) -> Path:
@@ -163,6 +168,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
             followed=Followed(self.followed.end + len(data), last=self.followed.end),
             journal=Journal([], tree, bytearray()),
             checked={},
+            kept={},
         )
 
     def journal_table(self) -> pa.Table:
@@ -195,15 +201,20 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
                 return [*found, *lines[at : at + end - first]]
             number = bisect_right(placed, first, key=lambda one: one.first) - 1
             start, stop = first - placed[number].first, min(end, placed[number].end) - placed[number].first
-            table = segment.read_table(self.segment(number))
-            if table.num_rows != placed[number].rows:
-                raise LedgerCorrupted(
-                    f"{self.segment(number)}: found {table.num_rows} rows, expected {placed[number].rows}; restore the "
-                    "file"
-                )
-            found += canonical.from_table(table.slice(start, stop - start).combine_chunks())
+            found += canonical.from_table(self._coded(number).slice(start, stop - start).cast(SCHEMA).combine_chunks())
             first = placed[number].first + stop
         return found
+
+    def _coded(self, number: int) -> pa.Table:
+        """Return the rows of this segment; the last ones asked for are kept. Raises: As `segment`."""
+        if number not in self.kept:
+            placement = self.chain.placed[number]
+            path, data, layout = self._placed(placement)
+            if layout.rows != placement.rows:
+                raise LedgerCorrupted(f"{path}: found {layout.rows} rows, expected {placement.rows}; restore the file")
+            self.kept.clear()
+            self.kept[number] = segment.read_coded(path, data, layout)
+        return self.kept[number]
 
     def event(self, index: int) -> bytes:
         """Return the canonical bytes of the event at this index. Raises: As `segment`."""
@@ -263,9 +274,10 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         added = [self.chain.added[at] for at in self.chain.added_in(number)]
         return [line_of(one.first, table.slice(one.first - start, one.rows)) for one in added]
 
-    def names(self) -> Iterator[tuple[str, bool]]:
-        """Yield the name of each run and plan, in the order of their first events, and whether it is a plan."""
-        return self.index.names()
+    @cached_property
+    def run_names(self) -> RunNames:
+        """Return the names of the runs and plans, in the order of their first events. Raises: As `index`."""
+        return self.index.run_names()
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is. Raises: As `segment`."""
@@ -320,7 +332,9 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
             found = leaf_hashes(block, min(block + (1 << pack.BASE), self.head.size))
             return found[(first - block) * HASH_BYTES : (end - block) * HASH_BYTES]
 
-        return pack.node_of(read, some)
+        edge = self.chain.tree().nodes()
+        stored = pack.node_of(read, some)
+        return lambda height, number: edge.get((height, number)) or stored(height, number)
 
     def tree(self) -> Frontier:
         """Return the tree of all events."""

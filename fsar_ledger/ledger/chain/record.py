@@ -125,7 +125,7 @@ def parse_line(line: bytes) -> Record:
             hashes += (record.index_sha256,)
         elif record.index_sha256:
             raise ValueError("the SHA-256 of a line of the index that has no bytes")
-    if set(map(len, hashes)) != {2 * HASH_BYTES} or "".join(hashes).strip("0123456789abcdef"):
+    if set(map(len, hashes)) != {2 * HASH_BYTES} or "".join(hashes).encode().translate(None, b"0123456789abcdef"):
         value = next(one for one in hashes if len(one) != 2 * HASH_BYTES or one.strip("0123456789abcdef"))
         raise ValueError(f"{value!r:.80}, which is no SHA-256 in lower-case hex")
     return record

@@ -54,13 +54,24 @@ class Frontier(msgspec.Struct, frozen=True):
             size >>= 1
         return Frontier(self.size + len(leaves) // HASH_BYTES, (*kept, *reversed(found)))
 
+    def nodes(self) -> dict[tuple[int, int], bytes]:
+        """Return the complete subtrees by height, and index among those of that height."""
+        found: dict[tuple[int, int], bytes] = {}
+        first = 0
+        for subtree in self.subtrees:
+            height = (self.size - first).bit_length() - 1
+            found[height, first >> height] = subtree
+            first += 1 << height
+        return found
+
     def root(self) -> bytes:
         """Return the root hash of the tree."""
         if not self.subtrees:
             return EMPTY_ROOT
         *left, root = self.subtrees
+        sha256 = hashlib.sha256  # a reader of a long chain does this for each line
         for subtree in reversed(left):
-            root = node_hash(subtree, root)
+            root = sha256(b"\x01" + subtree + root).digest()
         return root
 
 

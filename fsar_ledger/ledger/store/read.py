@@ -6,6 +6,7 @@ Readers never write, never see half a commit, and never get a segment other than
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +28,7 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
 from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, require_created
 from fsar_ledger.ledger.store.record import CommitRecord, Manifest, parse_manifest, sha256_hex
-from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head, Part
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head, Part, RunNames
 from fsar_ledger.ledger.store.walk import (
     Commit,
     check_folders,
@@ -54,7 +55,7 @@ class Checked(NamedTuple):
     changed_ns: int
 
 
-class LedgerView(msgspec.Struct, frozen=True):
+class LedgerView(msgspec.Struct, frozen=True, dict=True):
     """A ledger as it was when it was opened; later commits do not show.
 
     `record_sha256` is the hash of the newest record (of ledger.json if there is none), which vouches for every byte of
@@ -181,13 +182,16 @@ class LedgerView(msgspec.Struct, frozen=True):
         number = bisect_right(self.records, index, key=lambda record: record.tree_size)
         return self.row(number, index - self.first(number))
 
-    def names(self) -> Iterator[tuple[str, bool]]:
-        """Yield the name of each run and plan, in order, and whether it is a plan. Raises: As `table`."""
+    @cached_property
+    def run_names(self) -> RunNames:
+        """Return the names of the runs and plans, in order. Raises: As `table`."""
+        found: tuple[list[str], list[str]] = ([], [])
         for table in self.tables(["run_id", "seq", "type"]):
             begins = table.filter(pc.equal(table.column("seq"), 0)).combine_chunks()
-            yield from zip(
-                begins.column("run_id").to_pylist(), standing_alone(whole(begins.column("type"))).tolist(), strict=True
-            )
+            is_plan = pa.array(standing_alone(whole(begins.column("type"))))
+            for names, is_one in zip(found, (pc.invert(is_plan), is_plan), strict=True):
+                names += begins.column("run_id").filter(is_one).to_pylist()
+        return RunNames(*map(tuple, found))
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is: in one commit. Raises: As `table`."""

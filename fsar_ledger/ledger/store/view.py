@@ -37,6 +37,18 @@ class Part(msgspec.Struct, frozen=True):
     block: Block
 
 
+class RunNames(msgspec.Struct, frozen=True):
+    """The names of a ledger's runs, and of its plans, each in the order of their first events."""
+
+    runs: tuple[str, ...] = ()
+    plans: tuple[str, ...] = ()
+
+    def numbers(self) -> dict[str, int]:
+        """Return the number that names each run, from 1; none that is itself the name of a run or a plan."""
+        names = {*self.runs, *self.plans}
+        return {name: number for number, name in enumerate(self.runs, start=1) if f"{number}" not in names}
+
+
 class Committed(Protocol):
     """What a commit says in every format: the events of the ledger after it, and how many it added."""
 
@@ -108,11 +120,9 @@ class View(Protocol):
     def runs(self) -> Iterator[LedgerRun]:
         """Yield every run, in the order of their first events. Raises: LedgerCorrupted, UnknownEventTag."""
 
-    def names(self) -> Iterator[tuple[str, bool]]:
-        """Yield the name of each run and plan, in the order of their first events, and whether it is a plan.
-
-        Raises: LedgerCorrupted.
-        """
+    @property
+    def run_names(self) -> RunNames:
+        """Return the names of the runs and plans, read once. Raises: LedgerCorrupted."""
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is, in order; empty if there is none. Raises: LedgerCorrupted."""
