@@ -28,7 +28,7 @@ from fsar_ledger.projections import registry
 from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.projections.registry import Advertisement
 from fsar_ledger.runtime.handlers.attribution import nearest_first
-from fsar_ledger.runtime.handlers.registry import Query, candidates, rejecting_filter
+from fsar_ledger.runtime.handlers.candidates import Query, candidates, rejecting_filter
 from fsar_ledger.runtime.simulation import RunSpec, run_started
 
 SIZES = (4, 16, 64, 256, 1024, 4096)

@@ -142,7 +142,7 @@ def standing(record: LedgerRun, seq: int, state: State, robot: str | None = None
     robots = [name for name in state.fleet.robots if robot in (None, name)]
     requests = [
         RequestNow(one.action_id, one.requester, one.capability, one.target, _phase(one))
-        for one in state.request.values()
+        for one in state.request.open.values()
         if not one.is_over and robot in (None, one.requester, one.target)
     ]
     names = {one.action_id for one in requests}

@@ -1,17 +1,19 @@
 """Claims, rights and approvals: who holds what, who may ask for what. Paper: eq:auth."""
 
-from typing import assert_never
+from collections.abc import Container, Mapping
+from typing import NamedTuple, TypeVar, assert_never
 
 import msgspec
 
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
-from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Robot
+from fsar_ledger.events.envelope import OverrideLevel, Robot
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.world import PolicyWindowOpened
 
+from .maps import put, without
 from .policy import RoleRule, Rule, key_of
 
 HANDLES = (
@@ -34,25 +36,48 @@ LEVELS: tuple[OverrideLevel, ...] = (
     "emergency-only",
 )  # from weak to strong, eq:override
 Right = AuthorityGranted | AuthorityRevoked
+_Key = TypeVar("_Key")
 
 
-class Later(msgspec.Struct, frozen=True, gc=False):
-    """Policy that came after an approval and is not covered by it: windows, rules, and fleet rules heard, by robot."""
+class Since(Container[_Key]):
+    """Those keys whose last change has at least this number."""
 
-    windows: frozenset[str] = frozenset()
-    rules: frozenset[Rule | RoleRule] = frozenset()
-    heard: dict[Robot, PolicyOutcome] = {}
+    def __init__(self, changes: Mapping[_Key, int], number: int) -> None:
+        self._changes = changes
+        self._number = number
+
+    def __contains__(self, key: object) -> bool:
+        return self._changes.get(key, -1) >= self._number  # type: ignore[arg-type]  # no other key is there
+
+
+class Later(NamedTuple):
+    """Policy that came after an approval and is not covered by it: windows, rules, and robots that heard of a rule."""
+
+    windows: Container[str]
+    rules: Container[Rule | RoleRule]
+    heard: Container[Robot]
+
+
+class Changes(msgspec.Struct, frozen=True, gc=False):
+    """Changes of policy since the oldest approval, numbered: the last one of each window, rule and robot that heard."""
+
+    count: int = 0
+    windows: Mapping[str, int] = {}
+    rules: Mapping[Rule | RoleRule, int] = {}
+    heard: Mapping[Robot, int] = {}
 
 
 class Authority(msgspec.Struct, frozen=True, gc=False):
     """Claims, rights and approvals.
 
-    `claims`: action -> open claims; `rights`: grants and revocations in order; `approvals`: action -> later policy.
+    `claims`: action -> open claims; `rights`: grants and revocations in order; `approvals`: action -> number of the
+    next change of policy when it was approved; `changes`: those changes, while there are approvals.
     """
 
-    claims: dict[str, tuple[AuthorityClaimed, ...]] = {}
+    claims: Mapping[str, tuple[AuthorityClaimed, ...]] = {}
     rights: tuple[Right, ...] = ()
-    approvals: dict[str, Later] = {}
+    approvals: Mapping[str, int] = {}
+    changes: Changes = Changes()
 
 
 INITIAL = Authority()
@@ -61,6 +86,14 @@ INITIAL = Authority()
 def rank(level: OverrideLevel) -> int:
     """Return the rank of the level from weak (0) to strong. Paper: eq:override."""
     return LEVELS.index(level)
+
+
+def later_than(state: Authority, action_id: str) -> Later | None:
+    """Return the policy that came after the approval of this action, or None if there is none."""
+    number, changes = state.approvals.get(action_id), state.changes
+    if number is None:
+        return None
+    return Later(Since(changes.windows, number), Since(changes.rules, number), Since(changes.heard, number))
 
 
 def right_of(state: Authority, requester: Robot, executor: Robot, capability: str, context: str) -> Right | None:
@@ -80,45 +113,44 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
     """Return the claims, rights and approvals after the event."""
     match event:
         case AuthorityClaimed():
-            claims = {**state.claims, event.subject.action_id: (*state.claims.get(event.subject.action_id, ()), event)}
-            return Authority(claims, state.rights, state.approvals)
+            open_claims = (*state.claims.get(event.subject.action_id, ()), event)
+            claims = put(state.claims, event.subject.action_id, open_claims)
+            return Authority(claims, state.rights, state.approvals, state.changes)
         case AuthorityReleased():
             left = tuple(claim for claim in state.claims.get(event.subject.action_id, ()) if _key(claim) != _key(event))
-            claims = {**state.claims, event.subject.action_id: left}
-            if not left:
-                del claims[event.subject.action_id]
-            return Authority(claims, state.rights, state.approvals)
+            action = event.subject.action_id
+            claims = put(state.claims, action, left) if left else without(state.claims, action)
+            return Authority(claims, state.rights, state.approvals, state.changes)
         case PolicyWindowOpened() | PolicyRuleSet() | RolePolicyRuleSet() | FleetRuleLearned():
             if not state.approvals:
                 return state
-            approvals = {action: _with(later, event) for action, later in state.approvals.items()}
-            return Authority(state.claims, state.rights, approvals)
+            return Authority(state.claims, state.rights, state.approvals, _with(state.changes, event))
         case ExecutionFinished():
             if event.subject.action_id not in state.approvals:
                 return state
-            approvals = {
-                action: later for action, later in state.approvals.items() if action != event.subject.action_id
-            }
-            return Authority(state.claims, state.rights, approvals)
+            approvals = without(state.approvals, event.subject.action_id)
+            return Authority(state.claims, state.rights, approvals, state.changes if approvals else Changes())
         case AuthorityGranted() | AuthorityRevoked():
-            return Authority(state.claims, (*state.rights, event), state.approvals)
+            return Authority(state.claims, (*state.rights, event), state.approvals, state.changes)
         case SupervisorResponded():
             if event.purpose != "review" or not event.approves:
                 return state
-            return Authority(state.claims, state.rights, {**state.approvals, event.subject.action_id: Later()})
+            approvals = put(state.approvals, event.subject.action_id, state.changes.count)
+            return Authority(state.claims, state.rights, approvals, state.changes)
         case _:
             assert_never(event)
 
 
-def _with(later: Later, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRuleSet | FleetRuleLearned) -> Later:
-    """Return the policy that came after the approval, including this event's."""
+def _with(known: Changes, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRuleSet | FleetRuleLearned) -> Changes:
+    """Return the changes with this one."""
+    number, count = known.count, known.count + 1
     match event:
         case PolicyWindowOpened():
-            return Later(later.windows | {event.window}, later.rules, later.heard)
+            return Changes(count, put(known.windows, event.window, number), known.rules, known.heard)
         case PolicyRuleSet() | RolePolicyRuleSet():
-            return Later(later.windows, later.rules | {key_of(event)}, later.heard)
+            return Changes(count, known.windows, put(known.rules, key_of(event), number), known.heard)
         case FleetRuleLearned():
-            return Later(later.windows, later.rules, {**later.heard, event.robot: event.outcome})
+            return Changes(count, known.windows, known.rules, put(known.heard, event.robot, number))
         case _:
             assert_never(event)
 

@@ -3,10 +3,13 @@
 Paper: app:foundations.
 """
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 from fsar_ledger.events.envelope import RecoveryLevel, Robot
 from fsar_ledger.events.recovery import RecoveryBudgetSet
+
+from .maps import put
 
 HANDLES = RecoveryBudgetSet
 
@@ -18,11 +21,11 @@ class Budget(NamedTuple):
     n_max: int
 
 
-Budgets = dict[tuple[Robot, RecoveryLevel], Budget]  # robot, level
+Budgets = Mapping[tuple[Robot, RecoveryLevel], Budget]  # robot, level
 
 INITIAL: Budgets = {}
 
 
 def evolve(state: Budgets, event: HANDLES) -> Budgets:
     """Return the budgets after the event."""
-    return {**state, (event.robot, event.level): Budget(event.t_max_us, event.n_max)}
+    return put(state, (event.robot, event.level), Budget(event.t_max_us, event.n_max))

@@ -1,13 +1,28 @@
 """Requests that compete for one robot, and the order that H_F gives them. Paper: sec:prototype:workflows."""
 
+from collections.abc import Mapping
 from typing import assert_never
 
 import msgspec
+from msgspec.structs import replace
 
 from fsar_ledger.events.request import RequestDeferred, RequestDenied, RequestUnanswered
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.events.world import TaskArrived
 
-HANDLES = SupervisorCalled | SupervisorResponded | RequestDeferred | RequestDenied | RequestUnanswered
+from .maps import put
+
+HANDLES = (
+    SupervisorCalled
+    | SupervisorResponded
+    | RequestDeferred
+    | RequestDenied
+    | RequestUnanswered
+    | TaskArrived
+    | TaskCompleted
+    | TaskAbandoned
+)
 
 
 class Order(msgspec.Struct, frozen=True, gc=False):
@@ -23,12 +38,14 @@ class Contention(msgspec.Struct, frozen=True, gc=False):
     """The competing requests and their order.
 
     `orders`: the two actions -> their order; `arrived`: actions that wait at the executor for an order; `refused`:
-    actions that were denied or found nobody to ask, and no longer compete.
+    actions that were denied or found nobody to ask, and no longer compete; `critical`: open tasks that are
+    time-critical.
     """
 
-    orders: dict[tuple[str, str], Order] = {}
+    orders: Mapping[tuple[str, str], Order] = {}
     refused: frozenset[str] = frozenset()
     arrived: frozenset[str] = frozenset()
+    critical: frozenset[str] = frozenset()
 
 
 INITIAL = Contention()
@@ -40,32 +57,33 @@ def evolve(state: Contention, event: HANDLES) -> Contention:
         case SupervisorCalled():
             if event.competing is None:
                 return state
-            orders = {
-                **state.orders,
-                (event.subject.action_id, event.competing): Order(event.subject.action_id, event.competing),
-            }
-            return Contention(orders, state.refused, state.arrived | {event.subject.action_id})
+            pair = (event.subject.action_id, event.competing)
+            orders = put(state.orders, pair, Order(*pair))
+            return replace(state, orders=orders, arrived=state.arrived | {event.subject.action_id})
         case SupervisorResponded():
             if event.purpose != "ordering":
                 return state
             answered = {
-                pair: msgspec.structs.replace(order, is_answered=True, preferred=event.preferred)
+                pair: replace(order, is_answered=True, preferred=event.preferred)
                 for pair, order in state.orders.items()
                 if order.action_id == event.subject.action_id and not order.is_answered
             }
-            return Contention({**state.orders, **answered}, state.refused, state.arrived)
+            return replace(state, orders={**state.orders, **answered})
         case RequestDeferred():
             joins = any(
                 order.other == event.subject.action_id and not order.is_answered for order in state.orders.values()
             )
-            return (
-                Contention(state.orders, state.refused, state.arrived | {event.subject.action_id}) if joins else state
-            )
+            return replace(state, arrived=state.arrived | {event.subject.action_id}) if joins else state
         case RequestDenied() | RequestUnanswered():
             return (
                 state
                 if event.subject.action_id is None
-                else Contention(state.orders, state.refused | {event.subject.action_id}, state.arrived)
+                else replace(state, refused=state.refused | {event.subject.action_id})
             )
+        case TaskArrived():
+            return replace(state, critical=state.critical | {event.task_id}) if event.is_time_critical else state
+        case TaskCompleted() | TaskAbandoned():
+            is_critical = event.task_id in state.critical
+            return replace(state, critical=state.critical - {event.task_id}) if is_critical else state
         case _:
             assert_never(event)

@@ -3,6 +3,7 @@
 A robot serves one action at a time, by override level, then in order of arrival. Paper: eq:override.
 """
 
+from collections.abc import Mapping
 from typing import Literal, assert_never
 
 import msgspec
@@ -24,6 +25,7 @@ from fsar_ledger.events.execution import (
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, AssistanceFailed
 
 from .authority import rank
+from .maps import put, without
 
 HANDLES = (
     ExecutionQueued
@@ -86,11 +88,16 @@ class Action(msgspec.Struct, frozen=True, gc=False):
 
 
 class Execution(msgspec.Struct, frozen=True, gc=False):
-    """`current`: robot -> the action or assistance that occupies it; `queues`: robot -> waiting actions."""
+    """The actions, and what occupies robots.
 
-    current: dict[Robot, str] = {}
-    queues: dict[Robot, tuple[str, ...]] = {}
-    actions: dict[str, Action] = {}
+    `current`: robot -> the action or assistance that occupies it; `queues`: robot -> waiting actions; `served`: robot
+    -> the actions on its behalf.
+    """
+
+    current: Mapping[Robot, str] = {}
+    queues: Mapping[Robot, tuple[str, ...]] = {}
+    actions: Mapping[str, Action] = {}
+    served: Mapping[Robot, tuple[str, ...]] = {}
 
 
 INITIAL = Execution()
@@ -111,8 +118,7 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ExecutionStarted():
             return _staged(state, event.subject.action_id, "running", ends_us=event.ends_us)
         case ExecutionFinished():
-            actions = {name: action for name, action in state.actions.items() if name != event.subject.action_id}
-            return _freed(Execution(state.current, state.queues, actions), event.robot)
+            return _freed(_ended(state, event.subject.action_id), event.robot)
         case ExecutionHeld():
             return _held(state, event)
         case ExecutionPaused():
@@ -132,10 +138,15 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
             if state.current.get(event.robot) == event.subject.action_id:
                 return _freed(withdrawn, event.robot)
             queue = tuple(name for name in state.queues.get(event.robot, ()) if name != event.subject.action_id)
-            return Execution(withdrawn.current, {**state.queues, event.robot: queue}, withdrawn.actions)
+            return Execution(
+                withdrawn.current, put(state.queues, event.robot, queue), withdrawn.actions, withdrawn.served
+            )
         case AssistanceAdmitted():
             return Execution(
-                {**state.current, event.helper: HELPING + event.subject.action_id}, state.queues, state.actions
+                put(state.current, event.helper, HELPING + event.subject.action_id),
+                state.queues,
+                state.actions,
+                state.served,
             )
         case AssistanceEnded() | AssistanceFailed():
             return _freed(state, event.helper)
@@ -163,16 +174,31 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
         override=event.override,
         supervised_by=event.principals.supervised_by,
     )
-    actions = {**state.actions, event.subject.action_id: action}
+    actions, served = put(state.actions, event.subject.action_id, action), state.served
+    if known is None:
+        own = served.get(event.on_behalf_of, ())
+        served = put(served, event.on_behalf_of, (*own, event.subject.action_id))
     if event.robot in state.current:
         queue = state.queues.get(event.robot, ())
         place = len(queue) if event.override == "none" else _place(state, queue, event.override)
         return Execution(
             state.current,
-            {**state.queues, event.robot: (*queue[:place], event.subject.action_id, *queue[place:])},
+            put(state.queues, event.robot, (*queue[:place], event.subject.action_id, *queue[place:])),
             actions,
+            served,
         )
-    return Execution({**state.current, event.robot: event.subject.action_id}, state.queues, actions)
+    return Execution(put(state.current, event.robot, event.subject.action_id), state.queues, actions, served)
+
+
+def _ended(state: Execution, action_id: str) -> Execution:
+    """Forget the action."""
+    known = state.actions.get(action_id)
+    if known is None:
+        return state
+    robot = known.on_behalf_of
+    left = tuple(name for name in state.served[robot] if name != action_id)
+    served = put(state.served, robot, left) if left else without(state.served, robot)
+    return Execution(state.current, state.queues, without(state.actions, action_id), served)
 
 
 def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) -> int:
@@ -198,9 +224,10 @@ def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
         preemptions=known.preemptions + 1,
         has_begun=event.remaining_us is not None,
     )
-    current = {robot: held for robot, held in state.current.items() if held != event.subject.action_id}
-    queues = {**state.queues, event.robot: (event.subject.action_id, *state.queues.get(event.robot, ()))}
-    return Execution(current, queues, {**state.actions, event.subject.action_id: changed})
+    held = state.current.get(event.robot) == event.subject.action_id
+    current = without(state.current, event.robot) if held else state.current
+    queues = put(state.queues, event.robot, (event.subject.action_id, *state.queues.get(event.robot, ())))
+    return Execution(current, queues, put(state.actions, event.subject.action_id, changed), state.served)
 
 
 def _held(state: Execution, event: ExecutionHeld) -> Execution:
@@ -211,7 +238,7 @@ def _held(state: Execution, event: ExecutionHeld) -> Execution:
     action = state.actions[event.subject.action_id]
     stage: Stage = "polling" if event.reason == "fleet-rule" else "held"
     changed = msgspec.structs.replace(action, stage=stage, was_denied=action.was_denied or bool(event.principals.path))
-    return Execution(state.current, state.queues, {**state.actions, event.subject.action_id: changed})
+    return Execution(state.current, state.queues, put(state.actions, event.subject.action_id, changed), state.served)
 
 
 def _staged(
@@ -226,12 +253,14 @@ def _staged(
         failures=action.failures if failures is None else failures,
         segments=action.segments + (stage == "running"),
     )
-    return Execution(state.current, state.queues, {**state.actions, action_id: changed})
+    return Execution(state.current, state.queues, put(state.actions, action_id, changed), state.served)
 
 
 def _freed(state: Execution, robot: Robot) -> Execution:
     """Move the robot on to the next action in its queue, if any."""
     queue = state.queues.get(robot, ())
     if queue:
-        return Execution({**state.current, robot: queue[0]}, {**state.queues, robot: queue[1:]}, state.actions)
-    return Execution({name: held for name, held in state.current.items() if name != robot}, state.queues, state.actions)
+        return Execution(
+            put(state.current, robot, queue[0]), put(state.queues, robot, queue[1:]), state.actions, state.served
+        )
+    return Execution(without(state.current, robot), state.queues, state.actions, state.served)

@@ -1,7 +1,8 @@
 """The members of the fleet, and the run's structure. Paper: eq:fleet, eq:runtime."""
 
-from functools import lru_cache
-from typing import assert_never
+from collections.abc import Iterable, Mapping
+from functools import cached_property, lru_cache
+from typing import TypeVar, assert_never
 
 import msgspec
 
@@ -11,7 +12,11 @@ from fsar_ledger.events.configuration import lacks
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 
+from .maps import put
+
 HANDLES = RunStarted | RobotJoined
+
+_Key = TypeVar("_Key")
 
 
 class Member(msgspec.Struct, frozen=True, gc=False):
@@ -25,7 +30,7 @@ class Member(msgspec.Struct, frozen=True, gc=False):
     place: str | None = None
 
 
-class Fleet(msgspec.Struct, frozen=True, gc=False):
+class Fleet(msgspec.Struct, frozen=True, dict=True):
     """The run's structure, the mechanisms that its configuration lacks, and its robots in order of joining.
 
     `bodies` are the roles whose robots can clear an obstruction; `substitutes` maps a capability to the one that can
@@ -35,10 +40,32 @@ class Fleet(msgspec.Struct, frozen=True, gc=False):
     without: frozenset[str] = frozenset()
     size: int = 0
     structure: Structure = Structure()
-    robots: dict[Robot, Member] = {}
+    robots: Mapping[Robot, Member] = {}
     answer_us: int = round(Outages().answer_s * 1e6)
     bodies: tuple[str, ...] = ()
     substitutes: dict[str, str] = {}
+
+    @cached_property
+    def teams(self) -> dict[int, frozenset[Robot]]:
+        """The robots of each team."""
+        return _grouped((one.team, one.name) for one in self.robots.values())
+
+    @cached_property
+    def able_bodies(self) -> tuple[Robot, ...]:
+        """The robots whose body can clear an obstruction, sorted by name."""
+        return tuple(sorted(one.name for one in self.robots.values() if one.role in self.bodies))
+
+    @cached_property
+    def places(self) -> dict[str | None, frozenset[Robot]]:
+        """The robots that work at each place."""
+        return _grouped((one.place, one.name) for one in self.robots.values())
+
+
+def _grouped(names: Iterable[tuple[_Key, Robot]]) -> dict[_Key, frozenset[Robot]]:
+    found: dict[_Key, set[Robot]] = {}
+    for key, name in names:
+        found.setdefault(key, set()).add(name)
+    return {key: frozenset(robots) for key, robots in found.items()}
 
 
 def evolve(state: Fleet, event: HANDLES) -> Fleet:
@@ -51,7 +78,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
             )
         case RobotJoined():
             robot = Member(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
-            return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot})
+            return msgspec.structs.replace(state, robots=put(state.robots, event.robot, robot))
         case _:
             assert_never(event)
 

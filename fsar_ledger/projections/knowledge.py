@@ -1,5 +1,6 @@
 """Knowledge: what deciders have been told. Decisions rest on it, and it may lag behind the world."""
 
+from collections.abc import Mapping
 from typing import assert_never
 
 import msgspec
@@ -15,6 +16,8 @@ from fsar_ledger.events.knowledge import (
 )
 from fsar_ledger.events.world import SyncPhaseSet
 
+from .maps import put
+
 HANDLES = SyncPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | PlannerEngaged | WorkQueued
 
 
@@ -25,12 +28,12 @@ class Knowledge(msgspec.Struct, frozen=True, gc=False):
     """
 
     sync_phase_ppm: int = 0
-    fleet_rule: dict[Robot, PolicyOutcome] = {}
-    fleet_rule_as_of_us: dict[Robot, int] = {}
-    met: dict[tuple[Robot, Robot], int] = {}
+    fleet_rule: Mapping[Robot, PolicyOutcome] = {}
+    fleet_rule_as_of_us: Mapping[Robot, int] = {}
+    met: Mapping[tuple[Robot, Robot], int] = {}
     copy: CopySynced = CopySynced()
-    snapshot: dict[Robot, PolicyOutcome] = {}
-    engaged_until_us: dict[Robot, int] = {}
+    snapshot: Mapping[Robot, PolicyOutcome] = {}
+    engaged_until_us: Mapping[Robot, int] = {}
     ready_us: int = 0
 
 
@@ -46,16 +49,17 @@ def evolve(state: Knowledge, event: HANDLES) -> Knowledge:
         case CopySynced():
             return replace(state, copy=event)
         case SnapshotTaken():
-            return replace(state, snapshot={**state.snapshot, event.robot: event.outcome})
+            return replace(state, snapshot=put(state.snapshot, event.robot, event.outcome))
         case FleetRuleLearned():
-            as_of_us = {**state.fleet_rule_as_of_us, event.robot: event.as_of_us}
             return replace(
-                state, fleet_rule={**state.fleet_rule, event.robot: event.outcome}, fleet_rule_as_of_us=as_of_us
+                state,
+                fleet_rule=put(state.fleet_rule, event.robot, event.outcome),
+                fleet_rule_as_of_us=put(state.fleet_rule_as_of_us, event.robot, event.as_of_us),
             )
         case PlannerEngaged():
-            return replace(state, engaged_until_us={**state.engaged_until_us, event.robot: event.until_us})
+            return replace(state, engaged_until_us=put(state.engaged_until_us, event.robot, event.until_us))
         case PeerRemembered():
-            return replace(state, met={**state.met, (event.robot, event.peer): event.until_us})
+            return replace(state, met=put(state.met, (event.robot, event.peer), event.until_us))
         case SyncPhaseSet():
             return replace(state, sync_phase_ppm=event.phase_ppm)
         case _:

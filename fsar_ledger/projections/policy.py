@@ -1,6 +1,7 @@
 """Policy set by rule. Paper: eq:policy, app:foundations."""
 
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Mapping
+from functools import cached_property
 from typing import assert_never
 
 import msgspec
@@ -9,6 +10,7 @@ from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 
+from .maps import put
 from .trust import Member, around
 from .world import stricter
 
@@ -18,15 +20,20 @@ Rule = tuple[PolicyScope, Robot | None, str | None, str | None]  # scope, robot,
 RoleRule = tuple[PolicyScope, str, str, str | None, str | None]  # scope, role, domain, capability, context
 
 
-class Policy(msgspec.Struct, frozen=True, gc=False):
+class Policy(msgspec.Struct, frozen=True, dict=True):
     """The rules in force: for single robots or every robot (`rules`), and for roles (`of_roles`).
 
     `members`: robot -> its role and domain.
     """
 
-    rules: dict[Rule, PolicyOutcome] = {}
-    of_roles: dict[RoleRule, PolicyOutcome] = {}
-    members: dict[Robot, Member] = {}
+    rules: Mapping[Rule, PolicyOutcome] = {}
+    of_roles: Mapping[RoleRule, PolicyOutcome] = {}
+    members: Mapping[Robot, Member] = {}
+
+    @cached_property
+    def named(self) -> frozenset[Robot]:
+        """The robots for which there is a rule by name."""
+        return frozenset(robot for _, robot, _, _ in self.rules if robot is not None)
 
     @property
     def is_empty(self) -> bool:
@@ -80,12 +87,12 @@ def evolve(state: Policy, event: HANDLES) -> Policy:
     """Return the rules after the event."""
     match event:
         case RobotJoined():
-            return Policy(state.rules, state.of_roles, {**state.members, event.robot: (event.role, event.domain)})
+            return Policy(state.rules, state.of_roles, put(state.members, event.robot, (event.role, event.domain)))
         case PolicyRuleSet() | RolePolicyRuleSet():
             rule = key_of(event)
             if len(rule) == 4:
-                return Policy({**state.rules, rule: event.outcome}, state.of_roles, state.members)
-            return Policy(state.rules, {**state.of_roles, rule: event.outcome}, state.members)
+                return Policy(put(state.rules, rule, event.outcome), state.of_roles, state.members)
+            return Policy(state.rules, put(state.of_roles, rule, event.outcome), state.members)
         case _:
             assert_never(event)
 

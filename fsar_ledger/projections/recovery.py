@@ -1,5 +1,6 @@
 """Failures that are being recovered. Paper: eq:recovery."""
 
+from collections.abc import Mapping
 from typing import assert_never
 
 import msgspec
@@ -15,6 +16,8 @@ from fsar_ledger.events.recovery import (
     RecoveryEscalated,
 )
 from fsar_ledger.events.supervision import SupervisorCalled
+
+from .maps import put, without
 
 HANDLES = (
     ExecutionFailed
@@ -48,7 +51,7 @@ class Recovery(msgspec.Struct, frozen=True, gc=False):
     awaited: Robot | None = None
 
 
-Recoveries = dict[str, Recovery]  # action -> open failure
+Recoveries = Mapping[str, Recovery]  # action -> open failure
 
 INITIAL: Recoveries = {}
 
@@ -57,32 +60,26 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
     """Return the open failures after the event."""
     match event:
         case ExecutionFailed():
-            return {
-                **state,
-                event.subject.action_id: Recovery(event.robot, event.failure, event.cause, event.detected_us),
-            }
+            failed = Recovery(event.robot, event.failure, event.cause, event.detected_us)
+            return put(state, event.subject.action_id, failed)
         case RecoveryAttempted():
             changed = msgspec.structs.replace(
                 state[event.failed_action], number=event.number, deadline_us=event.deadline_us
             )
-            return {**state, event.failed_action: changed}
+            return put(state, event.failed_action, changed)
         case RecoveryEscalated():
-            return {
-                **state,
-                event.failed_action: msgspec.structs.replace(
-                    state[event.failed_action], level=event.to_level, awaited=None
-                ),
-            }
+            failed = msgspec.structs.replace(state[event.failed_action], level=event.to_level, awaited=None)
+            return put(state, event.failed_action, failed)
         case AssistanceRequested():
             known = state[event.failed_action]
             asked = msgspec.structs.replace(
                 known, tried=(*known.tried, event.helper), since_us=event.since_us or 0, awaited=event.helper
             )
-            return {**state, event.failed_action: asked}
+            return put(state, event.failed_action, asked)
         case AssistanceAdmitted() | AssistanceDeclined():
             action_id = event.subject.action_id or ""
             return (
-                {**state, action_id: msgspec.structs.replace(state[action_id], awaited=None)}
+                put(state, action_id, msgspec.structs.replace(state[action_id], awaited=None))
                 if action_id in state
                 else state
             )
@@ -90,8 +87,8 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
             called = state.get(event.subject.action_id)
             if called is None or event.purpose != "recovery":
                 return state
-            return {**state, event.subject.action_id: msgspec.structs.replace(called, calls=called.calls + 1)}
+            return put(state, event.subject.action_id, msgspec.structs.replace(called, calls=called.calls + 1))
         case FailureResolved():
-            return {action: recovery for action, recovery in state.items() if action != event.subject.action_id}
+            return without(state, event.subject.action_id)
         case _:
             assert_never(event)

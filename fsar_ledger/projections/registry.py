@@ -1,6 +1,7 @@
 """The capabilities that robots possess and advertise, and to whom. Paper: eq:adv, eq:possess, eq:advertise."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import cached_property
 from typing import assert_never
 
 import msgspec
@@ -16,6 +17,9 @@ from fsar_ledger.events.registry import (
     CapabilityWithdrawn,
     RegistryCached,
 )
+
+from .maps import put, without
+from .trust import Member
 
 HANDLES = (
     RobotJoined
@@ -46,7 +50,10 @@ class Module(msgspec.Struct, frozen=True, gc=False):
 
 
 class Advertisement(msgspec.Struct, frozen=True, gc=False):
-    """A robot's record of one capability, with the seven fields of `eq:adv` and who may see it."""
+    """A robot's record of one capability, with the seven fields of `eq:adv` and who may see it.
+
+    `role` and `domain` are the robot's.
+    """
 
     robot: Robot
     capability: str
@@ -60,21 +67,39 @@ class Advertisement(msgspec.Struct, frozen=True, gc=False):
     visibility: Visibility
     visible_to: tuple[str, ...]
     domain: str
+    role: str = ""
     is_deprecated: bool = False
     successor: str | None = None
+
+
+class Offered(msgspec.Struct, frozen=True, dict=True):
+    """The records of one capability in a domain: `of`: robot -> record, in order of advertisement."""
+
+    of: Mapping[Robot, Advertisement] = {}
+
+    @cached_property
+    def alike(self) -> tuple[tuple[Advertisement, tuple[Robot, ...]], ...]:
+        """One record of each kind, and the robots, sorted by name, whose records differ from it in the robot alone.
+
+        A fleet has few kinds, so who looks for a candidate judges these.
+        """
+        found: dict[tuple[object, ...], list[Robot]] = {}
+        for robot in sorted(self.of):
+            found.setdefault(msgspec.structs.astuple(self.of[robot])[1:], []).append(robot)
+        return tuple((self.of[robots[0]], tuple(robots)) for robots in found.values())
 
 
 class Offers(msgspec.Struct, frozen=True, gc=False):
     """The registry of one domain, which contains those of the domains below it.
 
-    A change copies only the registries on its path. `records`: capability -> robot -> record, for the domain's own
-    robots; `below`: name -> registry of that domain; `ways`: capability -> names of the domains below that offer it.
+    A change copies only the registries on its path. `records`: capability -> what the domain's own robots offer of it;
+    `below`: name -> registry of that domain; `ways`: capability -> names of the domains below that offer it.
     Paper: sec:discussion:heterogeneity.
     """
 
-    records: dict[str, dict[str, Advertisement]] = {}
-    below: "dict[str, Offers]" = {}
-    ways: dict[str, tuple[str, ...]] = {}
+    records: Mapping[str, Offered] = {}
+    below: "Mapping[str, Offers]" = {}
+    ways: Mapping[str, tuple[str, ...]] = {}
 
 
 class Cache(msgspec.Struct, frozen=True, gc=False):
@@ -87,19 +112,25 @@ class Cache(msgspec.Struct, frozen=True, gc=False):
 class Registry(msgspec.Struct, frozen=True, gc=False):
     """What robots possess and offer.
 
-    `domains`: robot -> its domain; `modules`: robot -> what it possesses; `offers`: what robots advertise; `caches`:
-    holder -> its copy; `silent`: robot that did not answer -> capability -> its availability before that.
+    `members`: robot -> its role and domain; `modules`: robot -> what it possesses; `offers`: what robots advertise;
+    `caches`: holder -> its copy; `silent`: robot that did not answer -> capability -> its availability before that.
     """
 
-    domains: dict[Robot, str] = {}
-    modules: dict[Robot, dict[str, Module]] = {}
+    members: Mapping[Robot, Member] = {}
+    modules: Mapping[Robot, dict[str, Module]] = {}
     offers: Offers = Offers()
-    caches: dict[Principal, Cache] = {}
-    silent: dict[Robot, dict[str, Availability]] = {}
+    caches: Mapping[Principal, Cache] = {}
+    silent: Mapping[Robot, dict[str, Availability]] = {}
 
 
 INITIAL = Registry()
+NOTHING = Offered()
 NO_ANSWER = "no answer"  # the reason in `AvailabilityChanged` when a robot did not answer
+
+
+def domain_of(state: Registry, robot: Robot) -> str:
+    """Return the robot's domain; that of the fleet for a robot that has not joined."""
+    return state.members.get(robot, ("", ""))[1]
 
 
 def possesses(state: Registry, robot: Robot, capability: str) -> bool:
@@ -110,11 +141,11 @@ def possesses(state: Registry, robot: Robot, capability: str) -> bool:
 def advertisement(state: Registry, robot: Robot, capability: str) -> Advertisement | None:
     """Return the robot's record of the capability, or None if it does not advertise it. Paper: eq:advertise."""
     found = state.offers
-    for name in path_of(state.domains.get(robot, "")):
+    for name in path_of(domain_of(state, robot)):
         if name not in found.below:
             return None
         found = found.below[name]
-    return found.records.get(capability, {}).get(robot)
+    return found.records.get(capability, NOTHING).of.get(robot)
 
 
 def surface(state: Registry, robot: Robot) -> Iterator[Advertisement]:
@@ -130,10 +161,17 @@ def offers(found: Offers, capability: str, but: str | None = None) -> Iterator[A
 
     Records come in order of advertisement.
     """
-    yield from found.records.get(capability, {}).values()
+    for offered in offered_in(found, capability, but):
+        yield from offered.of.values()
+
+
+def offered_in(found: Offers, capability: str, but: str | None = None) -> Iterator[Offered]:
+    """Yield what each domain's own robots offer of the capability: the domain's, then those below it (except `but`)."""
+    if capability in found.records:
+        yield found.records[capability]
     for name in found.ways.get(capability, ()):
         if name != but:
-            yield from offers(found.below[name], capability)
+            yield from offered_in(found.below[name], capability)
 
 
 def enclosing(found: Offers, domain: str) -> Iterator[tuple[str, Offers, str | None]]:
@@ -162,24 +200,19 @@ def evolve(state: Registry, event: HANDLES) -> Registry:
     replace = msgspec.structs.replace
     match event:
         case RobotJoined():
-            return replace(state, domains={**state.domains, event.robot: event.domain})
+            return replace(state, members=put(state.members, event.robot, (event.role, event.domain)))
         case CapabilityInstalled():
             module = Module(
                 event.capability, event.version, Contract(event.preconditions, event.postconditions, event.resources)
             )
-            return replace(
-                state,
-                modules={
-                    **state.modules,
-                    event.robot: {**state.modules.get(event.robot, {}), event.capability: module},
-                },
-            )
+            own = {**state.modules.get(event.robot, {}), event.capability: module}
+            return replace(state, modules=put(state.modules, event.robot, own))
         case CapabilityRemoved():
             left = {
                 name: module for name, module in state.modules.get(event.robot, {}).items() if name != event.capability
             }
             return replace(
-                _put(state, event.robot, event.capability, None), modules={**state.modules, event.robot: left}
+                _put(state, event.robot, event.capability, None), modules=put(state.modules, event.robot, left)
             )
         case CapabilityAdvertised():
             return _put(state, event.robot, event.capability, _record(state, event))
@@ -201,7 +234,7 @@ def evolve(state: Registry, event: HANDLES) -> Registry:
                 state, event.robot, event.capability, replace(known, is_deprecated=True, successor=event.successor)
             )
         case RegistryCached():
-            return replace(state, caches={**state.caches, event.holder: Cache(event.as_of_us, state.offers)})
+            return replace(state, caches=put(state.caches, event.holder, Cache(event.as_of_us, state.offers)))
         case _:
             assert_never(event)
 
@@ -219,30 +252,29 @@ def _record(state: Registry, event: CapabilityAdvertised) -> Advertisement:
         event.embodiment,
         event.visibility,
         event.visible_to,
-        state.domains.get(event.robot, ""),
+        domain_of(state, event.robot),
+        state.members.get(event.robot, ("", ""))[0],
     )
 
 
 def _put(state: Registry, robot: Robot, capability: str, record: Advertisement | None) -> Registry:
-    changed = _changed(state.offers, path_of(state.domains.get(robot, "")), robot, capability, record)
-    return Registry(state.domains, state.modules, changed, state.caches, state.silent)
+    changed = _changed(state.offers, path_of(domain_of(state, robot)), robot, capability, record)
+    return Registry(state.members, state.modules, changed, state.caches, state.silent)
 
 
 def _silent(
     state: Registry, event: AvailabilityChanged, changed: list[Advertisement]
-) -> dict[Robot, dict[str, Availability]]:
+) -> Mapping[Robot, dict[str, Availability]]:
     """Return `Registry.silent` after the event: robots that did not answer, less what they have reported since."""
     known = state.silent.get(event.robot)
     if event.reason == NO_ANSWER and event.availability == "offline":
-        return {
-            **state.silent,
-            event.robot: {**(known or {}), **{record.capability: record.availability for record in changed}},
-        }
+        before = {**(known or {}), **{record.capability: record.availability for record in changed}}
+        return put(state.silent, event.robot, before)
     if known is None:
         return state.silent
-    others = {robot: before for robot, before in state.silent.items() if robot != event.robot}
     left = {capability: before for capability, before in known.items() if event.capability not in (None, capability)}
-    return {**others, event.robot: left} if left else others
+    others = without(state.silent, event.robot)
+    return put(others, event.robot, left) if left else others
 
 
 def _changed(
@@ -258,14 +290,10 @@ def _changed(
             if _leads(before, capability) == _leads(after, capability)
             else _turned(found.ways, name, capability)
         )
-        return Offers(found.records, {**found.below, name: after}, ways)
-    known = found.records.get(capability, {})
-    if record is not None:
-        return Offers({**found.records, capability: {**known, robot: record}}, found.below, found.ways)
-    robots = {name: other for name, other in known.items() if name != robot}
-    records = {**found.records, capability: robots}
-    if not robots:
-        del records[capability]
+        return Offers(found.records, put(found.below, name, after), ways)
+    known = found.records.get(capability, NOTHING).of
+    robots = without(known, robot) if record is None else put(known, robot, record)
+    records = put(found.records, capability, Offered(robots)) if robots else without(found.records, capability)
     return Offers(records, found.below, found.ways)
 
 
@@ -273,12 +301,10 @@ def _leads(found: Offers, capability: str) -> bool:
     return capability in found.records or capability in found.ways
 
 
-def _turned(ways: dict[str, tuple[str, ...]], name: str, capability: str) -> dict[str, tuple[str, ...]]:
+def _turned(ways: Mapping[str, tuple[str, ...]], name: str, capability: str) -> Mapping[str, tuple[str, ...]]:
     """Return `ways` with this name added for the capability, or removed if it was there."""
     names = ways.get(capability, ())
     if name not in names:
-        return {**ways, capability: (*names, name)}
-    left = {**ways, capability: tuple(other for other in names if other != name)}
-    if not left[capability]:
-        del left[capability]
-    return left
+        return put(ways, capability, (*names, name))
+    left = tuple(other for other in names if other != name)
+    return put(ways, capability, left) if left else without(ways, capability)

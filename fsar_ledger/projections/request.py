@@ -1,5 +1,6 @@
 """Open requests, one per action, under every architecture's negotiation. Paper: eq:request."""
 
+from collections.abc import Mapping
 from typing import assert_never
 
 import msgspec
@@ -38,6 +39,8 @@ from fsar_ledger.events.request import (
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned
 from fsar_ledger.events.world import OutsiderRequestInjected
+
+from .maps import put, without
 
 HANDLES = (
     StepBegan
@@ -93,7 +96,7 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     target: Robot | None = None
     seen_busy: bool = False
     bidders: tuple[Robot, ...] = ()
-    bids: tuple[tuple[Robot, PolicyOutcome], ...] = ()
+    bids: Mapping[Robot, PolicyOutcome] = {}
     is_accepted: bool = False
     is_questioned: bool = False
     round: int = 0
@@ -123,9 +126,14 @@ class Request(msgspec.Struct, frozen=True, gc=False):
         return RequestSubject(self.task_id, self.action_id, self.action_id)
 
 
-Requests = dict[str, Request]
+class Requests(msgspec.Struct, frozen=True, gc=False):
+    """The open requests: `open`: action -> its request; `of_task`: task -> the action of its step's request."""
 
-INITIAL: Requests = {}
+    open: Mapping[str, Request] = {}
+    of_task: Mapping[str, str] = {}
+
+
+INITIAL = Requests()
 
 
 def evolve(state: Requests, event: HANDLES) -> Requests:
@@ -136,13 +144,13 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case ExecutionFinished() | RequestClosed() | RequestDenied():
             return _ended(state, event)
         case StepCompleted():
-            return {name: request for name, request in state.items() if name != event.subject.action_id}
+            return _removed(state, event.subject.action_id)
         case TaskAbandoned():
             return _abandoned(state, event)
         case OutsiderRequestInjected():
             return _injected(state, event)
         case RegistryQueried():
-            asking = state.get(event.subject.action_id or "")
+            asking = state.open.get(event.subject.action_id or "")
             if asking is None or asking.capability != event.capability:  # a query for the action's recovery
                 return state
             return _changed(state, event.subject.action_id, candidates=event.candidates, relay=event.relay)
@@ -159,8 +167,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case BidReceived():
             return _bid_received(state, event)
         case AwardMade():
-            action_id = next(name for name, request in state.items() if request.task_id == event.task_id)
-            return _changed(state, action_id, target=event.robot, is_questioned=False)
+            return _changed(state, state.of_task[event.task_id], target=event.robot, is_questioned=False)
         case SupervisorCalled():
             return _called(state, event)
         case ExecutionQueued():
@@ -185,9 +192,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
 
 def _begun(state: Requests, event: StepBegan) -> Requests:
     """Begin the request for the step, which replaces the task's earlier one."""
-    others = {
-        name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.subject.task_id
-    }
+    others = _removed(state, state.of_task.get(event.subject.task_id))
     begun = Request(
         event.subject.task_id,
         event.subject.action_id,
@@ -197,17 +202,13 @@ def _begun(state: Requests, event: StepBegan) -> Requests:
         event.attempt,
         event.target_role is not None,
     )
-    return {**others, event.subject.action_id: begun}
+    return _of_step(others, begun)
 
 
 def _abandoned(state: Requests, event: TaskAbandoned) -> Requests:
     """Keep the requests that a robot has, which continue or are withdrawn there; the rest get no answer."""
-    kept = {
-        name: request
-        for name, request in state.items()
-        if request.is_adhoc or request.is_received or request.task_id != event.task_id
-    }
-    return state if len(kept) == len(state) else kept
+    action_id = state.of_task.get(event.task_id)
+    return state if action_id is None or state.open[action_id].is_received else _removed(state, action_id)
 
 
 def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
@@ -223,24 +224,23 @@ def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
         (event.peer,),
         target=event.peer,
     )
-    return {**state, event.task_id: injected}
+    return _of_step(state, injected)
 
 
 def _bid_received(state: Requests, event: BidReceived) -> Requests:
     """Record the bid as read, replacing an earlier one: a robot that answers late was asked again."""
-    earlier = tuple(bid for bid in state[event.subject.action_id].bids if bid[0] != event.robot)
-    bids = (*earlier, (event.robot, event.outcome))
-    return _changed(state, event.subject.action_id, bids=bids)
+    earlier = without(state.open[event.subject.action_id].bids, event.robot)
+    return _changed(state, event.subject.action_id, bids=put(earlier, event.robot, event.outcome))
 
 
 def _voided(state: Requests, event: ContractVoided) -> Requests:
     """Start another round without bids, target or contract."""
-    known = state[event.subject.action_id]
+    known = state.open[event.subject.action_id]
     return _changed(
         state,
         event.subject.action_id,
         bidders=(),
-        bids=(),
+        bids={},
         target=None,
         is_accepted=False,
         is_questioned=False,
@@ -258,7 +258,7 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
         event.principals.executed_by,
     )
     carried = event.carried_policy or "allow"
-    if action_id in state or task_id is None or action_id is None or robot is None or executor is None:
+    if action_id in state.open or task_id is None or action_id is None or robot is None or executor is None:
         return _changed(state, action_id, carried=carried, relay=event.relay, override=event.override)
     begun = Request(
         task_id, action_id, as_robot(robot), event.capability, 1, 1, True, (executor,), event.relay, carried
@@ -269,12 +269,13 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
         "directives": event.directives,
         "version": event.version,
     }
-    return {**state, action_id: msgspec.structs.replace(begun, is_adhoc=True, **asked)}
+    adhoc = msgspec.structs.replace(begun, is_adhoc=True, **asked)
+    return Requests(put(state.open, action_id, adhoc), state.of_task)
 
 
 def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
     """End the request or set its result; the success of a step is only known when the step ends."""
-    known = state.get(event.subject.action_id or "")
+    known = state.open.get(event.subject.action_id or "")
     if known is None:
         return state
     if isinstance(event, ExecutionFinished):
@@ -288,7 +289,7 @@ def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDe
 
 def _called(state: Requests, event: SupervisorCalled) -> Requests:
     """Put the request before a supervisor; the caller has received both of two requests to be ordered."""
-    known = state.get(event.subject.action_id)
+    known = state.open.get(event.subject.action_id)
     if known is None:
         return state
     is_received = known.is_received or event.purpose == "ordering"
@@ -299,10 +300,8 @@ def _called(state: Requests, event: SupervisorCalled) -> Requests:
 
 def _bid(state: Requests, event: BidSubmitted) -> Requests:
     """Record a bid; it names only the task, which has one step at a time."""
-    for name, request in state.items():
-        if request.task_id == event.task_id and not request.is_adhoc:
-            return _changed(state, name, bidders=(*request.bidders, event.robot))
-    return state
+    request = state.open.get(state.of_task.get(event.task_id, ""))
+    return state if request is None else _changed(state, request.action_id, bidders=(*request.bidders, event.robot))
 
 
 def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
@@ -310,27 +309,42 @@ def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
 
     If the event names none, nobody answered or there was nobody to ask.
     """
-    if event.subject.action_id not in state:
+    known = state.open.get(event.subject.action_id or "")
+    if known is None:
         return state
-    silent = (
-        state[event.subject.action_id].silent
-        if event.principals.executed_by is None
-        else (*state[event.subject.action_id].silent, event.principals.executed_by)
-    )
+    executor = event.principals.executed_by
+    silent = known.silent if executor is None else (*known.silent, executor)
     return _changed(state, event.subject.action_id, silent=silent, target=None, is_accepted=False, is_unanswered=True)
 
 
 def _answered(state: Requests, event: OfferAnswered) -> Requests:
     """Record the requester's answer: the executor evaluates again, or the request is over."""
-    if event.subject.action_id is None or event.subject.action_id not in state:
+    known = state.open.get(event.subject.action_id or "")
+    if known is None:
         return state
-    asked = state[event.subject.action_id].offered if event.is_accepted else event.override
+    asked = known.offered if event.is_accepted else event.override
     if asked is None:
         return _changed(state, event.subject.action_id, offered=None, is_over=True)
     return _changed(state, event.subject.action_id, offered=None, override=asked)
 
 
 def _changed(state: Requests, action_id: str | None, **changes: object) -> Requests:
-    if action_id is None or action_id not in state:
+    known = state.open.get(action_id or "")
+    if known is None:
         return state
-    return {**state, action_id: msgspec.structs.replace(state[action_id], **changes)}
+    return Requests(put(state.open, known.action_id, msgspec.structs.replace(known, **changes)), state.of_task)
+
+
+def _of_step(state: Requests, request: Request) -> Requests:
+    """Add the request of a task's step."""
+    return Requests(put(state.open, request.action_id, request), put(state.of_task, request.task_id, request.action_id))
+
+
+def _removed(state: Requests, action_id: str | None) -> Requests:
+    """Remove the action's request, if it has one."""
+    known = state.open.get(action_id or "")
+    if known is None:
+        return state
+    is_of_step = state.of_task.get(known.task_id) == known.action_id
+    of_task = without(state.of_task, known.task_id) if is_of_step else state.of_task
+    return Requests(without(state.open, known.action_id), of_task)

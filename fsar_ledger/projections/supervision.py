@@ -1,5 +1,6 @@
 """Supervision: what supervisors are asked, what they approved, and how often they review. Paper: eq:supervision."""
 
+from collections.abc import Mapping
 from typing import assert_never
 
 import msgspec
@@ -9,6 +10,8 @@ from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAdmitted
 from fsar_ledger.events.supervision import Purpose, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
+
+from .maps import put, without
 
 HANDLES = SupervisorCalled | SupervisorResponded | SupervisionDensitySet | RequestAdmitted | FailureResolved
 
@@ -22,9 +25,9 @@ class Supervision(msgspec.Struct, frozen=True, gc=False):
     """
 
     approved: frozenset[str] = frozenset()
-    calls: dict[int, SupervisorCalled] = {}
-    review_every: dict[Robot | None, int] = {}
-    admissions: dict[Robot, int] = {}
+    calls: Mapping[int, SupervisorCalled] = {}
+    review_every: Mapping[Robot | None, int] = {}
+    admissions: Mapping[Robot, int] = {}
     called: int = 0
 
 
@@ -51,10 +54,10 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
             if event.principals.executed_by is None:
                 return state
             count = state.admissions.get(event.principals.executed_by, 0) + 1
-            return replace(state, admissions={**state.admissions, event.principals.executed_by: count})
+            return replace(state, admissions=put(state.admissions, event.principals.executed_by, count))
         case SupervisorCalled():
             called = state.called + 1
-            return replace(state, calls={**state.calls, called: event}, called=called)
+            return replace(state, calls=put(state.calls, called, event), called=called)
         case SupervisorResponded():
             approved = (
                 state.approved | {event.subject.action_id}
@@ -66,16 +69,17 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
         case FailureResolved():
             return replace(state, calls=_without(state.calls, event.subject.action_id, "recovery"))
         case SupervisionDensitySet():
-            return replace(state, review_every={**state.review_every, event.robot: event.review_every})
+            return replace(state, review_every=put(state.review_every, event.robot, event.review_every))
         case _:
             assert_never(event)
 
 
-def _without(calls: dict[int, SupervisorCalled], action_id: str, purpose: str) -> dict[int, SupervisorCalled]:
+def _without(calls: Mapping[int, SupervisorCalled], action_id: str, purpose: str) -> Mapping[int, SupervisorCalled]:
     """Return the calls that stay open once this one is answered.
 
     The first supervisor to answer answers for all who were asked the same.
     """
-    return {
-        number: call for number, call in calls.items() if (call.subject.action_id, call.purpose) != (action_id, purpose)
-    }
+    for number, call in calls.items():
+        if (call.subject.action_id, call.purpose) == (action_id, purpose):
+            calls = without(calls, number)
+    return calls

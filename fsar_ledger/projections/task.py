@@ -1,5 +1,6 @@
 """Open tasks and how far they are. Paper: sec:evaluation:metrics (fleet tasks)."""
 
+from collections.abc import Mapping
 from typing import assert_never
 
 import msgspec
@@ -8,6 +9,8 @@ from fsar_ledger.constants import END_US
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
+
+from .maps import put, without
 
 HANDLES = TaskArrived | StepBegan | StepCompleted | TaskCompleted | TaskAbandoned
 
@@ -32,7 +35,7 @@ class Task(msgspec.Struct, frozen=True, gc=False):
     is_time_critical: bool = False
 
 
-Tasks = dict[str, Task]
+Tasks = Mapping[str, Task]
 
 INITIAL: Tasks = {}
 
@@ -41,20 +44,16 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
     """Return the open tasks after the event."""
     match event:
         case StepBegan():
-            return {
-                **state,
-                event.subject.task_id: _at(state[event.subject.task_id], 0, event.attempt, event.subject.action_id),
-            }
+            begun = _at(state[event.subject.task_id], 0, event.attempt, event.subject.action_id)
+            return put(state, event.subject.task_id, begun)
         case StepCompleted():
-            return {**state, event.subject.task_id: _at(state[event.subject.task_id], 1, 0, "")}
+            return put(state, event.subject.task_id, _at(state[event.subject.task_id], 1, 0, ""))
         case TaskArrived():
             about = (event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)
-            return {
-                **state,
-                event.task_id: Task(*about, checkpoints=event.checkpoints, is_time_critical=event.is_time_critical),
-            }
+            task = Task(*about, checkpoints=event.checkpoints, is_time_critical=event.is_time_critical)
+            return put(state, event.task_id, task)
         case TaskCompleted() | TaskAbandoned():
-            return {task_id: task for task_id, task in state.items() if task_id != event.task_id}
+            return without(state, event.task_id)
         case _:
             assert_never(event)
 

@@ -1,6 +1,6 @@
 """Trust scopes between robots, and the record of results by which trust can move. Paper: eq:trust."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import assert_never
 
 import msgspec
@@ -13,6 +13,8 @@ from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
 from fsar_ledger.events.world import OutsiderRequestInjected
+
+from .maps import put, without
 
 Result = RequestIssued | OutsiderRequestInjected | RequestDenied | RequestClosed | ExecutionFailed | AuthorityRevoked
 HANDLES = RobotJoined | TrustSet | RoleTrustSet | TrustThresholdsSet | Result
@@ -43,14 +45,14 @@ class Trust(msgspec.Struct, frozen=True, gc=False):
     what its trust is set for; `judged`: the records that the last result changed.
     """
 
-    entries: dict[tuple[Robot, Robot], Entries] = {}
+    entries: Mapping[tuple[Robot, Robot], Entries] = {}
     of_roles: dict[tuple[str, str, str], Entries] = {}
-    members: dict[Robot, Member] = {}
+    members: Mapping[Robot, Member] = {}
     promote_after: int = 0
     downgrade_after: int = 0
     contexts: frozenset[str] = frozenset()
-    asked: dict[str, Asked] = {}
-    records: dict[Key, Record] = {}
+    asked: Mapping[str, Asked] = {}
+    records: Mapping[Key, Record] = {}
     judged: tuple[Key, ...] = ()
 
 
@@ -117,13 +119,12 @@ def evolve(state: Trust, event: HANDLES) -> Trust:
     """Return trust after the event."""
     match event:
         case RobotJoined():
-            return replace(state, members={**state.members, event.robot: (event.role, event.domain)})
+            return replace(state, members=put(state.members, event.robot, (event.role, event.domain)))
         case TrustSet():
             pair = (event.robot, event.peer)
-            entries = {
-                **state.entries,
-                pair: {**state.entries.get(pair, {}), (event.capability, event.context): event.scope},
-            }
+            entries = put(
+                state.entries, pair, {**state.entries.get(pair, {}), (event.capability, event.context): event.scope}
+            )
             return _set(replace(state, entries=entries), event)
         case RoleTrustSet():
             roles = (event.role, event.peer_role, event.domain)
@@ -224,24 +225,23 @@ def _noted(state: Trust, event: Result) -> Trust:
 
 
 def _asking(state: Trust, action_id: str, asked: Asked) -> Trust:
-    return replace(state, asked={**state.asked, action_id: asked}, judged=())
+    return replace(state, asked=put(state.asked, action_id, asked), judged=())
 
 
 def _closed(state: Trust, action_id: str | None) -> Trust:
-    return replace(state, asked={name: asked for name, asked in state.asked.items() if name != action_id})
+    return state if action_id is None else replace(state, asked=without(state.asked, action_id))
 
 
 def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
     """Return trust with these results counted; None is neither success nor failure, and resets the successes."""
-    records = dict(state.records)
+    records = state.records
     judged: list[Key] = []
     for about, is_success in filter(None, results):
         key = _row(state, *about)
         judged.append(key)
         known = records.get(key, Record())
-        records[key] = (
-            Record(known.successes + 1, 0) if is_success else Record(0, known.failures + (is_success is False))
-        )
+        more = Record(known.successes + 1, 0) if is_success else Record(0, known.failures + (is_success is False))
+        records = put(records, key, more)
     return replace(state, records=records, judged=tuple(judged))
 
 

@@ -1,5 +1,6 @@
 """The state of the world: policy windows, obstructions, actuators, absent robots, links and supervisors."""
 
+from collections.abc import Mapping
 from typing import assert_never, get_args
 
 import msgspec
@@ -22,6 +23,8 @@ from fsar_ledger.events.world import (
     SupervisorReturned,
 )
 
+from .maps import put, without
+
 HANDLES = (
     PolicyWindowOpened
     | PolicyWindowClosed
@@ -41,7 +44,7 @@ HANDLES = (
 )
 
 GRADES: tuple[Grade, ...] = get_args(Grade)  # from better to worse
-Windows = dict[Robot, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open windows (id, outcome)
+Windows = Mapping[Robot, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open windows (id, outcome)
 
 
 class World(msgspec.Struct, frozen=True, gc=False):
@@ -52,8 +55,8 @@ class World(msgspec.Struct, frozen=True, gc=False):
 
     local: Windows = {}
     fleet: Windows = {}
-    obstructions: dict[Robot, tuple[str, ...]] = {}
-    degraded: dict[Robot, Grade] = {}
+    obstructions: Mapping[Robot, tuple[str, ...]] = {}
+    degraded: Mapping[Robot, Grade] = {}
     off_shift: frozenset[Supervisor] = frozenset()
     off: frozenset[Robot] = frozenset()
     unlinked: frozenset[Robot] = frozenset()
@@ -90,18 +93,18 @@ def evolve(state: World, event: HANDLES) -> World:
     match event:
         case PolicyWindowOpened():
             windows = state.local if event.scope == "local" else state.fleet
-            opened = {**windows, event.robot: (*windows.get(event.robot, ()), (event.window, event.outcome))}
+            opened = put(windows, event.robot, (*windows.get(event.robot, ()), (event.window, event.outcome)))
             return _with_windows(state, event.scope, opened)
         case PolicyWindowClosed():
             windows = state.local if event.scope == "local" else state.fleet
             left = tuple(entry for entry in windows.get(event.robot, ()) if entry[0] != event.window)
-            return _with_windows(state, event.scope, {**windows, event.robot: left})
+            return _with_windows(state, event.scope, put(windows, event.robot, left))
         case ObstructionAppeared():
             inside = (*state.obstructions.get(event.robot, ()), event.obstruction)
-            return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: inside})
+            return msgspec.structs.replace(state, obstructions=put(state.obstructions, event.robot, inside))
         case ObstructionCleared():
             inside = tuple(name for name in state.obstructions.get(event.robot, ()) if name != event.obstruction)
-            return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: inside})
+            return msgspec.structs.replace(state, obstructions=put(state.obstructions, event.robot, inside))
         case AssistanceEnded():  # the helper has cleared the way
             return _cleared(state, event.robot)
         case FailureResolved():
@@ -111,8 +114,7 @@ def evolve(state: World, event: HANDLES) -> World:
         case ActuatorDegraded():
             return _graded(state, event.robot, event.grade)
         case ActuatorServiced():
-            serviced = {robot: grade for robot, grade in state.degraded.items() if robot != event.robot}
-            return msgspec.structs.replace(state, degraded=serviced)
+            return msgspec.structs.replace(state, degraded=without(state.degraded, event.robot))
         case RecoveryAttemptFailed():  # wear: a retry grips with full force, and a load that slips wears the pads off
             if event.result != "partial" or state.degraded.get(event.robot) != "slipping":
                 return state
@@ -136,11 +138,11 @@ def evolve(state: World, event: HANDLES) -> World:
 def _graded(state: World, robot: Robot, grade: Grade) -> World:
     """Degrade the actuator, unless it is already worse: only a service improves it."""
     worst = max(state.degraded.get(robot, grade), grade, key=GRADES.index)
-    return msgspec.structs.replace(state, degraded={**state.degraded, robot: worst})
+    return msgspec.structs.replace(state, degraded=put(state.degraded, robot, worst))
 
 
 def _cleared(state: World, robot: Robot) -> World:
-    return msgspec.structs.replace(state, obstructions={**state.obstructions, robot: ()})
+    return msgspec.structs.replace(state, obstructions=put(state.obstructions, robot, ()))
 
 
 def _with_windows(state: World, scope: str, windows: Windows) -> World:

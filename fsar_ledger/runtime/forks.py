@@ -100,7 +100,7 @@ def _commanded(kernel: Kernel, change: Commanded) -> PublicCommand:
     match change:
         case Rule():
             own = None
-            if change.scope == "local" and change.robot in kernel.state.fleet.robots:
+            if change.scope == "local" and change.robot is not None and change.robot in kernel.state.fleet.robots:
                 own = kernel.state.fleet.robots[change.robot].supervisor
             return SetPolicyRule(
                 issued_by=own or FLEET_SUPERVISOR,

@@ -164,7 +164,7 @@ def _recoveries(state: Recoveries) -> Iterator[Fact]:
 
 
 def _requests(state: Requests) -> Iterator[Fact]:
-    for name, request in state.items():
+    for name, request in state.open.items():
         if request.is_delegated and not request.is_over:
             kind = "accepted" if request.is_accepted else "open"
             yield Fact(request.requester, "request", kind, name, request.capability)

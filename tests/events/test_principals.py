@@ -34,7 +34,7 @@ def issued(by: Principal) -> RequestIssued:
 
 def test_a_robot_is_taken_for_one() -> None:
     assert as_robot(A1) == A1
-    assert request.evolve({}, issued(A1))["q1"].requester == A1
+    assert request.evolve(request.INITIAL, issued(A1)).open["q1"].requester == A1
 
 
 @pytest.mark.parametrize("other", OTHERS)
@@ -42,7 +42,7 @@ def test_no_other_principal_is_taken_for_a_robot(other: Principal) -> None:
     following = trust.evolve(trust.INITIAL, TrustThresholdsSet(1, 1, FLEET_SUPERVISOR))
     for take in (
         lambda: as_robot(other),
-        lambda: request.evolve({}, issued(other)),
+        lambda: request.evolve(request.INITIAL, issued(other)),
         lambda: trust.evolve(following, issued(other)),
     ):
         with pytest.raises(ValueError, match=f"found the principal '{other}', expected a robot such as 'robot/A1'"):

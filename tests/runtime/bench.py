@@ -160,7 +160,7 @@ def _names(state: State) -> dict[str, list[Any]]:
         robot.supervisor for robot in state.fleet.robots.values() if robot.supervisor and robot.name != HELPER
     ]
     supervisors = ["supervisor/fleet", *supervised] * 2 + ["supervisor/Z9"]
-    actions = [*state.request, *state.execution.actions, "nothing/1.1"]
+    actions = [*state.request.open, *state.execution.actions, "nothing/1.1"]
     tasks = [*state.task, "T1", "T2", "gone"]
     capabilities = [*CAPABILITIES] * 2 + ["fly"]
     return {

@@ -108,7 +108,7 @@ def deeds(runs: Played) -> Iterator[tuple[State, int, str, Event]]:
     doing = (ExecutionStarted, ExecutionResumed, ExecutionFinished, ExecutionFailed, ExecutionPaused, RoutinePerformed)
     for state, time_us, event in runs.told():
         robot = event.robot if isinstance(event, doing) else robot_of(flat(event).get("decided_by"))
-        if robot in state.fleet.robots:
+        if robot is not None and robot in state.fleet.robots:
             yield state, time_us, robot, event
         if isinstance(event, AssistanceEnded):
             yield state, time_us, event.helper, event

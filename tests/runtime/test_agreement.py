@@ -27,8 +27,8 @@ from fsar_ledger.projections import policy, trust, world
 from fsar_ledger.projections.authority import right_of
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import surface
+from fsar_ledger.runtime.handlers.candidates import hides
 from fsar_ledger.runtime.handlers.fleet import execution_state
-from fsar_ledger.runtime.handlers.registry import hides
 from tests.recycled import from_table
 from tests.runtime.bench import Bench
 from tests.runtime.commanded import commanded

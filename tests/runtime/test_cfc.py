@@ -221,7 +221,7 @@ def test_a_busy_helper_declines_and_the_next_is_tried() -> None:
     state = failed()
     [order] = process(state, ProcessWork(ACTION, "retry-failed"))
     apply(state, order)
-    state.execution.current[order.helper] = "something"  # type: ignore[attr-defined]
+    state.execution = msgspec.structs.replace(state.execution, current={order.helper: "something"})  # type: ignore[attr-defined]
     assert types(reach_helper(state, ReachHelper(ACTION, order.helper))) == ["AssistanceDeclined"]  # type: ignore[attr-defined]
     [second] = process(state, ProcessWork(ACTION, "declined"))
     assert second.helper != order.helper  # type: ignore[attr-defined]

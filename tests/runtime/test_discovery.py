@@ -22,7 +22,7 @@ from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.projections.registry import Offers
 from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, answer_outsider
 from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
-from fsar_ledger.runtime.handlers.registry import Query, candidates
+from fsar_ledger.runtime.handlers.candidates import Query, candidates
 from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world.founding import founding
 from tests.runtime.histories import given

@@ -172,7 +172,7 @@ class Federation(RuleBasedStateMachine):
         ]
         answers += [
             AnswerOffer(request.requester, name, is_accepted)
-            for name, request in state.request.items()
+            for name, request in state.request.open.items()
             if request.offered is not None
             for is_accepted in (True, False)
         ]

@@ -61,7 +61,7 @@ def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
         override="soft-priority",
         decided_by=FLEET_SUPERVISOR,
     )
-    assert countered("hard-preempt", "hard-preempt", grant).request["q1"].offered == "soft-priority"
+    assert countered("hard-preempt", "hard-preempt", grant).request.open["q1"].offered == "soft-priority"
 
 
 def test_a_taken_offer_admits_the_request_on_those_terms() -> None:
@@ -80,7 +80,10 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
     state = countered()
     rounds = state.fleet.structure.negotiation_rounds
     for number in range(1, rounds + 1):
-        assert (state.request["q1"].offers, state.request["q1"].offered) == (number, "soft-priority")
+        assert (state.request.open["q1"].offers, state.request.open["q1"].offered) == (
+            number,
+            "soft-priority",
+        )
         state = served(state, AnswerOffer(A, "q1", False, "hard-preempt"))
         events = evaluate_request(state, EvaluateRequest("q1"))
         for event in events:
@@ -92,7 +95,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
 
 def test_a_requester_that_lets_go_ends_its_request() -> None:
     state = served(countered(), AnswerOffer(A, "q1", False))
-    assert state.request["q1"].is_over
+    assert state.request.open["q1"].is_over
     assert evaluate_request(state, EvaluateRequest("q1")) == ()
 
 
@@ -114,7 +117,7 @@ def test_in_a_whole_run_a_negotiation_comes_to_its_end(answers: list[bool | None
     assert len(of(run, RequestCountered)) == len(of(run, OfferAnswered)) == len(answers)
     assert bool(of(run, RequestClosed)) == (ends == "closed")
     assert [event.reason for _, event in of(run, RequestDenied)] == (["negotiation"] if ends == "denied" else [])  # type: ignore[attr-defined]
-    assert run.state.request["q1"].is_over
+    assert run.state.request.open["q1"].is_over
     assert run.state == fold(run.events)
 
 
@@ -167,7 +170,7 @@ def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(
     assert closed.result == result
     assert of(run, AuthorityReleased)
     assert run.state.authority.claims == {}
-    assert run.state.request["q1"].is_over
+    assert run.state.request.open["q1"].is_over
 
 
 @pytest.mark.parametrize(

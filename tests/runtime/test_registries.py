@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given as forall
 from hypothesis import settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot, Supervisor
@@ -18,16 +19,8 @@ from fsar_ledger.events.registry import (
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.registry import advertisement
-from fsar_ledger.runtime.handlers.registry import (
-    FILTERS,
-    CacheRegistry,
-    ConsultRegistry,
-    Query,
-    cache_registry,
-    candidates,
-    consult_registry,
-    rejecting_filter,
-)
+from fsar_ledger.runtime.handlers.candidates import FILTERS, Query, candidates, rejecting_filter
+from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry, cache_registry, consult_registry
 from tests.runtime.histories import given, started, types
 from tests.runtime.test_registry import ASKING, A, B, busy, offered, second
 
@@ -283,6 +276,8 @@ def test_every_match_is_candidate_or_rejected_once_and_no_candidate_fails_a_filt
     )
     assert len(limited.candidates) == min(1, len(answer.candidates))
     assert limited.domain == answer.domain
+    one_by_one, by_kind = (candidates(state, replace(query, limit=limit)) for limit in (len(ROBOTS) + 1, None))
+    assert one_by_one == by_kind
 
 
 @forall(st.lists(CHANGES, max_size=30), QUERIES)

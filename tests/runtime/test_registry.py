@@ -17,10 +17,7 @@ from fsar_ledger.events.registry import (
     CapabilityWithdrawn,
 )
 from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.runtime.handlers.registry import (
-    Query,
-    candidates,
-)
+from fsar_ledger.runtime.handlers.candidates import Query, candidates
 from tests.runtime.histories import given, window
 
 A, B = Robot("robot/A1"), Robot("robot/B1")

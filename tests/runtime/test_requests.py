@@ -33,6 +33,7 @@ from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.task import StepBegan, TaskCompleted
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.projections.registry import Registry
 from fsar_ledger.runtime.architectures.fsar.request import (
     EvaluateRequest,
     RelayRequest,
@@ -68,7 +69,7 @@ def asked(
 
 
 def verdict(state: State, action_id: str = "q1") -> tuple[str, str | None]:
-    request = state.request[action_id]
+    request = state.request.open[action_id]
     found = evaluate(state, request, request.candidates[0])
     return found.verdict, found.conjunct
 
@@ -172,11 +173,16 @@ def test_a_requester_outside_the_executors_domain_sees_no_advertisement_of_it() 
     inside = "hall"
     state = asked(after=(offered("none", visibility="domain"),))
     assert verdict(state)[0] == "accept", "a flat fleet is one domain"
-    state.registry = msgspec.structs.replace(state.registry, domains={**state.registry.domains, "robot/B1": inside})
+
+    def moved(robot: Robot, domain: str) -> Registry:
+        members = state.registry.members
+        return msgspec.structs.replace(state.registry, members={**members, robot: (members[robot][0], domain)})
+
+    state.registry = moved(B, inside)
     apply(state, offered("none", visibility="domain"))
     assert verdict(state) == ("reject", "advertisement")
     for domain, expected in (("hall", "accept"), ("hall/cell", "accept"), ("hallway", "reject")):
-        state.registry = msgspec.structs.replace(state.registry, domains={**state.registry.domains, "robot/A1": domain})
+        state.registry = moved(A, domain)
         assert verdict(state)[0] == expected
 
 
@@ -211,7 +217,7 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
             "review",
         ),
     )
-    request = state.request["q1"]
+    request = state.request.open["q1"]
     assert evaluate(state, request, B, is_reviewed=True).verdict == "accept"
     apply(state, DISTRUST)
     assert evaluate(state, request, B, is_reviewed=True).conjunct == "trust"
@@ -294,7 +300,7 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
     onward = RequestCapability(B, C, "inspect.visual", "visit", "q2", parent="q1")
     for event in decided(state, onward):
         apply(state, event)
-    assert state.request["q2"].parent == "q1"
+    assert state.request.open["q2"].parent == "q1"
     assert verdict(state, "q2") == ("accept", None)
     direct = RequestCapability(A, C, "inspect.visual", "visit", "q3")
     for event in decided(state, direct):

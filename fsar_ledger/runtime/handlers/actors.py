@@ -49,25 +49,25 @@ def body(state: State, command: _OfAction) -> Robot | None:
 
 def requester(state: State, command: _OfAction) -> Robot | None:
     """Return the robot whose step it is."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     return None if request is None else request.requester
 
 
 def target(state: State, command: _OfAction) -> Robot | None:
     """Return the robot picked to execute; for a step of its own, the robot whose step it is."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     return None if request is None else request.target or request.requester
 
 
 def asked(state: State, command: _OfAction) -> Robot | None:
     """Return the robot that the request goes to."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     return request.candidates[0] if request is not None and request.candidates else None
 
 
 def relay(state: State, command: _OfAction) -> Robot | None:
     """Return the peer that passes the request on."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     return None if request is None else request.relay
 
 

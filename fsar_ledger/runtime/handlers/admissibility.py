@@ -12,18 +12,18 @@ import msgspec
 
 from fsar_ledger.events.authority import AuthorityGranted, AuthorityRevoked
 from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Robot, TrustScope
-from fsar_ledger.projections.authority import Authority, Later, rank, right_of
+from fsar_ledger.projections.authority import Authority, Later, later_than, rank, right_of
 from fsar_ledger.projections.execution import INTERRUPTING, Action, Execution, in_hand
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.policy import Policy, ruled
+from fsar_ledger.projections.policy import ruled
 from fsar_ledger.projections.registry import Registry, advertisement, possesses
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.trust import covers, scope_of
-from fsar_ledger.projections.world import World, stricter
+from fsar_ledger.projections.world import stricter
 
 from .attribution import is_idle
+from .candidates import hides
 from .policy import compose, fleet_policy, is_ruled_out, own_policy
-from .registry import hides
 
 Conjunct = Literal["possession", "advertisement", "trust", "policy", "local-execution", "authority"]
 Verdict = Literal["accept", "defer", "negotiate", "review", "reject"]
@@ -173,20 +173,19 @@ def holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome]
     """
     about = (action.robot, action.capability, action.task_id)
     own, fleet = own_policy(state.policy, state.world, *about), fleet_policy(state.knowledge, state.policy, *about)
-    later = state.authority.approvals.get(action.action_id)
+    later = later_than(state.authority, action.action_id)
     if later is None:
         return own, fleet
-    own_later, fleet_later = _came_later(state.policy, state.world, action, later)
+    own_later, fleet_later = _came_later(state, action, later)
     return own if own == "deny" else own_later, fleet if fleet == "deny" else fleet_later
 
 
-def _came_later(policy: Policy, world: World, action: Action, later: Later) -> tuple[PolicyOutcome, PolicyOutcome]:
+def _came_later(state: State, action: Action, later: Later) -> tuple[PolicyOutcome, PolicyOutcome]:
     """Compose only what the executor's own policy and the fleet's rule have said since the approval."""
     about = (action.robot, action.capability, action.task_id)
-    own = ruled(policy, "local", *about, among=later.rules) or "allow"
-    for window, outcome in world.local.get(action.robot, ()):
+    own = ruled(state.policy, "local", *about, among=later.rules) or "allow"
+    for window, outcome in state.world.local.get(action.robot, ()):
         if window in later.windows:
             own = stricter(own, outcome)
-    return own, stricter(
-        later.heard.get(action.robot, "allow"), ruled(policy, "fleet", *about, among=later.rules) or "allow"
-    )
+    heard = state.knowledge.fleet_rule.get(action.robot, "allow") if action.robot in later.heard else "allow"
+    return own, stricter(heard, ruled(state.policy, "fleet", *about, among=later.rules) or "allow")

@@ -1,5 +1,7 @@
 """Which supervisor a record can name, and small readings of the state that several handlers need."""
 
+from collections.abc import Iterable
+
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principal, Robot, Supervisor
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fleet import Fleet
@@ -55,16 +57,15 @@ def is_idle(execution: Execution, robot: Robot) -> bool:
     return robot not in execution.current
 
 
-def nearest_first(fleet: Fleet, robots: list[Robot], near: Robot) -> tuple[Robot, ...]:
+def nearest_first(fleet: Fleet, robots: Iterable[Robot], near: Robot) -> tuple[Robot, ...]:
     """Return the robots in order of distance: same team, then same place, then the others; among equals by name."""
-    members = fleet.robots
-    home, place = members[near].team, members[near].place
-
-    def distance(name: Robot) -> tuple[bool, bool, str]:
-        robot = members[name]
-        return robot.team != home, robot.place != place, name
-
-    return tuple(sorted(robots, key=distance))
+    by_name = sorted(robots)
+    if len(by_name) < 2:
+        return tuple(by_name)
+    team, place = fleet.teams[fleet.robots[near].team], fleet.places[fleet.robots[near].place]
+    nearby = team | place
+    first = sorted([name for name in by_name if name in nearby], key=lambda name: (name not in team, name not in place))
+    return (*first, *[name for name in by_name if name not in nearby])
 
 
 def capable(fleet: Fleet, registry: Registry, capability: str, requester: Robot) -> tuple[Robot, ...]:
@@ -82,8 +83,7 @@ def helpers(fleet: Fleet, registry: Registry, action: Action, cause: str) -> tup
     Paper: sec:model:recovery, level 2.
     """
     if cause == "obstruction":
-        able = [name for name, robot in fleet.robots.items() if robot.role in fleet.bodies and name != action.robot]
-        return nearest_first(fleet, able, action.robot)
+        return nearest_first(fleet, [name for name in fleet.able_bodies if name != action.robot], action.robot)
     return stand_ins(fleet, registry, action)
 
 

@@ -285,7 +285,7 @@ def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
     """
     found = []
     for action in state.execution.actions.values():
-        request = state.request.get(action.action_id)
+        request = state.request.open.get(action.action_id)
         if (
             request is None
             or not action.is_delegated
@@ -324,7 +324,7 @@ DECIDES: Decides = {
 def _on_role_trust(state: State, event: RoleTrustSet, _now_us: int) -> tuple[Scheduled, ...]:
     """Revoke as `_on_trust` does, for each pair of these roles that has an action in hand."""
     asking = [
-        (action, state.request.get(action.action_id))
+        (action, state.request.open.get(action.action_id))
         for action in state.execution.actions.values()
         if action.is_delegated
     ]

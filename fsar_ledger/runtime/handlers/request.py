@@ -111,7 +111,7 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
     if ":" in command.action_id:
         return f"action name {command.action_id!r}, expected a name without a colon"
     task = command.action_id.rpartition("/")[0]
-    if command.action_id in state.request or task in state.task or task in state.context:
+    if command.action_id in state.request.open or task in state.task or task in state.context:
         return f"the name {command.action_id} is taken, expected a new one"
     return _broken_chain(state.execution, state.request, command)
 
@@ -120,7 +120,7 @@ def _broken_chain(execution: Execution, requests: Requests, command: RequestCapa
     """Return why the requester does not act in the service of the parent, or None. Paper: eq:nontransitive."""
     if command.parent is None:
         return None
-    parent = requests.get(command.parent)
+    parent = requests.open.get(command.parent)
     if parent is None:
         return f"unknown parent {command.parent}, expected a request under way"
     if parent.is_over or parent.result is not None:
@@ -133,7 +133,7 @@ def _broken_chain(execution: Execution, requests: Requests, command: RequestCapa
 
 def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
     """Take the offer, ask for other terms, or let go. Paper: sec:model:request (negotiate)."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     reason: str | None = None
     if request is None:
         reason = f"unknown request {command.action_id}, expected one with an open offer"
@@ -166,7 +166,7 @@ def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None:
         return rejected(
-            command, command.action_id, _not_executed(state.request.get(command.action_id)), command.executor
+            command, command.action_id, _not_executed(state.request.open.get(command.action_id)), command.executor
         )
     reason = _not_reportable(state.registry, action, command)
     if reason is not None:

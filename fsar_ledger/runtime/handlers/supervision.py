@@ -116,7 +116,7 @@ def respond_to_call(
 
 def _is_settled(state: State, call: SupervisorCalled) -> bool:
     """Tell whether the request and the action that the call was about are over."""
-    return call.subject.action_id not in state.request and call.subject.action_id not in state.execution.actions
+    return call.subject.action_id not in state.request.open and call.subject.action_id not in state.execution.actions
 
 
 def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
@@ -136,7 +136,10 @@ def _responded(
 
     A failure that was put before the supervisor is over, and a degraded robot is serviced.
     """
-    action, request = state.execution.actions.get(call.subject.action_id), state.request.get(call.subject.action_id)
+    action, request = (
+        state.execution.actions.get(call.subject.action_id),
+        state.request.open.get(call.subject.action_id),
+    )
     requested_by = executed_by = None
     if action is not None:
         requested_by, executed_by = action.requested_by, action.executed_by
@@ -180,7 +183,10 @@ def set_supervision_density(state: State, command: SetSupervisionDensity) -> tup
 
 def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the response to the executor's call; before there is an executor, the requester calls."""
-    action, request = state.execution.actions.get(event.subject.action_id), state.request.get(event.subject.action_id)
+    action, request = (
+        state.execution.actions.get(event.subject.action_id),
+        state.request.open.get(event.subject.action_id),
+    )
     if action is not None:
         return awaiting(state, event, action.robot)
     return awaiting(state, event, None if request is None else request.target or request.requester)

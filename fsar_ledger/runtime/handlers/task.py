@@ -82,7 +82,7 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
 
 def _is_named(requests: Requests, task_id: str) -> bool:
     """Tell whether a request has that context, or the name that a step of such a task would have."""
-    return any(request.task_id == task_id or name.startswith(task_id + "/") for name, request in requests.items())
+    return any(request.task_id == task_id or name.startswith(task_id + "/") for name, request in requests.open.items())
 
 
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
@@ -118,7 +118,7 @@ def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
 
 def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
     """Complete the step, unless it was already or its task was given up."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     return () if request is None or request.task_id not in state.task else (StepCompleted(request.subject),)
 
 
@@ -135,7 +135,7 @@ def first_in_order(requests: Requests, tasks: Tasks, call: SupervisorCalled) -> 
     """
     if call.competing is None:
         return None
-    other = requests.get(call.competing)
+    other = requests.open.get(call.competing)
     comes_before = (
         other is not None and is_critical(tasks, other.task_id) and not is_critical(tasks, call.subject.task_id)
     )

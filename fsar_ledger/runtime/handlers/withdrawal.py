@@ -53,7 +53,9 @@ def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
 def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
     """Release the claims on actions that no robot has."""
     never = {
-        name for name in state.authority.claims if name not in state.execution.actions and name not in state.request
+        name
+        for name in state.authority.claims
+        if name not in state.execution.actions and name not in state.request.open
     }
     return released(_claims(state.authority, command.task_id, never))
 
@@ -83,7 +85,7 @@ def _has_not_begun(action: Action) -> bool:
 
 def _is_step(requests: Requests, action: Action) -> bool:
     """Tell whether this is a step, not a request that a robot issued by itself in the task's context."""
-    request = requests.get(action.action_id)
+    request = requests.open.get(action.action_id)
     return request is None or not request.is_adhoc
 
 

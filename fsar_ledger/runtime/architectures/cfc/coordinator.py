@@ -122,7 +122,7 @@ def reach_coordinator(
     names the coordinator as decider.
     """
     action = state.execution.actions.get(command.action_id)
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None and action is None:
         return ()
     task_id = request.task_id if request is not None else action.task_id  # type: ignore[union-attr]

@@ -64,7 +64,7 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     """Let the robot claim override over its actions, and both supervisors claim supervision where a window opened."""
     claimed: list[Event] = []
     for action_id in _held(state.authority, state.request, command.robot):
-        task_id = state.request[action_id].task_id
+        task_id = state.request.open[action_id].task_id
         wanted: list[tuple[Dimension, Principal, str]] = [("override", command.robot, "safe stop")]
         if command.window is not None:
             wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
@@ -83,7 +83,7 @@ def _held(authority: Authority, requests: Requests, robot: Robot) -> list[str]:
     """Return the robot's actions whose execution the coordinator claims."""
     held = []
     for action_id, claims in authority.claims.items():
-        request = requests.get(action_id)
+        request = requests.open.get(action_id)
         if request is None or robot not in (request.requester, request.target or request.requester):
             continue
         if any(claim.dimension == "execution" and claim.claimant == COORDINATOR for claim in claims):

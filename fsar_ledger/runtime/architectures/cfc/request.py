@@ -105,7 +105,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     """Pick a robot by the coordinator's copy, then gate the step on the copied policy and the fleet's rule."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or request.task_id not in state.task:
         return ()
     asked = candidates_of(state.fleet, state.registry, request)
@@ -128,7 +128,7 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...]:
     """Command the approved step, or deny one that was not approved."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     robot = request.target or request.requester
@@ -166,7 +166,7 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
 
     H_F is asked only when the coordinator's copy did not show the robot as taken.
     """
-    request, robot = state.request.get(command.action_id), command.robot
+    request, robot = state.request.open.get(command.action_id), command.robot
     if request is None or request.is_received or robot != (request.target or request.requester):
         return ()  # taken back, or a second one
     is_second = request.is_delegated and not request.seen_busy
@@ -182,7 +182,7 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     """Take back a command that no robot confirmed in time, and match its step again. Reading: R44."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or request.target != command.robot or request.is_received:
         return ()
     return (
@@ -193,7 +193,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
 
 def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     """Queue the second command and release its claim on the running action."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     ended = released(made_for(state.authority, AGAIN + request.action_id))
@@ -215,7 +215,7 @@ def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
 
 def _complete(requests: Requests, command: ProcessWork) -> tuple[Event, ...]:
     """Close the step at the coordinator."""
-    request = requests.get(command.action_id)
+    request = requests.open.get(command.action_id)
     if request is None:
         return ()
     closed = AuthorityReleased(request.subject, "override", COORDINATOR, "command")
@@ -226,7 +226,7 @@ def _complete(requests: Requests, command: ProcessWork) -> tuple[Event, ...]:
 
 def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
     """Deny the outsider's request for lack of trust."""
-    request = state.request[command.action_id]
+    request = state.request.open[command.action_id]
     return (
         GapDetected(
             Subject(request.task_id, None),
@@ -274,7 +274,9 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
     action_id = task.action_id
     return (
         Scheduled(
-            ReceiveCommand(action_id, state.request[action_id].requester), 0, (message(COORDINATOR, action_id, 1),)
+            ReceiveCommand(action_id, state.request.open[action_id].requester),
+            0,
+            (message(COORDINATOR, action_id, 1),),
         ),
     )
 
@@ -289,7 +291,7 @@ def _on_finish(_state: State, event: ExecutionFinished, _now_us: int) -> tuple[S
 
 def _on_release(state: State, event: AuthorityReleased, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the completion of the step, unless its command was taken back."""
-    request = state.request.get(event.subject.action_id)
+    request = state.request.open.get(event.subject.action_id)
     is_taken_back = request is not None and request.is_delegated and request.target is None
     if (event.dimension, event.claimant) != ("override", COORDINATOR) or is_taken_back:
         return ()

@@ -61,7 +61,7 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
             else (planner(robot), planner(action.robot))
         )
         made += claims(state.authority, action, "override", claimants, "context change")
-    for request in state.request.values():
+    for request in state.request.open.values():
         if (
             request.target is not None
             and robot in (request.requester, request.target)

@@ -50,7 +50,7 @@ class RunOutsider(Command):
 
 def _under_contract(execution: Execution, requests: Requests, action_id: str, contract: int) -> Action | None:
     """Return the action while this round's contract holds it."""
-    action, request = execution.actions.get(action_id), requests.get(action_id)
+    action, request = execution.actions.get(action_id), requests.open.get(action_id)
     if action is None or request is None or request.round != contract or action.stage == "withdrawn":
         return None
     return action
@@ -85,7 +85,7 @@ def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
 
 def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
     """Run the request unchecked, without an executor or a supervisor on record."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or request.target is None:
         return ()
     robot, peer, subject = request.requester, request.target, request.request_subject
@@ -113,7 +113,7 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
 
     Each link takes one hop, and so does each acknowledgement.
     """
-    request = state.request.get(event.subject.action_id)
+    request = state.request.open.get(event.subject.action_id)
     if request is None or request.target is None:
         return ()
     key, robot = f"{event.subject.action_id}/{request.round}", request.target

@@ -52,7 +52,7 @@ class QueueOwnStep(Command):
 
 def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     """Decide to do the step, unless the planner's snapshot forbids it for now."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     robot, outcome = request.requester, snapshot(state.knowledge, request.requester)
@@ -68,7 +68,7 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
 
 def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     """Queue the step for the robot."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     robot = request.requester
@@ -81,7 +81,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     action = waiting(state.execution, command.action_id)
     if action is None:
         return ()
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is not None and request.is_questioned and command.action_id not in state.supervision.approved:
         return (
             *release(state.authority, action.action_id),
@@ -120,7 +120,7 @@ def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Schedu
 
 
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.subject.action_id)
+    request = state.request.open.get(event.subject.action_id)
     if event.purpose != "review" or request is None or request.is_delegated:
         return ()
     return (Scheduled(PlanOwnStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
@@ -129,7 +129,11 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     said, record = talk(
-        state.fleet, state.request[event.subject.action_id].requester, OWN_STEP, event.subject.action_id, "own"
+        state.fleet,
+        state.request.open[event.subject.action_id].requester,
+        OWN_STEP,
+        event.subject.action_id,
+        "own",
     )
     return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said), record)
 

@@ -100,7 +100,7 @@ class AcceptAward(Command):
 def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
     """Return the first bid that allows, else the first under review, else None."""
     for wanted in ("allow", "review"):
-        for robot, outcome in request.bids:
+        for robot, outcome in request.bids.items():
             if outcome == wanted:
                 return robot, outcome
     return None
@@ -108,7 +108,7 @@ def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
 
 def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     """Record the planner's finding that the step needs another robot."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     parties = _parties(state.fleet, state.world, request, request.requester, None)
@@ -117,7 +117,7 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
 
 def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
     """Call every capable robot."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     robot = request.requester
@@ -137,7 +137,7 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
 
 def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     robot, outcome = command.robot, snapshot(state.knowledge, command.robot)
@@ -153,7 +153,7 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
 
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
     """Record the bid at the requester's planner."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     return (
         ()
         if request is None or request.is_unanswered
@@ -163,7 +163,7 @@ def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
 
 def award(state: State, command: Award) -> tuple[Event, ...]:
     """Award the contract, or put the best bid before H_F."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     best = best_bid(request) if request is not None else None
     if (
         request is None
@@ -184,7 +184,7 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
     The request is unanswered if none is left. A bid that is on its way is waited for, and so is a robot that the call
     has reached but whose agents still judge it. Reading: R44.
     """
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if (
         request is None
         or request.is_unanswered
@@ -192,7 +192,7 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
         or len(request.bids) == len(request.candidates)
     ):
         return ()
-    received = {robot for robot, _ in request.bids}
+    received = request.bids
     if any(robot not in received for robot in request.bidders):
         return ()
     if not command.is_last and any(
@@ -206,7 +206,7 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     """Void an award that was not accepted in time; the step is tried again later. Reading: R44."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or request.round != command.round or request.target is None or request.is_accepted:
         return ()
     return (_unanswered(state.fleet, state.world, request, request.target),)
@@ -220,7 +220,7 @@ def _unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | 
 
 def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
     """Commit the executor; its communication agent claims execution until the planner acknowledges."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or request.target is None:
         return ()
     robot = request.target
@@ -248,7 +248,7 @@ def _parties(fleet: Fleet, world: World, request: Request, near: Robot, executor
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     """Close the request at the requester's communication agent."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or request.target is None:
         return ()
     parties = _parties(state.fleet, state.world, request, request.target, request.target)

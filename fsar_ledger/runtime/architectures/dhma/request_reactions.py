@@ -60,13 +60,15 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    said, record = talk(state.fleet, state.request[event.subject.action_id].requester, CALL, event.subject.action_id, 0)
+    said, record = talk(
+        state.fleet, state.request.open[event.subject.action_id].requester, CALL, event.subject.action_id, 0
+    )
     return (Scheduled(CallForProposals(event.subject.action_id), 0, said), record)
 
 
 def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    request = state.request[event.subject.action_id]
+    request = state.request.open[event.subject.action_id]
     calls = tuple(scheduled for robot in event.candidates for scheduled in call(state.fleet, request, robot))
     return (*calls, *_closing(state.fleet, request, (at_once(request.requester),)))
 
@@ -86,7 +88,7 @@ def _closing(fleet: Fleet, request: Request, waits: tuple[Ask, ...]) -> tuple[Sc
 
 
 def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(state.task[event.task_id].action_id) if event.task_id in state.task else None
+    request = state.request.open.get(state.task[event.task_id].action_id) if event.task_id in state.task else None
     if request is None:
         return ()
     key = f"{request.action_id}/{request.round}/{event.robot}"
@@ -96,7 +98,7 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
 
 
 def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request[event.subject.action_id]
+    request = state.request.open[event.subject.action_id]
     if len(request.bids) < len(request.candidates):  # it may have been the last one that was waited for
         return _closing(state.fleet, request, (at_once(request.requester),))
     if best_bid(request) is None:
@@ -107,7 +109,7 @@ def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Sc
 
 
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.subject.action_id)
+    request = state.request.open.get(event.subject.action_id)
     if event.purpose != "review" or request is None or not request.is_delegated:
         return ()
     return (Scheduled(Award(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
@@ -117,7 +119,7 @@ def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, 
     task = state.task.get(event.task_id)
     if task is None:  # given up meanwhile
         return ()
-    request = state.request[task.action_id]
+    request = state.request.open[task.action_id]
     told = Scheduled(
         AcceptAward(request.action_id), 0, (message(request.requester, request.action_id, f"award/{request.round}"),)
     )
@@ -133,7 +135,7 @@ def _on_unanswered(state: State, event: RequestUnanswered, _now_us: int) -> tupl
 
 def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
     """Let both sides' agents agree that the contract is void, and negotiate again under the same action."""
-    request = state.request[event.subject.action_id]
+    request = state.request.open[event.subject.action_id]
     key = f"{request.action_id}/{request.round}/void"
     said, record = talk(state.fleet, event.robot, VOIDING, key, "void")
     agreed, other = talk(
@@ -144,7 +146,7 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.subject.action_id)
+    request = state.request.open.get(event.subject.action_id)
     close = Scheduled(CloseExecution(event.subject.action_id))
     if request is None or request.step == 0:
         return (close,)

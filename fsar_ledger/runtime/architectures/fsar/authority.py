@@ -14,8 +14,8 @@ from fsar_ledger.projections.world import is_linked
 from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
+from fsar_ledger.runtime.handlers.candidates import Query, rejecting_filter
 from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled, message
-from fsar_ledger.runtime.handlers.registry import Query, rejecting_filter
 
 
 class Revoke(Command):
@@ -40,18 +40,24 @@ class RememberPeer(Command):
 def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
     """Let the requester claim override over what runs for it, until the next request boundary."""
     revoked: list[Event] = []
-    for action_id, claims in state.authority.claims.items():
-        action = state.execution.actions.get(action_id)
-        if action is None or action.on_behalf_of != command.robot or action.robot == command.robot:
-            continue
-        if all(claim.claimant != command.robot or claim.dimension != "override" for claim in claims):
+    for action in map(state.execution.actions.__getitem__, _claimed(state, command.robot)):
+        claims = state.authority.claims[action.action_id]
+        if action.robot != command.robot and all(
+            claim.claimant != command.robot or claim.dimension != "override" for claim in claims
+        ):
             revoked.append(AuthorityClaimed(action.subject, "override", command.robot, "revocation"))
     return tuple(revoked)
 
 
+def _claimed(state: State, robot: Robot) -> list[str]:
+    """Return the claimed actions on behalf of the robot, in the order of their first claims."""
+    found = [action for action in state.execution.served.get(robot, ()) if action in state.authority.claims]
+    return found if len(found) < 2 else [action for action in state.authority.claims if action in found]
+
+
 def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
     """Deny what the registry does not show; without trust evaluation, run the request."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or request.target is None:
         return ()
     subject, robot, peer, capability = request.subject, request.requester, request.target, request.capability
@@ -124,10 +130,7 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
 
 
 def _on_context(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:
-    actions = state.execution.actions
-    if any(action in actions and actions[action].on_behalf_of == event.robot for action in state.authority.claims):
-        return (Scheduled(Revoke(event.robot)),)
-    return ()
+    return (Scheduled(Revoke(event.robot)),) if _claimed(state, event.robot) else ()
 
 
 def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:

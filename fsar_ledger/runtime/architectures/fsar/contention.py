@@ -73,10 +73,10 @@ def _goes_first(contention: Contention, order: Order, rival: Request) -> bool:
 
 def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
     """Return the unadmitted requests of other tasks for the same robot, where either is time-critical."""
-    if not any(task.is_time_critical for task in state.task.values()):
+    if not state.contention.critical:
         return []
     found = []
-    for other in state.request.values():
+    for other in state.request.open.values():
         is_settled = (
             other.is_accepted
             or other.is_over

@@ -15,8 +15,9 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handlers.actors import nobody, requester
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, recorded_by
+from fsar_ledger.runtime.handlers.candidates import Answer, Query, candidates, rejecting_filter
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
-from fsar_ledger.runtime.handlers.registry import Answer, Query, candidates, queried, rejecting_filter
+from fsar_ledger.runtime.handlers.registry import queried
 from fsar_ledger.runtime.handlers.trust import trusts
 
 Found = tuple[tuple[Robot, ...], Robot | None]  # candidates, relay
@@ -101,7 +102,7 @@ def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
 
 def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     """Record that the requester needs another robot; without a registry, search the peers it met."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     found: tuple[Event, ...] = ()
@@ -168,7 +169,7 @@ def _met(
 
 def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
     """Answer the query from the registry, governed by trust and visibility."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     query = Query(request.requester, request.capability, request.task_id)
@@ -184,7 +185,7 @@ def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, 
     if (
         "shared-registry" in state.fleet.without
         or event.subject.task_id not in state.task
-        or event.subject.action_id not in state.request
+        or event.subject.action_id not in state.request.open
     ):
         return ()  # a request that is no step names whom it asks
     assert event.subject.action_id is not None

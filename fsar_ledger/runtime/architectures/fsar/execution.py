@@ -51,7 +51,7 @@ class LearnFleetRule(Command):
 
 def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
     """Decide to do the step, and queue it at the robot itself."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     robot = request.requester

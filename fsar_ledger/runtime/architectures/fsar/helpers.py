@@ -11,7 +11,7 @@ Reading: a substitute is asked for its own capability, so its advertisement's te
 capability holds for it as well.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from fsar_ledger.events import Event
@@ -19,10 +19,10 @@ from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.envelope import PolicyOutcome, Robot
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.projections.authority import Authority, right_of
-from fsar_ledger.projections.execution import Action, Execution
+from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
-from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, advertisement
+from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, offered_in
 from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.projections.world import is_linked, stricter
 from fsar_ledger.runtime.handlers.attribution import (
@@ -35,10 +35,11 @@ from fsar_ledger.runtime.handlers.attribution import (
     recorded_by,
     stand_ins,
 )
+from fsar_ledger.runtime.handlers.candidates import Filter, Query, alike, rejecting_filter
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
 from fsar_ledger.runtime.handlers.policy import compose, own_policy
-from fsar_ledger.runtime.handlers.registry import Filter, Query, rejecting_filter
 
+_ALL = 6  # checks of a candidate (see `_first`)
 ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does not cover assistance
 
 
@@ -69,7 +70,7 @@ def peer(state: State, action: Action, recovery: Recovery) -> Found:
     if "shared-registry" in state.fleet.without:
         return Found(None, "no shared registry")
     found = _bodies(state, action) if recovery.cause == "obstruction" else _stand_ins(state, action, action.robot)
-    return _first(state, action, action.robot, [one for one in found if one.robot not in recovery.tried], "peer")
+    return _first(state, action, action.robot, (one for one in found if one.robot not in recovery.tried), "peer")
 
 
 def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
@@ -79,15 +80,14 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
     """
     if recovery.cause == "obstruction" or "shared-registry" in state.fleet.without:
         return ()
-    found = _stand_ins(state, action, action.robot)
+    found = list(_stand_ins(state, action, action.robot))
     fit = tuple(dict.fromkeys(one.robot for one in found if one.left_out_by is None))
-    left_out: dict[Robot, Filter] = {
-        name: "contract"
-        for name in kin(state.fleet, state.registry, action.robot, action.capability)
-        if name not in stand_ins(state.fleet, state.registry, action)
-    }
+    known = set(fit)
+    able = set(stand_ins(state.fleet, state.registry, action))
+    kindred = kin(state.fleet, state.registry, action.robot, action.capability)
+    left_out: dict[Robot, Filter] = {name: "contract" for name in kindred if name not in able}
     for one in found:
-        if one.left_out_by is not None and one.robot not in fit:
+        if one.left_out_by is not None and one.robot not in known:
             left_out.setdefault(one.robot, one.left_out_by)
     return (
         RegistryQueried(
@@ -105,38 +105,38 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
 
 def reassignee(state: State, action: Action) -> Found:
     """Return the nearest idle robot that may execute the step: able, trusted, and allowed by all three policies."""
-    request = state.request.get(action.action_id)
+    request = state.request.open.get(action.action_id)
     if action.capability == NAVIGATION or request is None:
         return Found(None, "the robot's own way")
-    found = [one for one in _stand_ins(state, action, action.on_behalf_of) if one.robot != action.on_behalf_of]
+    found = (one for one in _stand_ins(state, action, action.on_behalf_of) if one.robot != action.on_behalf_of)
     return _first(state, action, action.on_behalf_of, found, "robot", request.carried)
 
 
-def _bodies(state: State, action: Action) -> list[Candidate]:
-    """Return every other robot whose body could clear the way, which needs broader trust but no capability."""
+def _bodies(state: State, action: Action) -> Iterator[Candidate]:
+    """Yield every other robot whose body could clear the way, which needs broader trust but no capability."""
     about = (action.capability, action.task_id)
-    found: list[Candidate] = []
     for name in helpers(state.fleet, state.registry, action, "obstruction"):
         is_trusted = scope_of(state.trust, name, action.robot, *about) in ASSISTING_SCOPES
-        found.append(
-            Candidate(
-                name,
-                action.capability,
-                "availability" if not is_reachable(state.registry, name) else None if is_trusted else "trust",
-            )
-        )
-    return found
+        by: Filter | None = None if is_trusted else "trust"
+        yield Candidate(name, action.capability, by if is_reachable(state.registry, name) else "availability")
 
 
-def _stand_ins(state: State, action: Action, asking: Robot) -> list[Candidate]:
-    """Return every other robot with each capability that fits the step, as the registry would answer."""
-    found: list[Candidate] = []
+def _stand_ins(state: State, action: Action, asking: Robot) -> Iterator[Candidate]:
+    """Yield every other robot with each capability that fits the step, as the registry would answer."""
+    capabilities = means(state.fleet, action.capability)
+    by: dict[tuple[Robot, str], Filter | None] = {}
+    for capability in capabilities:
+        for offered in offered_in(state.registry.offers, capability):
+            for record, robots in alike(state, offered, asking):
+                by.update(
+                    dict.fromkeys(
+                        [(robot, capability) for robot in robots], _left_out_by(state, action, asking, record)
+                    )
+                )
     for name in stand_ins(state.fleet, state.registry, action):
-        for capability in means(state.fleet, action.capability):
-            record = advertisement(state.registry, name, capability)
-            if record is not None:
-                found.append(Candidate(name, capability, _left_out_by(state, action, asking, record)))
-    return found
+        for capability in capabilities:
+            if (name, capability) in by:
+                yield Candidate(name, capability, by[name, capability])
 
 
 def _left_out_by(state: State, action: Action, asking: Robot, record: Advertisement) -> Filter | None:
@@ -157,34 +157,40 @@ def _left_out_by(state: State, action: Action, asking: Robot, record: Advertisem
 
 
 def _first(
-    state: State, action: Action, asking: Robot, found: list[Candidate], kind: str, carried: PolicyOutcome | None = None
+    state: State,
+    action: Action,
+    asking: Robot,
+    candidates: Iterable[Candidate],
+    kind: str,
+    carried: PolicyOutcome | None = None,
 ) -> Found:
-    """Return the nearest idle candidate that passes every check, or the check that left nobody."""
-    able = [one for one in found if one.left_out_by not in ("visibility", "availability")]
-    if not able:
-        return Found(None, f"no capable {kind}")
-    chosen = _chosen(state, action, asking, [one for one in able if is_linked(state.world, one.robot)], kind, carried)
-    order = tuple(dict.fromkeys(one.robot for one in able if chosen.robot is None or one.left_out_by is None))
-    before = order if chosen.robot is None else order[: order.index(chosen.robot)]
-    return chosen._replace(silent=tuple(robot for robot in before if not is_linked(state.world, robot)))
+    """Return the nearest idle candidate that answers and passes every check, or the check that left nobody."""
+    furthest = 0
+    silent: dict[Robot, bool] = {}  # robots that do not answer, and whether nothing else leaves them out
+    for one in candidates:
+        if one.left_out_by in ("visibility", "availability"):
+            continue
+        if not is_linked(state.world, one.robot):
+            silent[one.robot] = silent.get(one.robot, False) or one.left_out_by is None
+            passed = 1
+        else:
+            passed = _passed(state, action, asking, one, carried)
+        if passed == _ALL:
+            return Found(one.robot, "", tuple([robot for robot, is_fit in silent.items() if is_fit]))
+        furthest = max(furthest, passed)
+    reasons = (f"no capable {kind}", NO_ANSWER, f"no trusted {kind}", "authority", "policy", f"{kind} busy")
+    return Found(None, reasons[furthest], tuple(silent))
 
 
-def _chosen(
-    state: State, action: Action, asking: Robot, able: list[Candidate], kind: str, carried: PolicyOutcome | None
-) -> Found:
-    """Return the first idle candidate that answers and passes every check, or the check that left nobody."""
-    if not able:
-        return Found(None, NO_ANSWER)
-    trusted = [one for one in able if one.left_out_by != "trust"]
-    if not trusted:
-        return Found(None, f"no trusted {kind}")
-    entitled = [one for one in trusted if _may_ask(state.authority, asking, one, action)]
-    if not entitled:
-        return Found(None, "authority")
-    willing = [
-        one.robot for one in entitled if one.left_out_by is None and _is_allowed(state, asking, one, action, carried)
-    ]
-    return Found(*_first_idle(state.execution, willing, "policy", f"{kind} busy"))
+def _passed(state: State, action: Action, asking: Robot, one: Candidate, carried: PolicyOutcome | None) -> int:
+    """Return how many checks a candidate that answers passes, in the order of the reasons in `_first`."""
+    if one.left_out_by == "trust":
+        return 2
+    if not _may_ask(state.authority, asking, one, action):
+        return 3
+    if one.left_out_by is not None or not _is_allowed(state, asking, one, action, carried):
+        return 4
+    return _ALL if is_idle(state.execution, one.robot) else 5
 
 
 def _is_allowed(state: State, asking: Robot, one: Candidate, action: Action, carried: PolicyOutcome | None) -> bool:
@@ -209,14 +215,3 @@ def _may_ask(authority: Authority, asking: Robot, one: Candidate, action: Action
         for capability in {one.capability, action.capability}
     )
     return not any(isinstance(right, AuthorityRevoked) for right in rights)
-
-
-def _first_idle(
-    execution: Execution, willing: Iterable[Robot], nobody_willing: str, nobody_idle: str
-) -> tuple[Robot | None, str]:
-    reason = nobody_willing
-    for name in willing:
-        if is_idle(execution, name):
-            return name, ""
-        reason = nobody_idle
-    return None, reason

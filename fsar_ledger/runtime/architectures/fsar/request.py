@@ -86,7 +86,7 @@ class AdmitReviewed(Command):
 
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     """Send the request with the requester's own policy; back off without a candidate."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     if not request.candidates:
@@ -106,7 +106,7 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
 
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     """Pass the request on with the relay's policy added, or let the relay deny it. Paper: eq:nontransitive."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or request.relay is None:
         return ()
     if request.silent:  # too late, as of an executor
@@ -126,7 +126,7 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
 
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
     """Admit, counter or deny the request at the executor, or ask H_F for review. Paper: eq:admissible, phase 4."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is not None and request.silent:  # too late; it was found silent, and its word says otherwise
         return report_back(state, ReportBack(request.silent[0]))
     if (
@@ -140,7 +140,7 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
 
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
     """Admit the approved request if all but policy still holds, or deny one that was not approved."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or not _is_open(state.execution, state.task, request):
         return ()
     executor = request.candidates[0]
@@ -156,7 +156,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
 
     The requester tries again later. Reading: R44.
     """
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None or request.is_relayed != command.is_relayed:
         return ()
     if (
@@ -263,7 +263,7 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     """Close the request at the coordination engine. Paper: sec:architecture:fleet."""
-    request = state.request.get(command.action_id)
+    request = state.request.open.get(command.action_id)
     if request is None:
         return ()
     parties = recorded_by(

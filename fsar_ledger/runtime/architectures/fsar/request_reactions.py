@@ -53,7 +53,7 @@ def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Sche
 
 def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
-    request = state.request.get(event.subject.action_id)
+    request = state.request.open.get(event.subject.action_id)
     if request is None or not (request.is_adhoc or _is_step(state.task, request)):
         return ()
     next_one: Command = (
@@ -105,7 +105,7 @@ def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Schedul
 
 
 def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
-    request = state.request.get(action_id or "")
+    request = state.request.open.get(action_id or "")
     if request is None or not _is_step(state.task, request):
         return ()
     return (Scheduled(BeginStep(request.task_id, request.action_id), state.fleet.structure.back_off_us),)
@@ -127,7 +127,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request.get(event.subject.action_id)
+    request = state.request.open.get(event.subject.action_id)
     if request is None or not (request.is_adhoc or _is_step(state.task, request)):
         return ()
     if event.robot != request.requester:
@@ -143,7 +143,7 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
 
 def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
     """Complete the step, or retry later a step that did not succeed."""
-    if not _is_step(state.task, state.request.get(event.subject.action_id)):
+    if not _is_step(state.task, state.request.open.get(event.subject.action_id)):
         return ()
     done = Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),))
     return (done,) if event.result == "success" else _again(state, event.subject.action_id)

@@ -1,0 +1,67 @@
+"""Mappings that never change are as dicts, of any size."""
+
+from collections.abc import Mapping
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.projections import maps
+from fsar_ledger.projections.maps import Large, among, put, without
+from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+
+CHANGES = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers())), max_size=60)
+
+
+@settings(max_examples=300)
+@given(st.dictionaries(st.integers(0, 12), st.integers()), CHANGES)
+def test_a_large_mapping_is_the_dict_with_the_same_changes(
+    begin: dict[int, int], changes: list[tuple[int, int | None]]
+) -> None:
+    expected, found = dict(begin), Large.of(begin)
+    for key, value in changes:
+        before = list(found.items())
+        if value is None:
+            after = without(found, key)
+            expected.pop(key, None)
+        else:
+            after = put(found, key, value)
+            expected[key] = value
+        assert list(found.items()) == before, "a change leaves the mapping that it changes"
+        assert isinstance(after, Large)
+        found = after
+        assert list(found.items()) == list(expected.items()), "entries come in the order of a dict's"
+    assert found == expected
+    assert expected == found
+    assert len(found) == len(expected)
+    assert {**found} == expected
+    for key in range(13):
+        assert (key in found) == (key in expected)
+        assert found.get(key, -1) == expected.get(key, -1)
+    assert among(found, range(13)) == among(expected, range(13)) == expected.keys()
+    with pytest.raises(KeyError):
+        found[99]
+
+
+def test_a_mapping_grows_and_shrinks_by_one_entry_at_a_time() -> None:
+    found, expected = put({}, "first", 0), {"first": 0}
+    for number in range(3_000):
+        found, expected[f"robot/{number}"] = put(found, f"robot/{number}", number), number
+    assert isinstance(found, Large)
+    assert list(found.items()) == list(expected.items())
+    for number in range(0, 3_000, 2):
+        found = without(found, f"robot/{number}")
+        del expected[f"robot/{number}"]
+    assert without(found, "nobody") is found
+    assert list(found) == list(expected)
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_a_run_is_the_same_whatever_the_size_of_a_large_mapping(
+    architecture: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = RunSpec(11, architecture, "full", "door-relay", 16, 0)
+    expected = simulate_run(spec, Constants())
+    monkeypatch.setattr(maps, "_LARGE", 2)
+    assert simulate_run(spec, Constants()) == expected
