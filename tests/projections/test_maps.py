@@ -1,6 +1,5 @@
 """Mappings that never change are as dicts, of any size."""
 
-from collections.abc import Mapping
 
 import pytest
 from hypothesis import given, settings
