@@ -15,6 +15,8 @@ the kernel's: a command without a wait is due at a fixed time.
 """
 
 import sys
+from array import array
+from collections import deque
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from heapq import heapify, heappop, heappush
@@ -79,7 +81,7 @@ class Kernel:
         self._pending: list[Pending] = []
         self._kept: list[Pending] = []
         self._serial = 0
-        self._times_of: dict[int, int] = {}  # times of events that were taken out and caused what is pending
+        self._taken: deque[tuple[int, array[int]]] = deque()  # first seq and times of what was taken out in a moment
         if founded is None:
             self._batch(founding, 0, None)
         else:
@@ -120,15 +122,20 @@ class Kernel:
 
     def take(self) -> LedgerRun:
         """Take out the events recorded so far, which have happened but need not be known for what follows."""
-        causes = {cause for _, _, cause, _ in (*self._pending, *self._kept)}
-        self._times_of = {cause: self._time_of(cause) for cause in causes}
+        if self.times_us:
+            self._taken.append((self.first, array("q", self.times_us)))
+            while self._taken[0][1][-1] < self.times_us[-1] - MOMENT_US:
+                self._taken.popleft()
         found = LedgerRun("", self.times_us, self.caused_by, self.events, self.first)
         self.first += len(self.events)
         self.times_us, self.caused_by, self.events = [], [], []
         return found
 
     def _time_of(self, seq: int) -> int:
-        return self.times_us[seq - self.first] if seq >= self.first else self._times_of[seq]
+        """Return when the event happened; 0 for one that was taken out and is more than a moment ago."""
+        if seq >= self.first:
+            return self.times_us[seq - self.first]
+        return next((times_us[seq - first] for first, times_us in reversed(self._taken) if seq >= first), 0)
 
     @property
     def has_ended(self) -> bool:
@@ -227,7 +234,7 @@ class Kernel:
             setattr(state, slot, evolve(getattr(state, slot), event))
         if not reacts:
             return
-        taken: tuple[int, ...] = ()
+        taken: set[int] = set()
         for react in reacts:
             for scheduled in react(state, event, time_us):
                 due_us = time_us + scheduled.after_us
@@ -237,7 +244,7 @@ class Kernel:
                     due_us = time_us + 1
                 while due_us in taken:
                     due_us += 1
-                taken = (*taken, due_us)
+                taken.add(due_us)
                 self._serial += 1
                 if not self._keep((due_us, self._serial, seq, scheduled), due_us - time_us):  # a message departs
                     heappush(self._pending, (due_us, self._serial, seq, scheduled))
