@@ -27,7 +27,7 @@ SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-ag
 
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce test test-all check check-style check-types check-sql check-imports soak $(SOAKS) \
-	soak-sensitivity bench docs page pins sbom clean
+	soak-sensitivity fleets bench docs page pins sbom clean
 
 help:
 	@echo "make setup       create .venv with the command fsar-ledger in it"
@@ -38,6 +38,8 @@ help:
 	@echo "make soak        run the long tests, over an hour: $(SOAKS)"
 	@echo "make soak-sensitivity   measure how much each number depends on each constant, most of an hour;"
 	@echo "                 resumes where it was interrupted"
+	@echo "make fleets      measure what coordination costs in fleets of 4 to 4,096 robots, into $(OUT)/fleets.pdf;"
+	@echo "                 most of an hour, resumes where it was interrupted"
 	@echo "make bench       run the benchmarks and print ratios"
 	@echo "make docs        rewrite the pages that show real output"
 	@echo "make page        build the script of the page that view writes from fsar_ledger/view/src; needs Node"
@@ -140,6 +142,13 @@ soak-swaps: $(READY_TEST)
 # a fit.
 soak-sensitivity: $(READY)
 	$(BIN)/fsar-ledger sensitivity --out $(OUT)/sensitivity.parquet --svg $(OUT)/sensitivity.svg
+
+# Which size breaks which architecture, and what does a request cost there? Not a test.
+fleets: reproduce
+	for size in 4 16 64 256 1024 4096; do \
+		$(BIN)/fsar-ledger simulate $(OUT)/fleets --runs 1 --scenario door-relay --fleet-size $$size --format 2 || exit; \
+	done
+	$(BIN)/fsar-ledger report $(OUT)/results --with $(OUT)/fleets --out $(OUT)/fleets.pdf
 
 bench: $(READY_TEST)
 	$(BIN)/python benchmarks/command_line.py

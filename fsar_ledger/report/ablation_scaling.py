@@ -9,6 +9,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+import msgspec
+
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, Value
@@ -16,12 +18,17 @@ from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.odds import Printed, odds
 from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.plans import completeness
-from fsar_ledger.metrics.results import DialledRow, dialled_rows
+from fsar_ledger.metrics.results import DialledRow, cost_rows, dialled_rows
 from fsar_ledger.registration import registration
 from fsar_ledger.report import printing, run_shape
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, Told
 
-QUERIES = ("metrics/metrics_by_dial", "statistics/drawn_experiments", "statistics/drawn_scenarios")
+QUERIES = (
+    "metrics/metrics_by_dial",
+    "metrics/coordination_cost",
+    "statistics/drawn_experiments",
+    "statistics/drawn_scenarios",
+)
 DIALLED = "without-shared-registry"
 """The configuration whose success is a curve over how often robots meet."""
 
@@ -108,7 +115,25 @@ def scaling_of(database: Database, *, pools_seeds: bool = False) -> Scaling | No
     alike = max(larger, key=lambda one: (len(sizes[one]), counts[one]))
     means = {row.encounter_mean_s for row in rows if _alike(row) == alike and row.fleet_size != MAIN_FLEET_SIZE}
     table = [row for row in rows if _alike(row) == alike and row.encounter_mean_s in means]
-    return Scaling(_told(database, table[0]), tuple(_sized(database, table)), tuple(map(_plain, _over_all(table))))
+    return Scaling(
+        _told(database, table[0]),
+        tuple(_sized(database, table)),
+        tuple(map(_plain, _over_all(table))),
+        _costs(database, {row.setting for row in table}),
+    )
+
+
+def _costs(database: Database, settings: set[str]) -> tuple[Row, ...]:
+    """Return what coordination costs in these settings, of the architectures in full, where all teams work."""
+    return tuple(
+        msgspec.structs.asdict(row)
+        for row in cost_rows(database)
+        if row.setting in settings
+        and row.architecture in ARCHITECTURES
+        and row.configuration == FULL
+        and row.fleet_size is not None
+        and row.teams_working == row.fleet_size // MAIN_FLEET_SIZE
+    )
 
 
 def _sized(database: Database, table: Sequence[DialledRow]) -> list[Row]:

@@ -30,6 +30,17 @@ SCENARIO_STYLES = {
 MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^"}  # distinguishable in grey, too
 LARGEST = 16
 """Robots of the paper's largest fleet."""
+HALF = 0.5
+"""An architecture breaks where it completes a smaller share of the tasks within their budget."""
+COSTS = {
+    "messages": "Messages",
+    "decisions": "Decisions",
+    "hops": "Hops of decisions",
+    "look_ups": "Look-ups",
+    "robots_named": "Robots named in answers",
+    "checks": "Checks",
+}
+"""What is counted for each request, and the title of its panel."""
 
 
 def _say_no_value(panel: Any, at: float) -> None:
@@ -180,6 +191,57 @@ def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> byte
             _titled(panel, spec, "teams working")
         _legend(axes.flat[len(SCALED)], (("-", "this ledger"), (":", "the paper's number")))
         return rendered(figure, kind)
+
+
+def coordination_cost(costs: Sequence[Row], kind: str = "svg") -> bytes:
+    """Draw "What coordination costs": counts for each request over the number of robots, on logarithmic scales.
+
+    Where an architecture completes less than half of its tasks in time, the points are hollow. Grey lines grow with the
+    number of robots, and with its logarithm.
+    """
+    from matplotlib.lines import Line2D
+
+    sizes = sorted({row["fleet_size"] for row in costs})
+    with canvas(specs.figure("coordination-cost"), 2, 3) as (figure, axes):
+        for panel, (name, title) in zip(axes.flat, COSTS.items(), strict=True):
+            for style, growth in ((":", [size / sizes[0] for size in sizes]), ("--", _logarithms(sizes))):
+                panel.plot(sizes, growth, color="#999999", linestyle=style, linewidth=0.9, zorder=1)
+            for architecture, colour in COLOURS.items():
+                rows = [row for row in costs if row["architecture"] == architecture and row[name]]
+                panel.plot(
+                    [row["fleet_size"] for row in rows], [row[name] for row in rows], color=colour, linewidth=1.2
+                )
+                for row in rows:
+                    face = "white" if is_broken(row) else colour
+                    look = {"marker": MARKERS[architecture], "markersize": 4, "zorder": 3}
+                    panel.plot(row["fleet_size"], row[name], color=colour, markerfacecolor=face, **look)
+            panel.set_xscale("log", base=2)
+            panel.set_yscale("log")
+            panel.set_xticks(sizes, [f"{size:,}" for size in sizes], rotation=30 if len(sizes) > 4 else 0)
+            panel.minorticks_off()
+            panel.set_title(title)
+            panel.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
+        for panel in axes[-1]:
+            panel.set_xlabel("robots")
+        handles: list[Any] = [
+            Line2D([], [], color=colour, marker=MARKERS[name], markersize=4, label=name.upper())
+            for name, colour in COLOURS.items()
+        ]
+        hollow: dict[str, Any] = {"marker": "o", "markersize": 4, "markerfacecolor": "white", "linestyle": "none"}
+        handles.append(Line2D([], [], color="black", label="under half of the tasks in time", **hollow))
+        growths: tuple[tuple[Any, str], ...] = ((":", "grows as $n$"), ("--", "grows as $\\log n$"))
+        handles += [Line2D([], [], color="#999999", ls=style, label=label) for style, label in growths]
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+        return rendered(figure, kind)
+
+
+def is_broken(row: Row) -> bool:
+    """Return whether the architecture completes less than half of the tasks of this fleet within their budget."""
+    return row["completed"] is not None and row["completed"] < HALF
+
+
+def _logarithms(sizes: Sequence[int]) -> list[float]:
+    return [math.log(size) / math.log(sizes[0]) for size in sizes]
 
 
 def points_of(curve: Sequence[Row], dial: str, **same: Any) -> list[tuple[float, Row]]:

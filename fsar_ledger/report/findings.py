@@ -80,12 +80,14 @@ class Scaling(msgspec.Struct, frozen=True):
     """Larger fleets, from one head. Paper: tab:scaling.
 
     cells: the 45 cells of the table, with our means where all teams work and where one does; curve: our means for each
-    metric, architecture, fleet size and number of working teams.
+    metric, architecture, fleet size and number of working teams; costs: what coordination costs where all teams work,
+    as in `metrics/coordination_cost`, for each architecture and fleet size.
     """
 
     told: Told
     cells: tuple[Row, ...]
     curve: tuple[Row, ...]
+    costs: tuple[Row, ...] = ()
 
 
 class Mechanisms(msgspec.Struct, frozen=True):

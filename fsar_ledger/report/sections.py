@@ -37,7 +37,8 @@ def _rows(findings: Findings) -> dict[str, Sequence[Row]]:
         }
     if (scaling := findings.scaling) is not None:
         by_metric = sorted(scaling.cells, key=lambda row: curves.SCALED.index(row["metric"]))
-        found |= {"scaling": by_metric, "beyond": _beyond(scaling.curve)}
+        costs = [row | {"coordination_success": row["completed"]} for row in scaling.costs]
+        found |= {"scaling": by_metric, "beyond": _beyond(scaling.curve), "coordination-cost": costs}
     return found
 
 
@@ -69,6 +70,8 @@ def drawers(findings: Findings) -> dict[str, Drawer]:
         found["scaling"] = partial(curves.scaling, scaling.curve, scaling.cells)
         if len({row["teams_working"] for row in scaling.curve if row["fleet_size"] == curves.LARGEST}) > 1:
             found["loads"] = partial(curves.loads, scaling.curve, scaling.cells)
+    if scaling is not None and len({row["fleet_size"] for row in scaling.costs}) > 1:
+        found["coordination-cost"] = partial(curves.coordination_cost, scaling.costs)
     return found
 
 
@@ -141,7 +144,31 @@ def scaling(findings: Findings) -> dict[str, Any] | None:
         "below": lies["below both"],
         "above": lies["above both"],
         "loads": loads,
+        "breaks": breaks(found.costs),
     }
+
+
+def breaks(costs: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return, by architecture, the smallest fleet in which it breaks, or the largest one if it breaks in none."""
+    found = []
+    for architecture in ARCHITECTURES:
+        rows = [row for row in costs if row["architecture"] == architecture and row["completed"] is not None]
+        broken = [row for row in rows if curves.is_broken(row)]
+        if rows:
+            row = min(broken, key=_robots) if broken else max(rows, key=_robots)
+            found.append(
+                {
+                    "architecture": architecture.upper(),
+                    "is_broken": bool(broken),
+                    "robots": printing.integer(row["fleet_size"]),
+                    "completed": printing.number(100 * row["completed"], 0),
+                }
+            )
+    return found
+
+
+def _robots(row: Row) -> int:
+    return int(row["fleet_size"])
 
 
 def _told(findings: Findings, told: Told) -> dict[str, Any]:

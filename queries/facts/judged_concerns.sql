@@ -18,6 +18,7 @@ WITH judges (judges, context, looked_at) AS (
         'registry trust policy request authority execution recovery supervision message'
     ),
     (['i2_local_execution_ownership'], 'request', 'execution authority'),
+    (['coordination_cost'], 'registry task request execution recovery supervision message', ''),
     (['i3_jointly_composed_policy'], 'request supervision', 'fleet policy execution knowledge'),
     (['i4_outward_recovery'], 'recovery supervision', 'fleet'),
     (['i5_audit_attributability'], 'fleet registry request policy execution recovery supervision message', ''),

@@ -1,6 +1,5 @@
 """Mappings that never change are as dicts, of any size."""
 
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -25,6 +25,7 @@ DRAWN = {query.name for query in FILES.values() if query.relation.startswith(("d
 READ_ALL_EVENTS = {
     "facts/messages": "says any event in words, so that it needs every column",
     "facts/occurrences": "says in words what messages do not tell, so that it needs every column",
+    "metrics/coordination_cost": "counts messages of forty types in one pass",
     "facts/action_records": "sums up all that happened to an action, whatever the type",
     "audit/supervisor_decisions": "finds what a supervisor decided by the decider, whatever the type",
     "tables/mechanism_coverage": "counts events of five concerns in one pass",

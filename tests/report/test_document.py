@@ -325,6 +325,7 @@ def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[s
         "encounters",
         "scaling",
         "beyond",
+        "coordination-cost",
         "carried",
         "mechanism-differences",
     }

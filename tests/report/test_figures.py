@@ -5,7 +5,7 @@ import re
 import pytest
 
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.report import figures
+from fsar_ledger.report import curves, figures, sections
 from fsar_ledger.report.findings import Findings, Row
 
 
@@ -82,3 +82,23 @@ def test_figures_do_not_depend_on_the_users_matplotlib_settings(cells: tuple[Row
 
     with mpl.rc_context({"font.size": 20, "axes.facecolor": "red"}):
         assert figures.evaluation_results(cells) == plain
+
+
+def cost(architecture: str, robots: int, completed: float) -> Row:
+    counted = dict.fromkeys(curves.COSTS, float(robots))
+    return {"architecture": architecture, "fleet_size": robots, "completed": completed, **counted}
+
+
+def test_the_cost_of_coordination_marks_where_an_architecture_breaks() -> None:
+    whole = [cost(name, size, 1.0) for size in (4, 64, 1024) for name in ("fsar", "cfc", "dhma")]
+    broken = [row | ({"completed": 0.4} if row["architecture"] == "cfc" else {}) for row in whole]
+    drawn = curves.coordination_cost(whole)
+    assert {"FSAR", "CFC", "DHMA", "1,024", *curves.COSTS.values()} <= set(words(drawn))
+    assert curves.coordination_cost(broken) != drawn
+    assert sections.breaks(broken) == [
+        {"architecture": "FSAR", "is_broken": False, "robots": "1024", "completed": "100"},
+        {"architecture": "CFC", "is_broken": True, "robots": "4", "completed": "40"},
+        {"architecture": "DHMA", "is_broken": False, "robots": "1024", "completed": "100"},
+    ]
+    unmeasured = [row | {"hops": None} for row in whole]
+    assert curves.coordination_cost(unmeasured) not in (drawn, b"")
