@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from fsar_ledger.metrics.database import Slices, connect_view
 from fsar_ledger.metrics.invariants import AuditRow, audit_rows, chosen
 from fsar_ledger.metrics.models import models
 
@@ -13,8 +14,11 @@ from .provenance import Provenance, of_judgement
 from .table import Table, of_structs
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.database import Database
+    from fsar_ledger.ledger.store.view import View
     from fsar_ledger.metrics.progress import Progress
+
+
+_ARCHITECTURES = "SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL"
 
 
 class Audit(msgspec.Struct, frozen=True):
@@ -36,11 +40,16 @@ class Audit(msgspec.Struct, frozen=True):
 
 
 def audit_runs(
-    database: "Database", invariants: Sequence[str], architectures: Sequence[str], progress: "Progress | None" = None
+    view: "View",
+    demanded: str | None,
+    invariants: Sequence[str],
+    architectures: Sequence[str],
+    progress: "Progress | None" = None,
 ) -> Audit:
     """Check these invariants (none named: all) on the runs of these architectures (none named: all).
 
     Raises:
+        LedgerCorrupted, SequenceConflict: As `connect_view`.
         InvalidExperiment: An architecture is unknown, to this version and to the ledger.
         UnknownQuery: An invariant is unknown.
         UsageError: The ledger has no run of these architectures.
@@ -48,15 +57,14 @@ def audit_runs(
     from fsar_ledger.runtime.architectures import REGISTERED
 
     queries = chosen(invariants)
-    there = [
-        str(row["architecture"])
-        for row in database.rows("SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL")
-    ]
+    with connect_view(view, demanded=demanded) as database:
+        there = [str(row["architecture"]) for row in database.rows(_ARCHITECTURES)]
+        unreadable = sum(one.runs for one in models(database) if one.parameters is None)
+        provenance = of_judgement(database)
     wanted = known("architecture", architectures, tuple(dict.fromkeys([*REGISTERED, *there])))
-    unreadable = sum(one.runs for one in models(database) if one.parameters is None)
-    rows = audit_rows(database, queries, wanted, progress)
+    rows = audit_rows(Slices(view, demanded), queries, wanted, progress)
     holds = False if any(row.holds is False for row in rows) else all_shown(rows) or None
-    return Audit(rows, holds, unreadable, of_judgement(database))
+    return Audit(rows, holds, unreadable, provenance)
 
 
 def is_empty(row: AuditRow) -> bool:

@@ -272,12 +272,12 @@ class Ledger(Timelines, Replays, Integrity):
     ) -> "Audit":
         """Check the invariants I1 to I5 and A1 to A5, or those named, on the runs of all or these architectures.
 
-        `progress` is called with the invariants that were judged, and their number.
+        `progress` is called with how often an invariant was judged, on some of the runs, and how often that will be.
         """
         from .audit import audit_runs
 
-        with self.database() as database:
-            return audit_runs(database, names_of(invariant) or (), names_of(architecture) or (), progress)
+        view = open_for_answers(self.path)
+        return audit_runs(view, self._demanded, names_of(invariant) or (), names_of(architecture) or (), progress)
 
     # --- files ---
 

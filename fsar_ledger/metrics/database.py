@@ -1,6 +1,6 @@
 """Open databases over the rows of a ledger, or over rows in memory."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +8,8 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store.places import segments_of
-from fsar_ledger.ledger.store.view import View
+from fsar_ledger.ledger.store.places import segments_between, segments_of
+from fsar_ledger.ledger.store.view import Extent, View
 
 from . import relation
 from .connection import (
@@ -31,9 +31,11 @@ __all__ = [
     "OUT_OF_MEMORY",
     "SHOWN",
     "Database",
+    "Slices",
     "Value",
     "connect",
     "connect_run",
+    "connect_view",
     "first_damage",
     "from_rows",
     "from_table",
@@ -42,6 +44,8 @@ __all__ = [
 ]
 
 _NUMBERS = pa.schema([("run_id", pa.string()), ("number", pa.int64())])
+SLICE_EVENTS = 1 << 19
+"""Events that are judged at once: few enough to be judged in half a gigabyte."""
 FEW_ROWS = 20_000
 """Up to this many rows, copying costs less than planning over an Arrow table does."""
 
@@ -62,7 +66,13 @@ def connect(
             that is not as committed.
         SequenceConflict: As `is_verified`.
     """
-    view = open_for_answers(ledger)
+    return connect_view(open_for_answers(ledger), threads, demanded, file)
+
+
+def connect_view(
+    view: View, threads: int | None = None, demanded: str | None = None, file: Path | None = None
+) -> Database:
+    """Open a database over this head, as `connect`. Raises: LedgerCorrupted, SequenceConflict."""
     rows_verified = is_verified(view, demanded)
     segments = view.segments()
     database = Database(view.head, segments, threads, rows_verified=rows_verified, file=file)
@@ -82,19 +92,77 @@ def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
     rows_verified = is_verified(view, demanded)
     held = segments_of(view, view.parts(run))
     segments = [view.segment(number) for number in held]
-    names = view.run_names.runs
-    numbers = pa.table({"run_id": names, "number": np.arange(1, len(names) + 1)}, schema=_NUMBERS)
     database = Database(view.head, segments, rows_verified=rows_verified)
-    _fill(database, segments, [view.releases[number] for number in held], relation.OneRun(run, numbers))
+    releases = [view.releases[number] for number in held]
+    _fill(database, segments, releases, relation.Chosen(relation.of_run(run), _numbers(view.run_names.runs)))
     return database
 
 
+class Slices:
+    """Databases over some runs of a ledger after the other, so that memory does not grow with the ledger.
+
+    Each has whole runs, of about `most` events, one run at least; it is closed when the next is asked for. Of a ledger
+    of fewer events there is one, over all of it.
+
+    Raises: As `connect_view`, when they are asked for.
+    """
+
+    def __init__(self, view: View, demanded: str | None = None, most: int = SLICE_EVENTS) -> None:
+        self._view = view
+        self._demanded = demanded
+        self._extents = view.extents() if view.head.size > most else []
+        self._slices = list(_sliced(self._extents, most))
+
+    def __len__(self) -> int:
+        return max(1, len(self._slices))
+
+    def __iter__(self) -> Iterator[Database]:
+        if not self._slices:
+            with connect_view(self._view, demanded=self._demanded) as database:
+                yield database
+        for runs in self._slices:
+            with self._connect(runs) as database:
+                yield database
+
+    def _connect(self, runs: Sequence[Extent]) -> Database:
+        view, releases = self._view, self._view.releases
+        first, end = min(one.first for one in runs), max(one.end for one in runs)
+        held = {number: view.segment(number) for number in segments_between(view, first, end)}
+        names = [one.run for one in runs]
+        others = [one for one in self._extents if one.first < end and one.end > first and one.run not in set(names)]
+        cut = {number for one in others for number in segments_between(view, one.first, one.end)}
+        whole = frozenset(path for number, path in held.items() if number not in cut)
+        database = Database(view.head, [*held.values()], rows_verified=is_verified(view, self._demanded))
+        chosen = relation.Chosen(relation.OF_NUMBERED, _numbers(names), whole)
+        _fill(database, [*held.values()], [releases[number] for number in held], chosen)
+        return database
+
+
+def _sliced(extents: Sequence[Extent], most: int) -> Iterator[list[Extent]]:
+    """Yield these in parts of about so many events."""
+    part: list[Extent] = []
+    rows = 0
+    for one in extents:
+        if part and rows + one.rows > most:
+            yield part
+            part, rows = [], 0
+        part.append(one)
+        rows += one.rows
+    if part:
+        yield part
+
+
+def _numbers(runs: Sequence[str]) -> pa.Table:
+    """Return the relation `run_numbers` of these runs, in order."""
+    return pa.table({"run_id": pa.array(runs, pa.string()), "number": np.arange(1, len(runs) + 1)}, schema=_NUMBERS)
+
+
 def _fill(
-    database: Database, segments: Sequence[Path], releases: Sequence[str], only: relation.OneRun | None = None
+    database: Database, segments: Sequence[Path], releases: Sequence[str], chosen: relation.Chosen | None = None
 ) -> None:
     """Hold the rows of these segments as `hold_segments`, or close the database if that fails. Raises: As that."""
     try:
-        relation.hold_segments(database, segments, releases, only)
+        relation.hold_segments(database, segments, releases, chosen)
     except BaseException:
         database.close()
         raise

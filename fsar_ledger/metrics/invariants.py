@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 
 import msgspec
+import pyarrow as pa
 
 from fsar_ledger.errors import UnknownQuery, UsageError
 
-from .database import Database
+from .database import Database, Slices, from_rows
 from .library import Query, library
-from .progress import Progress, each
+from .progress import Progress
 from .results import typed
 
 
@@ -68,18 +69,30 @@ def chosen(names: Sequence[str]) -> list[Query]:
 
 
 def audit_rows(
-    database: Database, queries: Sequence[Query], architectures: Sequence[str] = (), progress: Progress | None = None
+    databases: Sequence[Database] | Slices,
+    queries: Sequence[Query],
+    architectures: Sequence[str] = (),
+    progress: Progress | None = None,
 ) -> list[AuditRow]:
     """Return what these invariants find: a row for each, per architecture (default: all) and configuration with runs.
 
-    `progress` is called with the invariants that were judged and their number.
+    Each database has whole runs. `progress` is called with how often an invariant was judged, and how often that will
+    be.
 
     Raises:
         UsageError: There is no run to check, so nothing could be said to hold.
         QueryFailed, LedgerCorrupted: As `Database.table`.
     """
     wanted = {"architectures": list(architectures)}
-    rows = [row for query in each(queries, progress) for row in database.rows(_counts(query), wanted)]
+    counted: list[pa.Table] = []
+    for database in databases:
+        for query in queries:
+            counted.append(database.table(_counted(query), wanted))
+            if progress is not None:
+                progress(len(counted), len(databases) * len(queries))
+    with from_rows([]) as database:
+        database.hold("counted", pa.concat_tables(counted))
+        rows = database.rows(_JUDGED, {"invariants": [query.relation for query in queries]})
     if not rows:
         raise UsageError(
             f"audit: found no runs of {' or '.join(architectures) or 'any architecture'}; `fsar-ledger info` shows "
@@ -88,7 +101,7 @@ def audit_rows(
     return typed(rows, AuditRow)
 
 
-def _counts(query: Query) -> str:
+def _counted(query: Query) -> str:
     """Return the SQL that counts and samples the rows of one invariant; runs that cannot be judged have none."""
     return f"""
         WITH found AS (
@@ -114,35 +127,51 @@ def _counts(query: Query) -> str:
             LEFT JOIN invariant_cases AS looked ON runs.run_id = looked.run_id AND looked.invariant = '{query.relation}'
             LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = '{query.relation}'
             WHERE len($architectures) = 0 OR list_contains($architectures, runs.architecture)
-        ),
-
-        counted AS (
-            SELECT
-                architecture,
-                configuration,
-                count(*) AS runs,
-                sum(cases)::BIGINT AS cases,
-                count(not_observed) AS runs_not_observed,
-                string_agg(DISTINCT not_observed, '; ' ORDER BY not_observed) AS not_observed,
-                sum(events)::BIGINT AS events,
-                min(run_id) FILTER (events > 0) AS first_run,
-                arg_min(first, run_id) FILTER (events > 0) AS first
-            FROM judged
-            GROUP BY architecture, configuration
         )
 
         SELECT
             '{query.relation}' AS invariant,
             architecture,
             configuration,
-            runs,
-            CASE WHEN events > 0 THEN FALSE WHEN runs_not_observed = 0 AND cases > 0 THEN TRUE END AS holds,
-            CASE WHEN events > 0 OR runs_not_observed < runs THEN cases END AS cases,
-            runs_not_observed,
-            not_observed,
-            CASE WHEN events > 0 OR runs_not_observed < runs THEN coalesce(events, 0) END AS events,
-            first_run, first.seq AS first_seq, first.type AS first_type, first.found AS first_found
-        FROM counted
-        ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full',
-            configuration
+            count(*) AS runs,
+            sum(cases)::BIGINT AS cases,
+            count(not_observed) AS runs_not_observed,
+            list(DISTINCT not_observed) FILTER (not_observed IS NOT NULL) AS not_observed,
+            sum(events)::BIGINT AS events,
+            min(run_id) FILTER (events > 0) AS first_run,
+            arg_min(first, run_id) FILTER (events > 0) AS first
+        FROM judged
+        GROUP BY architecture, configuration
     """
+
+
+_JUDGED = """
+    WITH summed AS (
+        SELECT
+            invariant,
+            architecture,
+            configuration,
+            sum(runs)::BIGINT AS runs,
+            sum(cases)::BIGINT AS cases,
+            sum(runs_not_observed)::BIGINT AS runs_not_observed,
+            array_to_string(list_sort(list_distinct(flatten(list(not_observed)))), '; ') AS not_observed,
+            sum(events)::BIGINT AS events,
+            min(first_run) AS first_run,
+            arg_min(first, first_run) AS first
+        FROM counted
+        GROUP BY invariant, architecture, configuration
+    )
+
+    SELECT
+        invariant, architecture, configuration, runs,
+        CASE WHEN events > 0 THEN FALSE WHEN runs_not_observed = 0 AND cases > 0 THEN TRUE END AS holds,
+        CASE WHEN events > 0 OR runs_not_observed < runs THEN cases END AS cases,
+        runs_not_observed,
+        nullif(not_observed, '') AS not_observed,
+        CASE WHEN events > 0 OR runs_not_observed < runs THEN coalesce(events, 0) END AS events,
+        first_run, first.seq AS first_seq, first.type AS first_type, first.found AS first_found
+    FROM summed
+    ORDER BY
+        list_position($invariants, invariant), list_position(['fsar', 'cfc', 'dhma'], architecture), architecture,
+        configuration <> 'full', configuration
+"""

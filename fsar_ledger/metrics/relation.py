@@ -25,19 +25,33 @@ from .library import SQL_TYPES
 _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 
 
-class OneRun(NamedTuple):
-    """The run whose rows alone are asked for, and the relation `run_numbers` of the whole ledger."""
+class Chosen(NamedTuple):
+    """The rows that alone are asked for.
 
-    run: str
+    `run_numbers` is the relation of that name. `condition` is the SQL for what is asked of a row, which may use it;
+    in the segments of `whole` it holds for every row.
+    """
+
+    condition: str
     run_numbers: pa.Table
+    whole: frozenset[Path] = frozenset()
+
+
+def of_run(run: str) -> str:
+    """Return the condition that a row is of this run."""
+    return f"run_id = {_literal(run)}"
+
+
+OF_NUMBERED = "run_id IN (SELECT run_numbers.run_id FROM run_numbers)"
+"""The condition that a row is of a run that has a number."""
 
 
 def hold_segments(
-    database: Database, segments: Sequence[Path], releases: Sequence[str], only: OneRun | None = None
+    database: Database, segments: Sequence[Path], releases: Sequence[str], chosen: Chosen | None = None
 ) -> None:
     """Make the rows of these segments, given the release of each, the database's `events`.
 
-    With `only`, those of that run; else runs are numbered as these segments hold them.
+    With `chosen`, some of them; else runs are numbered as these segments hold them.
 
     Raises: as `_upcast`.
     """
@@ -49,24 +63,25 @@ def hold_segments(
         tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types))
     )
     holding = _holding(database, segments, types)
-    alike: dict[str, list[Path]] = {}
+    alike: dict[tuple[str, bool], list[Path]] = {}
     for path, release in zip(segments, releases, strict=True):
-        alike.setdefault(FINGERPRINTS[release], []).append(path)
+        is_cut = chosen is not None and path not in chosen.whole
+        alike.setdefault((FINGERPRINTS[release], is_cut), []).append(path)
     present = {FINGERPRINTS[release]: frozenset(SCHEMAS[release].names) for release in releases}
-    of_run = "" if only is None else f" WHERE run_id = {_literal(only.run)}"
+    where = "" if chosen is None else f" WHERE {chosen.condition}"
     parts = [
-        (f"(SELECT * FROM {_parquet(paths)}{of_run})" if of_run else _parquet(paths), present[fingerprint])
-        for fingerprint, paths in alike.items()
+        (f"(SELECT * FROM {_parquet(paths)}{where})" if is_cut else _parquet(paths), present[fingerprint])
+        for (fingerprint, is_cut), paths in alike.items()
     ]
-    if only is not None:
-        database.hold("run_numbers", only.run_numbers)
+    if chosen is not None:
+        database.hold("run_numbers", chosen.run_numbers)
     elif types:
         _number_runs(database, segments)
     if holding:
-        _hold_newest(database, parts, holding, of_run)
+        _hold_newest(database, parts, holding, where)
         return
     database.define("events", "\nUNION ALL\n".join(_select(*part) for part in parts))
-    if alike.keys() == {FINGERPRINTS[RELEASE]} and not of_run:
+    if alike.keys() == {(FINGERPRINTS[RELEASE], False)}:
         database.source = _parquet(segments)
 
 
@@ -106,7 +121,7 @@ def _hold_newest(
     database: Database,
     parts: Sequence[tuple[str, frozenset[str]]],
     holding: Mapping[str, Sequence[Path]],
-    of_run: str = "",
+    where: str = "",
 ) -> None:
     """Make the rows of these relations, which have these columns, the database's `events`.
 
@@ -118,7 +133,7 @@ def _hold_newest(
     selects = [f"{_select(*part, added)}{kept}" for part in parts]
     if (newest := _upcast(others)) is not None:
         database.hold(_UPCAST, newest)
-        selects.append(f"SELECT * FROM {_UPCAST}{of_run}")
+        selects.append(f"SELECT * FROM {_UPCAST}{where}")
     database.define("events", "\nUNION ALL\n".join(selects))
     # Most types have no retired rows. Their views need not read types that are made row by row, of which DuckDB knows
     # nothing before it has read the rest.

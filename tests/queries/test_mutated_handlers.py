@@ -63,7 +63,7 @@ MUTATED: tuple[tuple[str, HandlerTable], ...] = (
 def test_a_mutated_handler_is_caught(name: str, structure: HandlerTable) -> None:
     (query,) = chosen([name])
     with from_table(encode([record(*run, structure=structure) for run in RUNS]), threads=1) as database:
-        assert audit_rows(database, [query])[0].holds is False
+        assert audit_rows([database], [query])[0].holds is False
 
 
 BROKEN_BY_DESIGN = {
@@ -93,5 +93,5 @@ def test_what_a_baseline_or_an_ablation_gives_up_is_reported_and_nothing_else(
     )
     records = [record(scenario, run, architecture, configuration) for scenario in scenarios for run in range(8)]
     with from_table(encode(records), threads=1) as database:
-        broken = {row.invariant[:2] for row in audit_rows(database, invariants()) if row.events}
+        broken = {row.invariant[:2] for row in audit_rows([database], invariants()) if row.events}
     assert broken == BROKEN_BY_DESIGN[architecture, configuration]

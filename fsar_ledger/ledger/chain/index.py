@@ -68,6 +68,12 @@ class Index:
         for line in self._lines:
             yield from _LINE.decode(line).blocks
 
+    def by_line(self) -> Iterator[tuple[int, Block]]:
+        """Yield the number of each line, and each of its blocks."""
+        for number, line in enumerate(self._lines):
+            for block in _LINE.decode(line).blocks:
+                yield number, block
+
     def of_run(self, run: str) -> Iterator[tuple[int, Block]]:
         """Yield the number of each line that names the run, and its block there."""
         name = b'"run":' + canonical.document(run)

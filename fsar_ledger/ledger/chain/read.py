@@ -4,9 +4,6 @@ Readers never write. They read the chain, then the journal; a writer that seals 
 both are read again.
 """
 
-import atexit
-import shutil
-import tempfile
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from functools import cached_property, lru_cache
@@ -22,7 +19,7 @@ from fsar_ledger.ledger.chain.journal import Journal, read_frames
 from fsar_ledger.ledger.chain.links import Chain, Followed, follow
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, segment_of
 from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
-from fsar_ledger.ledger.chain.tables import table_of
+from fsar_ledger.ledger.chain.tables import materialized, table_of
 from fsar_ledger.ledger.log import merkle, pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
 from fsar_ledger.ledger.log.merkle import Frontier
@@ -37,7 +34,7 @@ from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.record import CHAINED, Manifest, parse_manifest, sha256_hex
-from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head, Part, RunNames
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Extent, Head, Part, RunNames
 from fsar_ledger.ledger.store.walk import Names, find_segment, read_segment
 
 MAX_CHAIN_BYTES = 1 << 32
@@ -103,7 +100,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         if number not in self.checked:
             placed = self.chain.placed
             self.checked[number] = (
-                self.placed_segment(placed[number]) if number < len(placed) else _materialized(self.journal_table())
+                self.placed_segment(placed[number]) if number < len(placed) else materialized(self.journal_table())
             )
         return self.checked[number]
 
@@ -279,10 +276,25 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         """Return the names of the runs and plans, in the order of their first events. Raises: As `index`."""
         return self.index.run_names()
 
+    def extents(self) -> list[Extent]:
+        """Return where each run and plan is, in the order of their first events. Raises: As `index`."""
+        found: dict[str, Extent] = {}
+        ends = self._line_ends()
+        for number, block in self.index.by_line():
+            first, end = ends[number]
+            known = found.get(block.run)
+            rows = block.rows + (known.rows if known else 0)
+            found[block.run] = Extent(block.run, rows, known.first if known else first, end)
+        return list(found.values())
+
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is. Raises: As `segment`."""
-        ends = [(one.first, one.end) for one in self.chain.added] + [(self.chain.placed_size, self.chain.size)]
+        ends = self._line_ends()
         return [Part(*ends[number], block) for number, block in self.index.of_run(run)]
+
+    def _line_ends(self) -> list[tuple[int, int]]:
+        """Return the indexes in the ledger between which the events of each line of the index are."""
+        return [(one.first, one.end) for one in self.chain.added] + [(self.chain.placed_size, self.chain.size)]
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours."""
@@ -377,20 +389,3 @@ def _read(path: Path, most: int) -> bytes:
         raise LedgerCorrupted(
             f"{path}: it cannot be read ({error.strerror or error}); permit reading or restore it"
         ) from error
-
-
-# --- rows of a journal as a segment ---
-
-_folders: list[str] = []
-
-
-def _materialized(table: pa.Table) -> Path:
-    """Write these rows as a segment into a folder of this process, and return it."""
-    if not _folders:
-        _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
-        atexit.register(shutil.rmtree, _folders[0], ignore_errors=True)
-    data = segment.to_parquet(table)
-    path = Path(_folders[0]) / f"{sha256_hex(data)}.parquet"
-    if not path.exists():
-        path.write_bytes(data)
-    return path

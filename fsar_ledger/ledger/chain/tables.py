@@ -1,5 +1,8 @@
 """Rows of a journal, or of some segments, as columns of one segment."""
 
+import atexit
+import shutil
+import tempfile
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
@@ -21,6 +24,7 @@ _PARSE = pyarrow.json.ParseOptions(
     newlines_in_values=False,
 )
 _BLOCK_BYTES = 1 << 24
+_folders: list[str] = []  # of this process, for rows of journals
 
 
 def table_of(path: Path, rows: Sequence[bytes]) -> pa.Table:
@@ -62,3 +66,15 @@ def stage_table(ledger: Path, table: pa.Table, leaves: bytes) -> Staged:
     with disk.refusals(path, "writing a segment"):
         disk.write_durably(path, memoryview(data))
     return staged
+
+
+def materialized(table: pa.Table) -> Path:
+    """Write these rows as a segment into a folder of this process, and return it."""
+    if not _folders:
+        _folders.append(tempfile.mkdtemp(prefix="fsar-ledger-"))
+        atexit.register(shutil.rmtree, _folders[0], ignore_errors=True)
+    data = segment.to_parquet(table)
+    path = Path(_folders[0]) / f"{sha256_hex(data)}.parquet"
+    if not path.exists():
+        path.write_bytes(data)
+    return path

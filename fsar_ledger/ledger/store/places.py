@@ -20,6 +20,11 @@ def segments_of(view: View, parts: Sequence[Part]) -> list[int]:
     ]
 
 
+def segments_between(view: View, first: int, end: int) -> list[int]:
+    """Return the numbers of the segments that hold events from this index of the ledger up to that, in order."""
+    return [number for number in range(len(view.releases)) if view.first(number) < end and view.end(number) > first]
+
+
 def place_of(view: View, run: str, seq: int) -> int:
     """Return the index in the ledger of this event of the run.
 

@@ -28,7 +28,7 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
 from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, require_created
 from fsar_ledger.ledger.store.record import CommitRecord, Manifest, parse_manifest, sha256_hex
-from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head, Part, RunNames
+from fsar_ledger.ledger.store.view import EMPTY_HEAD, Extent, Head, Part, RunNames
 from fsar_ledger.ledger.store.walk import (
     Commit,
     check_folders,
@@ -192,6 +192,14 @@ class LedgerView(msgspec.Struct, frozen=True, dict=True):
             for names, is_one in zip(found, (pc.invert(is_plan), is_plan), strict=True):
                 names += begins.column("run_id").filter(is_one).to_pylist()
         return RunNames(*map(tuple, found))
+
+    def extents(self) -> list[Extent]:
+        """Return where each run and plan is, in order: in one commit. Raises: As `table`."""
+        found: list[Extent] = []
+        for number, table in enumerate(self.tables(["run_id"])):
+            counts = table.column("run_id").combine_chunks().value_counts().to_pylist()
+            found += [Extent(one["values"], one["counts"], self.first(number), self.end(number)) for one in counts]
+        return found
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is: in one commit. Raises: As `table`."""

@@ -37,6 +37,15 @@ class Part(msgspec.Struct, frozen=True):
     block: Block
 
 
+class Extent(msgspec.Struct, frozen=True):
+    """How many events a run or plan has, and between which indexes of the ledger they are, perhaps among others."""
+
+    run: str
+    rows: int
+    first: int
+    end: int
+
+
 class RunNames(msgspec.Struct, frozen=True):
     """The names of a ledger's runs, and of its plans, each in the order of their first events."""
 
@@ -123,6 +132,9 @@ class View(Protocol):
     @property
     def run_names(self) -> RunNames:
         """Return the names of the runs and plans, read once. Raises: LedgerCorrupted."""
+
+    def extents(self) -> list[Extent]:
+        """Return where each run and plan is, in the order of their first events. Raises: LedgerCorrupted."""
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is, in order; empty if there is none. Raises: LedgerCorrupted."""
