@@ -1,0 +1,77 @@
+"""Measures what a question about one run costs in a ledger of ten million events, against one of a hundred thousand.
+
+    python benchmarks/one_run.py                100,000 and 10,000,000 events, which takes minutes to make
+    python benchmarks/one_run.py --runs 12 120  another pair of sizes, in runs of each scenario
+
+Both are in format 2. Asked of each in turns: prove an event, list the requests of a run, tell a run, how it stood, and
+append one run. Printed are the medians of wall time, and the difference.
+"""
+
+import argparse
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import fsar_ledger
+from fsar_ledger.constants import Constants
+from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.runtime.experiment import ORIGIN
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+
+WANTED_MS = 20
+
+
+def questions(path: Path) -> dict[str, Callable[[int], object]]:
+    """Return what is asked of a ledger; the number tells repeats apart."""
+    ledger = fsar_ledger.Ledger(path)
+    names = open_for_answers(path).run_names.runs
+    run = names[len(names) // 2]
+
+    def append(number: int) -> object:
+        made = simulate_run(RunSpec(1_000_000 + number, "fsar", "full", "door-relay", 4, 0), Constants())
+        with ChainWriter(path, ORIGIN) as writer:
+            return writer.append(stage(path, [made]))
+
+    return {
+        "prove": lambda _: ledger.prove(f"{run}:5"),
+        "requests": lambda _: ledger.requests(run),
+        "log": lambda _: ledger.log(run),
+        "state": lambda _: ledger.state(run, 20),
+        "append": append,
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--runs", type=int, nargs=2, default=(12, 1227), help="of each scenario, in the two ledgers")
+    parser.add_argument("--repeats", type=int, default=7)
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="fsar-ledger-") as folder:
+        asked = []
+        for runs in options.runs:
+            path = Path(folder) / f"{runs}"
+            fsar_ledger.simulate(path, runs=runs, seed=42, format=2)
+            head = open_for_answers(path).head
+            print(f"{runs:,} runs of each scenario: {head.size:,} events in {head.commits:,} commits")
+            asked.append(questions(path))
+        print(f"load {os.getloadavg()[0]:.1f}")
+        for name in asked[0]:
+            taken: tuple[list[float], list[float]] = ([], [])
+            for number in range(options.repeats + 1):
+                for times, one in zip(taken, asked, strict=True):
+                    start = time.perf_counter()
+                    one[name](number)
+                    times.append(1_000 * (time.perf_counter() - start))
+            small, large = (statistics.median(times[1:]) for times in taken)
+            print(f"{name:>8}: {small:6.1f} ms, {large:6.1f} ms, {large - small:+6.1f} (wanted: at most {WANTED_MS})")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
