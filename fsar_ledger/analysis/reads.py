@@ -17,6 +17,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.knowledge import CopySynced
 from fsar_ledger.projections import fold
 from fsar_ledger.projections.fold import ROUTES, State, apply
+from fsar_ledger.projections.maps import Large
 
 
 class Absent(Enum):
@@ -62,7 +63,7 @@ class Reads:
     def shown(self, value: Any, path: Path) -> Any:
         """Return the value as a decision sees it: what is read of it is noted, or itself if it has no parts."""
         match value:
-            case dict():
+            case dict() | Large():
                 return _Mapping(self, value, path)
             case frozenset():
                 return _Set(self, value, path)
@@ -124,7 +125,7 @@ class _Mapping(Mapping[Any, Any]):
 
     __slots__ = ("_path", "_reads", "_value")
 
-    def __init__(self, reads: Reads, value: dict[Any, Any], path: Path) -> None:
+    def __init__(self, reads: Reads, value: Mapping[Any, Any], path: Path) -> None:
         self._reads, self._value, self._path = reads, value, path
 
     def __getitem__(self, key: Hashable) -> Any:
@@ -196,7 +197,7 @@ def _found(value: Any, step: Step) -> object:
         case Step("size"):
             return 0 if value is ABSENT else len(value)
         case _:
-            return () if value is ABSENT else tuple(value) if isinstance(value, dict) else value
+            return () if value is ABSENT else tuple(value) if isinstance(value, dict | Large) else value
 
 
 class Written(NamedTuple):

@@ -52,5 +52,9 @@ def _left(value: Any, path: Path, ways: set[Path], read: dict[Path, object]) -> 
             name: _left(getattr(value, name), (*path, Step("field", name)), ways, read)
             for name in value.__struct_fields__
         }
-        return type(value)(**fields)
+        left = type(value)(**fields)
+        for step in {way[-1] for way in ways if way[:-1] == path and way[-1].kind == "field"}:
+            if step.name not in fields:  # a cached property, read as it was
+                left.__dict__[step.name] = _left(getattr(value, step.name), (*path, step), ways, read)
+        return left
     return UNREAD

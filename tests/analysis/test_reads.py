@@ -16,6 +16,7 @@ from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State, apply, fold
+from fsar_ledger.projections.maps import Large
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import Command, Decide, Scheduled
@@ -114,6 +115,16 @@ def test_what_was_not_read_changes_no_decision_in_any_scenario_or_knockout() -> 
     specs += [(one.architecture, one.configuration, "door-relay") for one in KNOCKOUTS]
     for architecture, configuration, scenario in specs:
         require_exact(simulate_run(RunSpec(7, architecture, configuration, scenario, 4, 0), OUTAGES))
+
+
+def test_a_large_mapping_is_read_to_the_key() -> None:
+    state = State()
+    state.execution = Execution(
+        current=Large.of({Robot(f"robot/A{number}"): f"A{number}-1/1" for number in range(300)})
+    )
+    reads = Reads()
+    assert reads.state(state).execution.current[Robot("robot/A7")] == "A7-1/1"
+    assert list(reads.values) == [(Step("field", "execution"), Step("field", "current"), Step("key", "robot/A7"))]
 
 
 def test_what_was_read_can_change_a_decision(runs: list[LedgerRun]) -> None:
