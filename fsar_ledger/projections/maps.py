@@ -96,7 +96,7 @@ def without(entries: Mapping[K, V], key: K) -> Mapping[K, V]:
     """Return the mapping without this key; the same one if it does not have it."""
     if key not in entries:
         return entries
-    if isinstance(entries, Large):
+    if type(entries) is Large:
         return entries.without(key)
     left = {**entries}
     del left[key]

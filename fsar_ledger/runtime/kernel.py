@@ -19,24 +19,24 @@ from array import array
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from heapq import heapify, heappop, heappush
+from heapq import heappop, heappush
 from typing import Any
 
 from fsar_ledger.events import EVENT_TYPES, Event
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.projections.fold import ROUTES, State, apply
 from fsar_ledger.projections.world import is_linked
 
+from .agenda import Agenda, Pending
 from .architectures.handler_table import HandlerTable
 from .handlers.commands import Command, React, Scheduled
 from .ports import Environment
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
-Pending = tuple[
-    int, int, int, Scheduled
-]  # due time (or, for what is kept, the delay once it is released), serial, cause, command
-
+_TURNS = frozenset({RobotWentOff, RobotCameBack, LinkCameUp})
+"""Facts that stop commands, or bring back those that were kept."""
 NEVER_US = 2**63 - 1
 """Later than any time that can be stored."""
 MOMENT_US = 60_000_000
@@ -78,7 +78,8 @@ class Kernel:
         self._next_fact = 0
         self._answer = environment.answer
         self._latest_us = NEVER_US if environment.latest_us is None else environment.latest_us
-        self._pending: list[Pending] = []
+        begun = founding[0]
+        self._pending = Agenda((isinstance(begun, RunStarted) and begun.fleet_size) or 1)
         self._kept: list[Pending] = []
         self._serial = 0
         self._taken: deque[tuple[int, array[int]]] = deque()  # first seq and times of what was taken out in a moment
@@ -117,7 +118,7 @@ class Kernel:
         while time_us in taken:
             time_us += 1
         self._serial += 1
-        heappush(self._pending, (time_us, self._serial, 0, Scheduled(command)))
+        self._pending.put((time_us, self._serial, 0, Scheduled(command)))
         return time_us
 
     def take(self) -> LedgerRun:
@@ -140,13 +141,15 @@ class Kernel:
     @property
     def has_ended(self) -> bool:
         """Return whether nothing is left to happen."""
-        return not self._pending and self._next_fact == len(self._facts)
+        return not self._pending.turn() and self._next_fact == len(self._facts)
 
     def run(self, until_us: int = NEVER_US, most: int = sys.maxsize) -> None:
         """Run until nothing is left to happen, all that is due by then has happened, or so many events are held."""
-        facts, count, pending, decides = self._facts, len(self._facts), self._pending, self._decides
-        position, events_held = self._next_fact, self.events
+        facts, count, decides = self._facts, len(self._facts), self._decides
+        position, events_held, pending, turn = self._next_fact, self.events, self._pending.soon, self._pending.turn
         while len(events_held) < most:
+            if not pending:
+                turn()
             if position < count and (not pending or facts[position][0] <= pending[0][0]):
                 time_us, fact = facts[position]
                 if time_us > until_us:
@@ -159,7 +162,7 @@ class Kernel:
                     break
                 if time_us > self._latest_us:
                     self._require_end(time_us, cause, scheduled)
-                    pending.clear()
+                    self._pending.replace(())
                     continue
                 if self._keep(heappop(pending)):
                     continue
@@ -204,18 +207,18 @@ class Kernel:
         """Pop the command that made the recorded batch, and those before it that made no event."""
         if cause == 0:
             self._next_fact += 1
-            while self._pending and self._pending[0][0] < time_us:
-                self._keep(heappop(self._pending))
+            while (one := self._pending.pop_before(time_us)) is not None:
+                self._keep(one)
             return
         self._discard_before(time_us, cause)
-        heappop(self._pending)
+        heappop(self._pending.soon)
 
     def _discard_before(self, time_us: int, cause: int | None) -> None:
-        while self._pending and (
-            self._pending[0][0] < time_us
-            or (cause != 0 and self._pending[0][0] == time_us and self._pending[0][2] != cause)
+        soon = self._pending.soon
+        while self._pending.turn() and (
+            soon[0][0] < time_us or (cause != 0 and soon[0][0] == time_us and soon[0][2] != cause)
         ):
-            self._keep(heappop(self._pending))
+            self._keep(heappop(soon))
 
     def _batch(self, events: Sequence[Event], time_us: int, cause: int | None) -> None:
         first = self.first + len(self.events)
@@ -224,30 +227,39 @@ class Kernel:
             cause = first
 
     def _record(self, event: Event, time_us: int, cause: int | None) -> None:
-        state = self.state
-        seq = self.first + len(self.events)
         self.times_us.append(time_us)
         self.caused_by.append(cause)
         self.events.append(event)
+        state = self.state
         routes, reacts = self._plan[type(event)]
         for slot, evolve in routes:
             setattr(state, slot, evolve(getattr(state, slot), event))
-        if not reacts:
-            return
-        taken: set[int] = set()
+        if reacts:
+            self._react(reacts, event, time_us, self.first + len(self.events) - 1)
+
+    def _react(self, reacts: Sequence[React], event: Event, time_us: int, seq: int) -> None:
+        """Schedule what these reactions to the event want done; no two of it at the same instant."""
+        state, answer, world, pending = self.state, self._answer, self.state.world, self._pending
+        is_whole = not world.off and not world.unlinked  # nothing can be kept
+        taken: list[int] = []
         for react in reacts:
             for scheduled in react(state, event, time_us):
                 due_us = time_us + scheduled.after_us
                 for ask in scheduled.waits:
-                    due_us += self._answer(ask)
+                    due_us += answer(ask)
                 if due_us <= time_us:
                     due_us = time_us + 1
                 while due_us in taken:
                     due_us += 1
-                taken.add(due_us)
+                taken.append(due_us)
                 self._serial += 1
-                if not self._keep((due_us, self._serial, seq, scheduled), due_us - time_us):  # a message departs
-                    heappush(self._pending, (due_us, self._serial, seq, scheduled))
+                one = (due_us, self._serial, seq, scheduled)
+                if not is_whole and self._keep(one, due_us - time_us):  # a message departs
+                    continue
+                if due_us < pending.until_us:
+                    heappush(pending.soon, one)
+                else:
+                    pending.put(one)
 
     def _keep(self, one: Pending, after_us: int = 0) -> bool:
         """Keep a command that cannot run now, because a robot is off or a link down; return whether it was kept.
@@ -255,10 +267,9 @@ class Kernel:
         Once they are back, it is due after the time it had left. For a message that departs (it has time to go) only
         the sender matters; for one that has arrived, only its receiver and who passed it on.
         """
-        world = self.state.world
+        world, scheduled = self.state.world, one[3]
         if not world.off and not world.unlinked:
             return False
-        scheduled = one[3]
         actor = self._actor(scheduled)
         senders = [ask.sender for ask in scheduled.waits if ask.sender is not None]
         if _is_message(scheduled) and after_us:
@@ -278,15 +289,16 @@ class Kernel:
     def _happened(self, fact: Event, time_us: int) -> None:
         """Apply a fact of the world: keep the commands it stops, and schedule again those it brings back."""
         self._record(fact, time_us, 0)
+        if type(fact) not in _TURNS:
+            return
         if isinstance(fact, RobotWentOff):
             stopped = [one for one in self._pending if self._actor(one[3]) == fact.robot and not _is_message(one[3])]
             self._kept += [
                 (due_us - time_us, serial, cause, scheduled)
                 for due_us, serial, cause, scheduled in sorted(stopped, key=lambda one: one[:2])
             ]
-            self._pending[:] = [one for one in self._pending if one not in stopped]
-            heapify(self._pending)
-        elif isinstance(fact, RobotCameBack | LinkCameUp):
+            self._pending.replace([one for one in self._pending if one not in stopped])
+        else:
             self._release(time_us)
 
     def _release(self, now_us: int) -> None:
@@ -304,7 +316,7 @@ class Kernel:
             while due_us in instants or (due_us, cause) in taken:
                 due_us += 1
             instants.add(due_us)
-            heappush(self._pending, (due_us, serial, cause, scheduled))
+            self._pending.put((due_us, serial, cause, scheduled))
 
 
 def _is_message(scheduled: Scheduled) -> bool:

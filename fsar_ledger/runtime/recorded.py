@@ -12,7 +12,6 @@ what the record says was met.
 from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from heapq import heapify, heappop
 from typing import NamedTuple, get_args
 
 from fsar_ledger.events import Event
@@ -20,9 +19,10 @@ from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
+from .agenda import Pending
 from .architectures.handler_table import HandlerTable
 from .handlers.commands import Scheduled
-from .kernel import Kernel, Pending, is_same_batch
+from .kernel import Kernel, is_same_batch
 from .ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Fact
 from .world.draws import FOREVER_US
 
@@ -92,8 +92,7 @@ class RecordedKernel(Kernel):
     def _release(self, now_us: int) -> None:
         super()._release(now_us)
         if any(one[1] in self.later_us for one in self._pending):
-            self._pending[:] = [(self.later_us.get(one[1], one[0]), *one[1:]) for one in self._pending]
-            heapify(self._pending)
+            self._pending.replace([(self.later_us.get(one[1], one[0]), *one[1:]) for one in self._pending])
 
 
 class _Unknown:
@@ -135,8 +134,8 @@ class _Finding(Kernel):
             while end < count and is_same_batch(record.times_us, record.caused_by, end):
                 end += 1
             batch = tuple(record.events[seq:end])
-            while self._pending and self._pending[0][0] < time_us:
-                self._pass(heappop(self._pending))
+            while (one := self._pending.pop_before(time_us)) is not None:
+                self._pass(one)
             if cause == 0 and type(batch[0]) in FACTS:
                 self._happened(batch[0], time_us)
             else:
@@ -202,8 +201,7 @@ class _Finding(Kernel):
             ask, place, spans_us = self._waits[serial]
             self.answers[ask][place] = time_us - (due_us - spans_us)
             self.later_us[serial] = time_us
-        self._pending.remove(one)
-        heapify(self._pending)
+        self._pending.replace([other for other in self._pending if other is not one])
 
     def _record(self, event: Event, time_us: int, cause: int | None) -> None:
         before, asked = self._serial, 0

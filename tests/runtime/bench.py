@@ -59,9 +59,9 @@ class Bench(Kernel):
 
     def proceed(self) -> bool:
         """Decide the next pending command; return False when none is pending."""
-        if not self._pending:
+        if not self._pending.turn():
             return False
-        due_us, _, cause, scheduled = heappop(self._pending)
+        due_us, _, cause, scheduled = heappop(self._pending.soon)
         command, ask = scheduled.command, scheduled.ask
         self.now_us = max(self.now_us + 1, due_us)
         command.now_us = self.now_us

@@ -1,7 +1,6 @@
 """A run that is played by public commands: nothing happens in the world but what is given."""
 
 from collections.abc import Iterable
-from heapq import heappush
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
@@ -28,7 +27,7 @@ def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Itera
         (*started("fsar"), *before),
     )
     for serial, (time_us, command) in enumerate(commands):
-        heappush(one._pending, (time_us, serial - 1_000, 0, Scheduled(command)))
+        one._pending.put((time_us, serial - 1_000, 0, Scheduled(command)))
     one.run()
     return one
 

@@ -58,6 +58,8 @@ def has_more_text_than(table: pa.Table, most: int) -> bool:
     longest = 0
     for column in table.columns:
         for chunk in column.chunks:
+            if chunk.null_count == len(chunk):
+                continue
             values = chunk.flatten() if pa.types.is_list(chunk.type) else chunk
             texts = values.dictionary if pa.types.is_dictionary(values.type) else values
             if pa.types.is_string(texts.type):

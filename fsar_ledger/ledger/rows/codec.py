@@ -170,9 +170,10 @@ class _Rows:
 
     def _lists(self, parts: list[_Part]) -> pa.Array:
         """Return a column of lists of strings, NULL if the event type has no such field."""
-        at, column = _joined(parts, ARROW_TYPES["strings"])
+        values = list(chain.from_iterable(part.values for part in parts))
+        at = _positions(parts)
         order = np.argsort(at, kind="stable")
-        at, column = at[order], column.take(pa.array(order))
+        at, column = at[order], pa.array(list(map(values.__getitem__, order.tolist())), ARROW_TYPES["strings"])
         ends, is_valid = np.zeros(self.size + 1, np.int32), np.zeros(self.size, bool)
         ends[at + 1] = np.diff(column.offsets.to_numpy())
         is_valid[at] = column.is_valid() if column.null_count else True

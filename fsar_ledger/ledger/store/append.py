@@ -28,7 +28,14 @@ from fsar_ledger.ledger.log.note import Note, Signer, checkpoint_of, is_name
 from fsar_ledger.ledger.log.tiles import Tile
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
-from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES, MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
+from fsar_ledger.ledger.rows.bounds import (
+    MAX_NAME_BYTES,
+    MAX_ROWS,
+    MAX_SEGMENT_BYTES,
+    MAX_TEXT_BYTES,
+    has_more_text_than,
+    text_bytes,
+)
 from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
 from fsar_ledger.ledger.rows.layout import read_file, read_layout
@@ -98,11 +105,10 @@ def stage(ledger: Path, runs: Sequence[LedgerRun]) -> Staged:
 def stage_rows(ledger: Path, runs: Sequence[LedgerRun], table: pa.Table, leaves: bytes) -> Staged:
     """Stage encoded runs without a check of their names and order, as 0.1.0 did. Raises: As `stage`."""
     data = segment.to_parquet(table)
-    for found, most, what in (
-        (table.num_rows, MAX_ROWS, "events"),
-        (data.size, MAX_SEGMENT_BYTES, "bytes"),
-        (text_bytes(table), MAX_TEXT_BYTES, "bytes of text"),
-    ):
+    sizes = [(table.num_rows, MAX_ROWS, "events"), (data.size, MAX_SEGMENT_BYTES, "bytes")]
+    if has_more_text_than(table, MAX_TEXT_BYTES):
+        sizes.append((text_bytes(table), MAX_TEXT_BYTES, "bytes of text"))
+    for found, most, what in sizes:
         if found > most:
             raise InvalidRun(
                 f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs "
