@@ -83,12 +83,11 @@ def candidates(state: State, query: Query, cache_holder: Robot | None = None) ->
         search.ask(level, but)
         if search.found:
             break
-    found, left_out = search.found, search.left_out
-    ranked = search.ranked()[: query.limit]
+    left_out, ranked = search.left_out, search.ranked()[: query.limit]
     others = nearest_first(state.fleet, left_out, query.requester)
     return Answer(
         ranked,
-        tuple([found[robot].capability for robot in ranked]),
+        search.capabilities(ranked),
         others,
         tuple([left_out[robot] for robot in others]),
         answering,
@@ -106,6 +105,7 @@ class _Search:
     def __init__(self, state: State, query: Query, execution: Execution | None) -> None:
         self.found: dict[Robot, Advertisement] = {}
         self.left_out: dict[Robot, Filter] = {}
+        self._kinds: list[Advertisement] = []  # the records that admitted robots
         self._state = state
         self._query = query
         self._execution = execution
@@ -119,16 +119,12 @@ class _Search:
                     self._put(rejecting_filter(self._state, query, record), record, robots)
         else:
             self._judge_each(_matches(level, query.capability, but))
-        if any(kind.is_deprecated for kind in self._kinds()):
+        if any(kind.is_deprecated for kind in self._kinds):
             self._leave_out_replaced()
-
-    def _kinds(self) -> Iterable[Advertisement]:
-        """Return the records that admitted robots, each once."""
-        return {id(record): record for record in self.found.values()}.values()
 
     def _leave_out_replaced(self) -> None:
         """Leave out the robots whose offer is deprecated, if another one of the same capability is not."""
-        current = {kind.capability for kind in self._kinds() if not kind.is_deprecated}
+        current = {kind.capability for kind in self._kinds if not kind.is_deprecated}
         for robot, record in list(self.found.items()):
             if record.is_deprecated and record.capability in current:
                 del self.found[robot]
@@ -136,6 +132,7 @@ class _Search:
 
     def _put(self, by: Filter | None, record: Advertisement, robots: tuple[Robot, ...]) -> None:
         if by is None:
+            self._kinds.append(record)
             self.found.update(dict.fromkeys(robots, record))
         else:
             self.left_out.update(dict.fromkeys(robots, by))
@@ -153,6 +150,7 @@ class _Search:
                 if robot not in self.found and (before is None or FILTERS.index(by) > FILTERS.index(before)):
                     self.left_out[robot] = by
                 continue
+            self._kinds.append(record)
             self.found[robot] = record
             self.left_out.pop(robot, None)
             ready += not record.is_deprecated and self._rank(robot) == 0
@@ -165,12 +163,19 @@ class _Search:
         Those whose offer is deprecated come last among their like.
         """
         robots = nearest_first(self._state.fleet, self.found, self._query.requester)
-        if any(kind.availability in _RANKS or kind.is_deprecated for kind in self._kinds()):
+        if any(kind.availability in _RANKS or kind.is_deprecated for kind in self._kinds):
             return tuple(sorted(robots, key=lambda robot: (self._rank(robot), self.found[robot].is_deprecated)))
         busy = set() if self._execution is None else among(self._execution.current, robots)
         if not busy:
             return robots
         return (*[robot for robot in robots if robot not in busy], *[robot for robot in robots if robot in busy])
+
+    def capabilities(self, robots: tuple[Robot, ...]) -> tuple[str, ...]:
+        """Return by which capability each of these robots was found."""
+        names = {kind.capability for kind in self._kinds}
+        if len(names) == 1:
+            return (*names,) * len(robots)
+        return tuple([self.found[robot].capability for robot in robots])
 
     def _rank(self, robot: Robot) -> int:
         """Return 0 for ready, 1 busy, 2 degraded; no copy shows that a robot is executing just now."""
