@@ -153,6 +153,7 @@ fleets: reproduce
 bench: $(READY_TEST)
 	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/simulate_and_append.py
+	$(BIN)/python benchmarks/kernel.py
 	$(BIN)/python benchmarks/journal.py
 	$(BIN)/python benchmarks/one_run.py
 	$(BIN)/python benchmarks/metrics.py
