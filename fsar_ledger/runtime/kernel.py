@@ -145,7 +145,7 @@ class Kernel:
 
     def run(self, until_us: int = NEVER_US, most: int = sys.maxsize) -> None:
         """Run until nothing is left to happen, all that is due by then has happened, or so many events are held."""
-        facts, count, decides = self._facts, len(self._facts), self._decides
+        facts, count, decides, state = self._facts, len(self._facts), self._decides, self.state
         position, events_held, pending, turn = self._next_fact, self.events, self._pending.soon, self._pending.turn
         while len(events_held) < most:
             if not pending:
@@ -164,13 +164,14 @@ class Kernel:
                     self._require_end(time_us, cause, scheduled)
                     self._pending.replace(())
                     continue
-                if self._keep(heappop(pending)):
+                one, world = heappop(pending), state.world
+                if (world.off or world.unlinked) and self._keep(one):
                     continue
                 command, ask = scheduled.command, scheduled.ask
                 command.now_us = time_us
                 if ask is not None:
                     command.answer = self._answer(ask)
-                events = decides[type(command)](self.state, command)
+                events = decides[type(command)](state, command)
                 if events:
                     self._batch(events, time_us, cause)
             else:
