@@ -1,5 +1,6 @@
 """Examine one segment on its own: what a worker of `verify` does."""
 
+import operator
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -15,7 +16,7 @@ import pyarrow.parquet as pq
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.arrow import places, whole
+from fsar_ledger.ledger.rows.arrow import Columns
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts, standing_alone
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_layout
@@ -167,14 +168,15 @@ def _examine(
     if fingerprint(layout.schema) != record.schema_sha256:
         return fail(fingerprint(layout.schema), f"{record.schema_sha256}, {says}", "schema_sha256")
     table = read_coded(path, data, layout)
-    flaw = first_flaw(table, is_whole=names is None)
+    columns = Columns(table)
+    flaw = first_flaw(columns, is_whole=names is None)
     problems = (
         () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
     )
-    run_ids = whole(table.column("run_id"))
+    run_ids = columns.arrays["run_id"]
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
     stored = table.select(layout.schema.names)
-    is_as_written, misleading = _misleading(data, layout, stored)
+    is_as_written, misleading = _misleading(data, layout, stored, columns)
     again = second_reader(str(path), stored, is_as_written) if second_reader is not None else None
     problems = (
         *problems,
@@ -184,20 +186,20 @@ def _examine(
             if other is not None
         ),
     )
-    leaves = canonical.leaves(table)
-    alone = frozenset(run_ids.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
+    leaves = canonical.leaves(columns)
+    alone = frozenset(run_ids.filter(pa.array(standing_alone(columns.arrays["type"]))).to_pylist())
     blocks = tuple(blocks_of(table)) if names is not None and flaw is None else ()
     return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone, blocks)
 
 
-def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tuple[str, str] | None]:
+def _misleading(data: bytes, layout: Layout, table: pa.Table, columns: Columns) -> tuple[bool, tuple[str, str] | None]:
     """Return whether the file is what these rows are written as, and what in it could make a reader see other rows.
 
     That is (found, expected), or None. A query engine skips rows by the statistics in the footer, which no leaf covers.
     The same version of pyarrow must write the same bytes; for a file by another version, the statistics are compared.
     """
     # Otherwise writing them again would repeat what is not ours.
-    is_ours = all(_is_sorted(whole(table.column(name))) for name in table.column_names)
+    is_ours = all(_is_sorted(name, columns) for name in table.column_names)
     again = to_parquet(table)
     if is_ours and again.equals(pa.py_buffer(data)):
         return True, None
@@ -225,13 +227,13 @@ def _stored(value: int | str) -> bytes:
     return value.encode() if isinstance(value, str) else value.to_bytes(8, "little", signed=True)
 
 
-def _is_sorted(column: pa.Array) -> bool:
+def _is_sorted(name: str, columns: Columns) -> bool:
     """Return whether a column has no dictionary, or one as we write it."""
-    if not isinstance(column, pa.DictionaryArray):
+    if not isinstance(columns.arrays[name], pa.DictionaryArray):
         return True
-    texts = column.dictionary
-    if column.null_count == len(column):  # as most columns of a segment are
-        return not len(texts)
+    texts = columns.texts[name]
+    if columns.arrays[name].null_count == len(columns.table):  # as most columns of a segment are
+        return not texts
     is_used = np.zeros(len(texts) + 1, bool)
-    is_used[places(column)] = True
-    return bool(is_used[:-1].all()) and pc.all(pc.less(texts[:-1], texts[1:])).as_py() is not False
+    is_used[columns.places[name]] = True
+    return bool(is_used[:-1].all()) and all(map(operator.lt, texts, texts[1:]))
