@@ -28,6 +28,8 @@ def _compiled() -> Callable[[int, list[Any]], bytes] | None:
 
 
 _lines = _compiled()
+IS_COMPILED = _lines is not None
+"""Whether rows are joined in C."""
 
 
 def lines_of(columns: Columns) -> bytes | None:
