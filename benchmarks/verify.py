@@ -64,11 +64,8 @@ def measure(ledger: Path, most: int) -> tuple[int, float, float, float]:
                 raise SystemExit(str(facts.problems[0]))
         if placement.number:  # the first one pays for what is made once
             events += placement.rows
-            plain_s, one_s, both_s = (
-                plain_s + times[1] - times[0],
-                one_s + times[2] - times[1],
-                both_s + times[3] - times[2],
-            )
+            sums_s = [total + end - begin for total, begin, end in zip(sums_s, times, times[1:], strict=False)]
+    plain_s, one_s, both_s = sums_s
     return events, plain_s, one_s, both_s
 
 
