@@ -1,12 +1,13 @@
 """Examine one segment on its own: what a worker of `verify` does."""
 
 import operator
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
 from itertools import repeat
 from pathlib import Path
+from typing import NamedTuple, Protocol, TypeAlias
 
 import msgspec
 import numpy as np
@@ -27,12 +28,23 @@ from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.store.walk import Names, Stored, find_segment, names_of, read_segment
 from fsar_ledger.workers import WorkerPool
 
+_MOST_SEGMENTS, _MOST_ROWS = 16, 1 << 18
+"""How many a second reader reads at once: planning takes longer than reading one."""
+
+
+class Digest(NamedTuple):
+    """The columns of some rows, and numbers that follow from their values."""
+
+    columns: tuple[str, ...]
+    numbers: tuple[int, ...]
+
 
 class SegmentFacts(msgspec.Struct, frozen=True):
     """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None if the rows are in doubt.
 
     `alone` are those of `runs` that are not runs but one event that stands alone. `blocks` are those of a segment of a
-    ledger of format 2.
+    ledger of format 2. `digest` is that of the rows of a file that is what they are written as, which a second reader
+    has not read yet.
     """
 
     file: str
@@ -42,12 +54,27 @@ class SegmentFacts(msgspec.Struct, frozen=True):
     leaves: bytes | None = None
     alone: frozenset[str] = frozenset()
     blocks: tuple[Block, ...] = ()
+    digest: Digest | None = None
 
 
-SecondReader = Callable[[str, pa.Table, bool], tuple[str, str] | None]
-"""Reads the file at a path with code other than `segment`, and compares it with these rows. Returns (found, expected),
-or None if it holds them. True as the last argument: the file is what these rows are written as, to the byte.
-"""
+_Asked: TypeAlias = tuple[int, Stored | None, Names | None]
+"""The number of a segment, its record and its names."""
+
+
+class SecondReader(Protocol):
+    """Reads files with code other than `segment`, and compares them with the rows that it decoded.
+
+    What it finds is (found, expected). It can be pickled.
+    """
+
+    def by_value(self, path: str, decoded: pa.Table) -> tuple[str, str] | None:
+        """Return what differs in the file at this path, compared value by value; None if it holds these rows."""
+
+    def digest(self, decoded: pa.Table) -> Digest:
+        """Return what `by_digest` compares of these rows."""
+
+    def by_digest(self, digests: Mapping[str, Digest]) -> Mapping[str, tuple[str, str]]:
+        """Return what differs, by path; the files are what the rows are written as, to the byte."""
 
 
 def examine(
@@ -59,11 +86,29 @@ def examine(
 ) -> SegmentFacts:
     """Compare the segment of this commit, or with these names, with its record and what the second reader finds.
 
-    Where names are given, the ledger has format 2, whose runs may begin or end in other segments.
+    What that reads by digest is left to `examine_some`. Where names are given, the ledger has format 2, whose runs may
+    begin or end in other segments.
 
     Raises: Only what `unexpected` raises.
     """
     return _guarded(partial(_examine, second_reader), Path(ledger), number, record, names)
+
+
+def examine_some(
+    one: Callable[..., SegmentFacts],
+    ledger: str,
+    segments: Sequence[_Asked],
+    second_reader: SecondReader | None,
+) -> list[SegmentFacts]:
+    """Return what each of these segments holds, each as by `one`, which is `examine`; digests are compared at once."""
+    found = [one(ledger, number, record, second_reader, names) for number, record, names in segments]
+    digests = {f"{ledger}/{facts.file}": facts.digest for facts in found if facts.digest is not None}
+    others = second_reader.by_digest(digests) if second_reader is not None and digests else {}
+    for at, (facts, (number, _, _)) in enumerate(zip(found, segments, strict=True)):
+        if (other := others.get(f"{ledger}/{facts.file}")) is not None:
+            problem = Problem(facts.file, *other, commit=number, field="segment_sha256")
+            found[at] = msgspec.structs.replace(facts, problems=(*facts.problems, problem))
+    return found
 
 
 def examine_file(ledger: str, number: int, record: Stored | None, names: Names | None = None) -> SegmentFacts:
@@ -76,7 +121,7 @@ def examine_file(ledger: str, number: int, record: Stored | None, names: Names |
 
 def examine_all(
     ledger: Path,
-    segments: Sequence[tuple[int, Stored | None, Names | None]],
+    segments: Sequence[_Asked],
     workers: int,
     second_reader: SecondReader | None,
     *,
@@ -93,18 +138,35 @@ def examine_all(
     """
     if not segments:
         return
-    numbers, records, names = zip(*segments, strict=True)
-    quickly = (repeat(str(ledger)), numbers, records, names)
-    wholly = (repeat(str(ledger)), numbers, records, repeat(second_reader), names)
     workers = min(workers, len(segments))
     with ExitStack() as stack:
         if is_quick:
             each = stack.enter_context(ThreadPoolExecutor(workers)).map if workers > 1 else map
-            yield from each(examine_file, *quickly)
-        elif workers > 1:
-            yield from stack.enter_context(WorkerPool(workers)).map(examine, *wholly)
-        else:
-            yield from map(examine, *wholly)
+            yield from each(examine_file, repeat(str(ledger)), *zip(*segments, strict=True))
+            return
+        given = (repeat(examine), repeat(str(ledger)), _together(segments, workers), repeat(second_reader))
+        parts = (
+            stack.enter_context(WorkerPool(workers)).map(examine_some, *given)
+            if workers > 1
+            else map(examine_some, *given)
+        )
+        for part in parts:
+            yield from part
+
+
+def _together(segments: Sequence[_Asked], workers: int) -> Iterator[list[_Asked]]:
+    """Yield these in parts that are read at once; so many that each worker has several."""
+    most = max(1, min(_MOST_SEGMENTS, len(segments) // (4 * workers)))
+    part: list[_Asked] = []
+    rows = 0
+    for number, record, names in segments:
+        rows += record.rows if record is not None else 0
+        if part and (len(part) == most or rows > _MOST_ROWS):
+            yield part
+            part, rows = [], record.rows if record is not None else 0
+        part.append((number, record, names))
+    if part:
+        yield part
 
 
 _Check = Callable[[Path, str, int, Stored, Names | None], SegmentFacts]
@@ -177,7 +239,8 @@ def _examine(
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
     stored = table.select(layout.schema.names)
     is_as_written, misleading = _misleading(data, layout, stored, columns)
-    again = second_reader(str(path), stored, is_as_written) if second_reader is not None else None
+    again = second_reader.by_value(str(path), stored) if second_reader is not None and not is_as_written else None
+    digest = second_reader.digest(stored) if second_reader is not None and is_as_written else None
     problems = (
         *problems,
         *(
@@ -189,7 +252,7 @@ def _examine(
     leaves = canonical.leaves(columns)
     alone = frozenset(run_ids.filter(pa.array(standing_alone(columns.arrays["type"]))).to_pylist())
     blocks = tuple(blocks_of(table)) if names is not None and flaw is None else ()
-    return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone, blocks)
+    return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone, blocks, digest)
 
 
 def _misleading(data: bytes, layout: Layout, table: pa.Table, columns: Columns) -> tuple[bool, tuple[str, str] | None]:
