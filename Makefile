@@ -156,12 +156,14 @@ bench: $(READY_TEST)
 	$(BIN)/python benchmarks/kernel.py
 	$(BIN)/python benchmarks/journal.py
 	$(BIN)/python benchmarks/one_run.py
+	$(BIN)/python benchmarks/verify.py
 	$(BIN)/python benchmarks/metrics.py
 	$(BIN)/python benchmarks/rows.py
 	$(BIN)/python benchmarks/registry_lookup.py
 	$(BIN)/python benchmarks/inclusion_proof.py
 	$(BIN)/python benchmarks/trust.py
 	$(BIN)/python benchmarks/growth.py --maps
+	$(BIN)/python benchmarks/every_command.py --events 200000
 
 docs: reproduce $(READY_TEST)
 	$(BIN)/python docs/write.py

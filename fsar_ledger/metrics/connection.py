@@ -24,6 +24,7 @@ from .functions import NAMES, register
 from .library import Library, Query, library
 from .macros import statements
 from .query_parameters import values
+from .showable import SHOWN, check_columns
 
 LOCK = (
     "threads = 1",
@@ -41,8 +42,6 @@ DUCKDB_SHARE = 0.75
 """The part of the memory of this process that DuckDB may take."""
 
 BATCH_ROWS = 10_000
-SHOWN = 200
-"""Characters of a name or line that a message repeats."""
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
 FAULTS_OF_SQL = (
     duckdb.ParserException,
@@ -57,12 +56,9 @@ FAULTS_OF_SQL = (
 """DuckDB errors caused by the SQL or by this machine, never by a damaged segment."""
 
 _GIVEN = "given"
+_READ_OFTEN = frozenset({"event_principals"})
 _CALL = re.compile(r"\b([a-z_0-9]+)\(")
 NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
-_NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
-_UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
-"""Types whose values Arrow or Python would silently change, or cannot hold."""
-
 Value = str | int | float | bool | None | list[str]
 
 
@@ -97,6 +93,8 @@ class Database:
         """Names, without version, of event types that differ between `events` and `source`."""
         self.absent: frozenset[str] = frozenset()
         """Event types known to have no row in `events`: their views read nothing."""
+        self.keeps_events = False
+        """Whether events are read into tables, one for each concern, for many questions about a few events."""
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._given: dict[str, str] = {}  # how those were made that no packaged query defines
@@ -196,6 +194,8 @@ class Database:
 
     def keeps(self, query: Query) -> bool:
         """Tell whether a query becomes a table here; in a file also one that calls our functions, which others lack."""
+        if self.keeps_events and (query.relation in _READ_OFTEN or (query.tags and not query.wider)):
+            return True
         return query.is_stored or (self._file is not None and not NAMES.isdisjoint(_CALL.findall(query.sql)))
 
     def macro(self, query: Query) -> bool:
@@ -215,6 +215,9 @@ class Database:
         """Return the SELECT of a packaged query, in the form that reads least here."""
         if query.tags and query.tags <= self.absent:
             return query.nothing
+        if self.keeps_events and query.wider:
+            self.prepare(query.wider)
+            return query.reading_from({"events": query.wider})
         is_changed = self.changed if not query.tags else self.changed & {tag.partition(".")[0] for tag in query.tags}
         if self.source is None or is_changed or not query.name.startswith("staging/"):
             return query.sql
@@ -306,7 +309,7 @@ class Database:
         """
         with self._asking(pa.ArrowException, OSError):
             relation = self._connection.sql(sql)
-            _check_columns(relation.columns, list(map(str, relation.types)))
+            check_columns(relation.columns, list(map(str, relation.types)))
             reader = relation.to_arrow_reader(BATCH_ROWS)
             yield pa.RecordBatch.from_pylist([], schema=reader.schema)
             yield from reader
@@ -354,23 +357,6 @@ def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
         except LedgerCorrupted as damage:
             return damage
     return None
-
-
-def _check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
-    """Check that the columns have distinct names, and types whose values arrive unchanged.
-
-    Raises: QueryFailed.
-    """
-    seen: set[str] = set()
-    for name, kind in zip(names, kinds, strict=True):
-        if name in seen:
-            raise QueryFailed(f"SQL: found two columns named {name[:SHOWN]!r}; give one of them another name with AS")
-        if found := _UNSHOWABLE.search(_NAME.sub(" ", kind)):
-            raise QueryFailed(
-                f"SQL: column {name[:SHOWN]!r} holds {found[0]}, which an answer cannot show as it is; make it text, "
-                "as in CAST(... AS VARCHAR)"
-            )
-        seen.add(name)
 
 
 def plain_rows(table: pa.Table) -> list[dict[str, Any]]:

@@ -16,13 +16,13 @@ from .connection import (
     FAULTS_OF_SQL,
     NULLABLE,
     OUT_OF_MEMORY,
-    SHOWN,
     Database,
     Value,
     first_damage,
     plain_rows,
     with_all_columns,
 )
+from .showable import SHOWN
 from .verified import is_verified
 
 __all__ = [
@@ -133,6 +133,7 @@ class Slices:
         cut = {number for one in others for number in segments_between(view, one.first, one.end)}
         whole = frozenset(path for number, path in held.items() if number not in cut)
         database = Database(view.head, [*held.values()], rows_verified=is_verified(view, self._demanded))
+        database.keeps_events = True
         chosen = relation.Chosen(relation.OF_NUMBERED, _numbers(names), whole)
         _fill(database, [*held.values()], [releases[number] for number in held], chosen)
         return database

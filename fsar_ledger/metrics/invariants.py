@@ -104,16 +104,27 @@ def audit_rows(
 def _counted(query: Query) -> str:
     """Return the SQL that counts and samples the rows of one invariant; runs that cannot be judged have none."""
     return f"""
-        WITH found AS (
-            SELECT run_id, seq, min(type) AS type, string_agg(found, '; ' ORDER BY found) AS found
+        WITH found AS MATERIALIZED (
+            SELECT run_id, seq, type, found
             FROM {query.relation}
-            GROUP BY run_id, seq
+        ),
+
+        numbered AS (
+            SELECT run_id, count(DISTINCT seq) AS events, min(seq) AS first_seq
+            FROM found
+            GROUP BY run_id
         ),
 
         offences AS (
-            SELECT run_id, count(*) AS events, arg_min({{'seq': seq, 'type': type, 'found': found}}, seq) AS first
-            FROM found
-            GROUP BY run_id
+            SELECT
+                numbered.run_id, numbered.events,
+                {{
+                    'seq': numbered.first_seq, 'type': min(found.type),
+                    'found': string_agg(found.found, '; ' ORDER BY found.found)
+                }} AS first
+            FROM numbered
+            INNER JOIN found ON numbered.run_id = found.run_id AND numbered.first_seq = found.seq
+            GROUP BY numbered.run_id, numbered.events, numbered.first_seq
         ),
 
         judged AS (

@@ -49,7 +49,7 @@ class Query(msgspec.Struct, frozen=True):
     """One relation that SQL can name: a packaged file, or a view that is generated from an event type.
 
     `name` is `folder/relation`; `tags` are the event types whose view it is; `nothing` selects the same columns where
-    no such event exists.
+    no such event exists. `wider` is the view of the type's concern, which has these rows and columns among others.
     """
 
     name: str
@@ -58,6 +58,7 @@ class Query(msgspec.Struct, frozen=True):
     parameters: dict[str, Parameter] = {}
     tags: frozenset[str] = frozenset()
     nothing: str = ""
+    wider: str = ""
 
     @property
     def relation(self) -> str:
@@ -170,8 +171,14 @@ def staging_query(tag: str) -> Query:
         "NULL": "the record does not name it",
         "Example": f"fsar-ledger query staging/{view_name(tag)} LEDGER",
     }
+    concern = CONCERN_OF.get(tag.partition(".")[0])
     return Query(
-        f"staging/{view_name(tag)}", staging_sql(tag), header, tags=frozenset({tag}), nothing=staging_sql(tag, None)
+        f"staging/{view_name(tag)}",
+        staging_sql(tag),
+        header,
+        tags=frozenset({tag}),
+        nothing=staging_sql(tag, None),
+        wider=f"{concern}_events" if concern else "",
     )
 
 

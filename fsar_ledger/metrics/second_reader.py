@@ -7,6 +7,7 @@ other file every value is compared, since whoever can choose the content of a fi
 """
 
 import os
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 
 import numpy as np
@@ -14,6 +15,8 @@ import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.ledger.rows.arrow import numbers, validity, whole
+from fsar_ledger.ledger.rows.schema import COLUMNS
+from fsar_ledger.ledger.verify.segment import Digest
 
 from .connection import Database
 
@@ -21,40 +24,78 @@ _DECODED = "decoded_rows"
 _EXPECTED = "the same as by pyarrow: rows that both of our readers read alike"
 
 
-def read_again(path: str, decoded: pa.Table, is_as_written: bool) -> tuple[str, str] | None:
-    """Return what DuckDB finds in this segment and what was expected; None if it finds the decoded rows.
+class ReadAgain:
+    """What serves as `verify.Asked.second_reader`; it keeps one connection per process."""
 
-    It serves as `verify.Asked.second_reader`: it can be pickled, and keeps one connection per process.
-    """
-    database = _databases().setdefault(os.getpid(), None) or _opened()
-    try:
-        return _by_digest(database, path, decoded) if is_as_written else _by_value(database, path, decoded)
-    except QueryFailed as error:
-        return f"a segment that DuckDB cannot read ({error})", _EXPECTED
+    def by_value(self, path: str, decoded: pa.Table) -> tuple[str, str] | None:
+        """Return what DuckDB finds in this segment and what was expected, value by value; None if it is the same."""
+        try:
+            return _by_value(_database(), path, decoded)
+        except QueryFailed as error:
+            return _unreadable(error)
+
+    def digest(self, decoded: pa.Table) -> Digest:
+        """Return the number of rows, of the values in each column, and the XOR of the integers of each."""
+        columns = {name: whole(decoded.column(name)) for name in decoded.column_names}
+        counts = [len(column) - column.null_count for column in columns.values()]
+        sums = [
+            int(np.bitwise_xor.reduce(numbers(columns[name])[validity(columns[name])], initial=0))
+            for name in _integers(columns)
+        ]
+        return Digest(tuple(columns), (len(decoded), *counts, *sums))
+
+    def by_digest(self, digests: Mapping[str, Digest]) -> Mapping[str, tuple[str, str]]:
+        """Return what DuckDB finds in these segments and what was expected, by path; nothing where it is the same."""
+        found: dict[str, tuple[str, str]] = {}
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for path, digest in digests.items():
+            alike.setdefault(digest.columns, []).append(path)
+        for columns, paths in alike.items():
+            try:
+                numbers_of = _digests(_database(), columns, paths)
+            except QueryFailed as error:
+                if len(paths) == 1:
+                    found[paths[0]] = _unreadable(error)
+                for path in paths if len(paths) > 1 else ():
+                    found |= self.by_digest({path: digests[path]})
+                continue
+            for path in paths:
+                if (other := _other(digests[path], numbers_of.get(path, ()))) is not None:
+                    found[path] = other
+        return found
 
 
-def _by_digest(database: Database, path: str, decoded: pa.Table) -> tuple[str, str] | None:
-    """Compare as `read_again` does, by the number of values in each column and the XOR of its integers."""
-    columns = {name: whole(decoded.column(name)) for name in decoded.column_names}
-    integers = [name for name, column in columns.items() if pa.types.is_int64(column.type)]
-    counts = [f'count("{name}")' for name in columns] + [f'bit_xor("{name}")' for name in integers]
-    expected = [
-        ("run_id", len(decoded)),
-        *((name, len(column) - column.null_count) for name, column in columns.items()),
-    ]
-    for name in integers:
-        values = numbers(columns[name])[validity(columns[name])]
-        expected.append((name, int(np.bitwise_xor.reduce(values, initial=0))))
-    [found] = database.direct(f"SELECT count(*), {', '.join(counts)} FROM {_source(path)}")
-    for (name, by_pyarrow), by_duckdb in zip(expected, found, strict=True):
-        if (by_duckdb or 0) != by_pyarrow:  # the XOR is NULL where all values are
+def _unreadable(error: QueryFailed) -> tuple[str, str]:
+    return f"a segment that DuckDB cannot read ({error})", _EXPECTED
+
+
+def _integers(columns: Iterable[str]) -> list[str]:
+    return [name for name in columns if COLUMNS[name] == "integer"]
+
+
+def _digests(database: Database, columns: Sequence[str], paths: Sequence[str]) -> dict[str, tuple[int, ...]]:
+    """Return the numbers of `ReadAgain.digest` for each path, by DuckDB. Raises: QueryFailed."""
+    counts = [f'count("{name}")' for name in columns] + [f'bit_xor("{name}")' for name in _integers(columns)]
+    rows = database.direct(
+        f"SELECT filename, count(*), {', '.join(counts)} FROM {_source(paths, 'filename = true')} GROUP BY filename"
+    )
+    return {path: tuple(number or 0 for number in found) for path, *found in rows}  # NULL where all values are
+
+
+def _other(expected: Digest, found: Sequence[int]) -> tuple[str, str] | None:
+    """Return the first number that differs, as found and expected; None if none does."""
+    if not found:
+        return "no rows by DuckDB", _EXPECTED
+    names = ("run_id", *expected.columns, *_integers(expected.columns))
+    for name, by_pyarrow, by_duckdb in zip(names, expected.numbers, found, strict=True):
+        if by_duckdb != by_pyarrow:
             return f"{by_duckdb} as the digest of column {name} by DuckDB, {by_pyarrow} by pyarrow", _EXPECTED
     return None
 
 
 def _by_value(database: Database, path: str, decoded: pa.Table) -> tuple[str, str] | None:
     """Compare as `read_again` does, value by value."""
-    source = f"FROM {_source(path)} AS a POSITIONAL JOIN {_DECODED} AS b"
+    source = f"FROM {_source([path])} AS a POSITIONAL JOIN {_DECODED} AS b"
     differences = {name: f'a."{name}" IS DISTINCT FROM b."{name}"' for name in decoded.column_names}
     database.hold(_DECODED, decoded)
     try:
@@ -69,8 +110,13 @@ def _by_value(database: Database, path: str, decoded: pa.Table) -> tuple[str, st
     return f"{count} values of column {name} that DuckDB reads otherwise", _EXPECTED
 
 
-def _source(path: str) -> str:
-    return "read_parquet('{}', hive_partitioning = false)".format(path.replace("'", "''"))
+def _source(paths: Sequence[str], *options: str) -> str:
+    files = ", ".join("'{}'".format(path.replace("'", "''")) for path in paths)
+    return f"read_parquet([{files}], {', '.join(('hive_partitioning = false', *options))})"
+
+
+def _database() -> Database:
+    return _databases().setdefault(os.getpid(), None) or _opened()
 
 
 @cache

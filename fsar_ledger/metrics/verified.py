@@ -42,9 +42,9 @@ def whole_look(
     """
     asked = asked or Asked()
     if not asked.is_quick:
-        from .second_reader import read_again  # imports DuckDB, which a proof does not need
+        from .second_reader import ReadAgain  # imports DuckDB, which a proof does not need
 
-        asked = msgspec.structs.replace(asked, second_reader=read_again)
+        asked = msgspec.structs.replace(asked, second_reader=ReadAgain())
     report = verify(ledger, workers, progress, asked)
     if report.record_sha256 is not None and not report.is_quick:
         _remember(report.record_sha256)

@@ -7,6 +7,7 @@
 -- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq and
 --   is_given_up of a start, and where nothing follows
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER
+-- Stored: audit reads it for two invariants or more
 WITH finished AS (
     SELECT
         done.run_id, done.seq, done.time_us, done.task_id, done.action_id, done.requested_by, done.executed_by,

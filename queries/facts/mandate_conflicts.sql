@@ -7,6 +7,7 @@
 -- Units: time_us microseconds of run time; seq, mandate_seq, escalated_seq positions in the run
 -- NULL: escalated_seq when nobody was told of the conflict
 -- Example: fsar-ledger query facts/mandate_conflicts LEDGER
+-- Stored: audit reads it for two invariants or more
 WITH mandated AS (
     -- The fleet allows if each of its rules that apply does.
     SELECT

@@ -6,6 +6,7 @@
 -- NULL: action_id; conjunct unless denied; no row where nobody has granted or revoked anything that the request is
 --   about
 -- Example: fsar-ledger query facts/rights_at_evaluations LEDGER
+-- Stored: audit reads it for two invariants or more
 WITH askers AS (
     -- A relay judges its own link of the chain by itself.
     SELECT

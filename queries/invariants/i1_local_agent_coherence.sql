@@ -32,23 +32,22 @@ known AS (
 named AS (
     SELECT
         run_id, seq, time_us, type, action_id,
-        unnest(
-            list_concat(
-                [decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, [])
-            )
-        ) AS principal
+        -- Each principal once, and none for NULL.
+        unnest(list_distinct(list_concat(
+            [decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, [])
+        ))) AS principal
     FROM event_principals
     WHERE
         decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
         OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR len(path) > 0
 )
 
-SELECT DISTINCT
+SELECT
     named.run_id, named.seq, named.time_us, named.type, named.action_id,
     named.principal || ' acts, which is neither a robot of the fleet nor one of its supervisors or services' AS found
 FROM named
 LEFT JOIN known ON named.run_id = known.run_id AND named.principal = known.principal
-WHERE named.principal IS NOT NULL AND known.principal IS NULL
+WHERE known.principal IS NULL
 UNION ALL
 SELECT
     run_id, seq, time_us,

@@ -14,13 +14,20 @@ from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
-from fsar_ledger.metrics.second_reader import read_again
+from fsar_ledger.metrics.second_reader import ReadAgain
 from tests.ledger.forgery import changed, forge_segment
 from tests.ledger.parts import two_faced
 from tests.ledger.samples import append_all, made_up_run
 
 TABLE = encode([made_up_run("run-0", 60, 1), made_up_run("run-1", 40, 2)])
-ASKED = Asked(second_reader=read_again)
+ASKED = Asked(second_reader=ReadAgain())
+
+
+def read_again(path: str, decoded: pa.Table, is_as_written: bool) -> tuple[str, str] | None:
+    reader = ReadAgain()
+    return (
+        reader.by_digest({path: reader.digest(decoded)}).get(path) if is_as_written else reader.by_value(path, decoded)
+    )
 
 
 def written(path: Path, table: pa.Table) -> str:
@@ -106,3 +113,14 @@ def test_two_contents_are_found_even_where_the_layout_is_not_checked(
     assert (problem.where, problem.commit) == ("segments/000000000001.parquet", 1)
     assert re.fullmatch(r"\d+ values of column robot that DuckDB reads otherwise", problem.found)
     assert layout.check_layout is check_layout
+
+
+def test_of_many_segments_each_that_differs_is_named(tmp_path: Path) -> None:
+    reader, good = ReadAgain(), ReadAgain().digest(TABLE)
+    paths = [written(tmp_path / f"{at}.parquet", TABLE if at != 1 else TABLE.slice(0, 99)) for at in range(4)]
+    assert list(reader.by_digest(dict.fromkeys(paths, good))) == [paths[1]]
+    Path(paths[2]).write_bytes(b"no segment")
+    found = reader.by_digest(dict.fromkeys(paths, good))
+    assert list(found) == paths[1:3]
+    assert "column run_id by DuckDB" in found[paths[1]][0]
+    assert "a segment that DuckDB cannot read" in found[paths[2]][0]

@@ -1,11 +1,53 @@
-"""Helpers for reading columns: as one array, strings as codes, buffers as numpy arrays."""
+"""Helpers for reading columns: as one array, strings as codes, buffers as numpy arrays, each once a table."""
 
-from typing import Any, TypeAlias
+from collections.abc import Callable
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import pyarrow as pa
 
 Mask: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.bool_]]"
+Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.signedinteger[Any]]]"
+
+_T = TypeVar("_T")
+
+
+class Derived(dict[str, _T]):
+    """What follows from a column, by its name, made when it is first asked for."""
+
+    def __init__(self, make: Callable[[str], _T]) -> None:
+        super().__init__()
+        self._make = make
+
+    def __missing__(self, name: str) -> _T:
+        made = self[name] = self._make(name)
+        return made
+
+
+class Columns:
+    """The columns of a table, each taken apart once, for all who look at it.
+
+    `arrays` are the columns as one array each, `valid` which rows have a value. `coded` are strings as codes, those of
+    all lists of a column one after the other; `texts` are their dictionary, and `places` the index of each string in
+    it.
+    """
+
+    def __init__(self, table: pa.Table) -> None:
+        self.table = table
+        self.arrays: Derived[pa.Array] = Derived(lambda name: whole(table.column(name)))
+        self.valid: Derived[Mask] = Derived(lambda name: validity(self.arrays[name]))
+        self.coded: Derived[pa.DictionaryArray] = Derived(lambda name: coded(_strings(self.arrays[name])))
+        self.texts: Derived[list[str]] = Derived(lambda name: self.coded[name].dictionary.to_pylist())
+        self.places: Derived[Codes] = Derived(lambda name: places(self.coded[name]))
+
+
+def taken(rows: pa.Table | Columns) -> Columns:
+    """Return the columns of a table, or these."""
+    return rows if isinstance(rows, Columns) else Columns(rows)
+
+
+def _strings(column: pa.Array) -> pa.Array:
+    return column.flatten() if pa.types.is_list(column.type) else column
 
 
 def whole(column: pa.ChunkedArray) -> pa.Array:
@@ -32,13 +74,15 @@ def validity(array: pa.Array) -> Mask:
     return found
 
 
-def numbers(array: pa.Array) -> "np.ndarray[tuple[int], np.dtype[np.signedinteger[Any]]]":
+def numbers(array: pa.Array) -> Codes:
     """Return the values of an integer array; for a NULL, any value."""
     kind = array.type.to_pandas_dtype()
     data = np.frombuffer(array.buffers()[1] or b"", kind)
     return data[array.offset : array.offset + len(array)]
 
 
-def places(strings: pa.DictionaryArray) -> "np.ndarray[tuple[int], np.dtype[np.signedinteger[Any]]]":
+def places(strings: pa.DictionaryArray) -> Codes:
     """Return the index of each string in the dictionary; for a NULL, the index past its end."""
+    if not strings.null_count:
+        return numbers(strings.indices)
     return np.where(validity(strings.indices), numbers(strings.indices), len(strings.dictionary))

@@ -4,6 +4,7 @@ A Parquet file of a few kilobytes can claim, and unpack to, any number of rows: 
 store. So all page headers are read first, and a file that needs more than any batch of runs does is refused.
 """
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -63,5 +64,11 @@ def has_more_text_than(table: pa.Table, most: int) -> bool:
             values = chunk.flatten() if pa.types.is_list(chunk.type) else chunk
             texts = values.dictionary if pa.types.is_dictionary(values.type) else values
             if pa.types.is_string(texts.type):
-                longest += len(values) * (pc.max(pc.binary_length(texts)).as_py() or 0)
+                longest += len(values) * _longest(texts)
     return longest > most and text_bytes(table) > most
+
+
+def _longest(texts: pa.Array) -> int:
+    """Return the bytes of the longest string."""
+    ends = np.frombuffer(texts.buffers()[1] or bytes(4), np.int32)[texts.offset : texts.offset + len(texts) + 1]
+    return int(np.diff(ends).max(initial=0))

@@ -12,9 +12,11 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
+from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import leaves_of
-from fsar_ledger.ledger.rows.arrow import coded, numbers, places, validity, whole
+from fsar_ledger.ledger.rows.arrow import Columns, coded, numbers, places, taken, validity, whole
 from fsar_ledger.ledger.rows.bounds import has_more_text_than, text_bytes
+from fsar_ledger.ledger.rows.joining import lines_of
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, StoredType
 
 _ENCODER = msgspec.json.Encoder()
@@ -132,14 +134,21 @@ def from_table(table: pa.Table) -> list[bytes]:
     return lines
 
 
-def leaves(table: pa.Table) -> bytes:
-    """Return the packed RFC 6962 leaf hashes of the rows.
+def leaves(rows: pa.Table | Columns) -> bytes:
+    """Return the packed RFC 6962 leaf hashes of the rows of a table, or of one with these columns.
 
     Rows are written out in parts, which saves memory.
     """
+    columns = taken(rows)
+    table = columns.table
     if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
-        return leaves_of(from_table(table))
+        return _leaves(columns)
     most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))
     # A slice of a dictionary column would bring its whole dictionary.
     plain = pa.schema([SCHEMA.field(name) for name in table.column_names])
-    return b"".join(leaves_of(from_table(table.slice(at, most).cast(plain))) for at in range(0, len(table), most))
+    return b"".join(_leaves(Columns(table.slice(at, most).cast(plain))) for at in range(0, len(table), most))
+
+
+def _leaves(columns: Columns) -> bytes:
+    lines = lines_of(columns)
+    return leaves_of(from_table(columns.table)) if lines is None else hashing.leaves(lines)

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.ledger.rows.arrow import Mask, coded, numbers, places, validity, whole
+from fsar_ledger.ledger.rows.arrow import Columns, Mask, coded, numbers, places, taken, validity, whole
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.rows.schema import (
     CODED_SCHEMA,
@@ -44,13 +44,15 @@ _LITERALS: dict[str, list[tuple[int, Field]]] = {
 }
 
 
-def first_flaw(table: pa.Table, *, is_whole: bool = True) -> Flaw | None:
+def first_flaw(rows: pa.Table | Columns, *, is_whole: bool = True) -> Flaw | None:
     """Return the flaw in the earliest bad row; None if every row is a valid event of its type, retired or not.
 
-    String columns may be dictionaries. Unless the table `is_whole`, its runs may begin or end elsewhere: then a block
-    of rows of a run begins with any seq, a run may have several blocks, and what its event 0 says is not compared
-    where that is elsewhere (see `blocks_of`).
+    Takes a table or its columns; string columns may be dictionaries. Unless the table `is_whole`, its runs may begin or
+    end elsewhere: then a block of rows of a run begins with any seq, a run may have several blocks, and what its event
+    0 says is not compared where that is elsewhere (see `blocks_of`).
     """
+    taken_apart = taken(rows)
+    table, columns = taken_apart.table, taken_apart.arrays
     if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
         return Flaw(
             -1,
@@ -66,10 +68,8 @@ def first_flaw(table: pa.Table, *, is_whole: bool = True) -> Flaw | None:
         return Flaw(-1, None, None, None, f"{error!s:.300}", "valid Arrow data")
     if not table.num_rows:
         return None
-    columns = {name: whole(table.column(name)) for name in COLUMNS}
-    valid = {name: validity(column) for name, column in columns.items()}
-    envelope = _envelope(columns, valid, is_whole=is_whole)
-    suspects = [*envelope, *_payload(columns, valid), *_company(columns), *_unobserved(columns)]
+    envelope = _envelope(columns, taken_apart.valid, is_whole=is_whole)
+    suspects = [*envelope, *_payload(taken_apart), *_company(columns), *_unobserved(columns)]
     first = min(suspects, key=lambda suspect: suspect[0], default=None)
     if first is None:
         return None
@@ -202,10 +202,9 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask], *, is_whole:
     )
     for name in COLUMNS:
         if COLUMNS[name] == "integer" and columns[name].null_count < len(columns[name]):
-            values = columns[name].fill_null(0).to_numpy()
-            suspects += _first(
-                (values > MAX_INTEGER) | (values < -MAX_INTEGER), name, "an integer of at most 2^53 - 1 in size"
-            )
+            values = numbers(columns[name])
+            is_large = (values > MAX_INTEGER) | (values < -MAX_INTEGER)
+            suspects += _first(is_large & valid[name], name, "an integer of at most 2^53 - 1 in size")
     return suspects
 
 
@@ -246,42 +245,42 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
     return [*suspects, *_first(is_bad, "type", "an event of a concern that its run observes, as event 0 says")]
 
 
-def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:
-    types = coded(columns["type"])
+def _payload(columns: Columns) -> list[tuple[int, str, str]]:
     known: Integers = (
-        pc.index_in(types.dictionary, pa.array(_TAGS, pa.string())).fill_null(_UNKNOWN).to_numpy().astype(np.int64)
+        pc.index_in(columns.coded["type"].dictionary, pa.array(_TAGS, pa.string()))
+        .fill_null(_UNKNOWN)
+        .to_numpy()
+        .astype(np.int64)
     )
-    codes = np.append(known, _UNKNOWN)[places(types)]
+    codes = np.append(known, _UNKNOWN)[columns.places["type"]]
     suspects = _first(codes == _UNKNOWN, "type", "an event type that this version of fsar-ledger knows")
     is_known = codes != _UNKNOWN
     rows = np.bincount(codes, minlength=_UNKNOWN + 1)
     for name in PAYLOAD:
+        valid = columns.valid[name]
         filled = (
-            np.bincount(codes[valid[name]], minlength=_UNKNOWN + 1)
-            if columns[name].null_count < len(codes)
+            np.bincount(codes[valid], minlength=_UNKNOWN + 1)
+            if columns.arrays[name].null_count < len(codes)
             else np.zeros_like(rows)
         )
         if (filled < rows)[_REQUIRED[name]].any():
-            suspects += _first(_REQUIRED[name][codes] & ~valid[name], name, "a value")
+            suspects += _first(_REQUIRED[name][codes] & ~valid, name, "a value")
         if filled[:_UNKNOWN][~_ALLOWED[name][:_UNKNOWN]].any():
-            suspects += _first(
-                valid[name] & ~_ALLOWED[name][codes] & is_known, name, "NULL, as its type has no such field"
-            )
+            suspects += _first(valid & ~_ALLOWED[name][codes] & is_known, name, "NULL, as its type has no such field")
         if filled.any():
-            suspects += _literals(name, columns[name], codes)
+            suspects += _literals(name, columns, codes)
     return suspects
 
 
-def _literals(name: str, column: pa.Array, codes: Integers) -> list[tuple[int, str, str]]:
+def _literals(name: str, columns: Columns, codes: Integers) -> list[tuple[int, str, str]]:
     """Find rows with a value outside the closed list of their type's field."""
     suspects: list[tuple[int, str, str]] = []
     if not _LITERALS[name]:
         return suspects
-    texts = coded(column)
-    values = texts.dictionary.to_pylist()
+    values = columns.texts[name]
     for code, field in _LITERALS[name]:
         assert field.values is not None
         is_other = np.array([value not in field.values for value in values] + [False])
         if is_other.any():
-            suspects += _first((codes == code) & is_other[places(texts)], name, f"one of {sorted(field.values)}")
+            suspects += _first((codes == code) & is_other[columns.places[name]], name, f"one of {sorted(field.values)}")
     return suspects

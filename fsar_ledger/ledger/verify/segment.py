@@ -1,11 +1,13 @@
 """Examine one segment on its own: what a worker of `verify` does."""
 
-from collections.abc import Callable, Iterator, Sequence
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
 from itertools import repeat
 from pathlib import Path
+from typing import NamedTuple, Protocol, TypeAlias
 
 import msgspec
 import numpy as np
@@ -15,7 +17,7 @@ import pyarrow.parquet as pq
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.arrow import places, whole
+from fsar_ledger.ledger.rows.arrow import Columns
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts, standing_alone
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_layout
@@ -26,12 +28,23 @@ from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.store.walk import Names, Stored, find_segment, names_of, read_segment
 from fsar_ledger.workers import WorkerPool
 
+_MOST_SEGMENTS, _MOST_ROWS = 16, 1 << 18
+"""How many a second reader reads at once: planning takes longer than reading one."""
+
+
+class Digest(NamedTuple):
+    """The columns of some rows, and numbers that follow from their values."""
+
+    columns: tuple[str, ...]
+    numbers: tuple[int, ...]
+
 
 class SegmentFacts(msgspec.Struct, frozen=True):
     """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None if the rows are in doubt.
 
     `alone` are those of `runs` that are not runs but one event that stands alone. `blocks` are those of a segment of a
-    ledger of format 2.
+    ledger of format 2. `digest` is that of the rows of a file that is what they are written as, which a second reader
+    has not read yet.
     """
 
     file: str
@@ -41,12 +54,27 @@ class SegmentFacts(msgspec.Struct, frozen=True):
     leaves: bytes | None = None
     alone: frozenset[str] = frozenset()
     blocks: tuple[Block, ...] = ()
+    digest: Digest | None = None
 
 
-SecondReader = Callable[[str, pa.Table, bool], tuple[str, str] | None]
-"""Reads the file at a path with code other than `segment`, and compares it with these rows. Returns (found, expected),
-or None if it holds them. True as the last argument: the file is what these rows are written as, to the byte.
-"""
+_Asked: TypeAlias = tuple[int, Stored | None, Names | None]
+"""The number of a segment, its record and its names."""
+
+
+class SecondReader(Protocol):
+    """Reads files with code other than `segment`, and compares them with the rows that it decoded.
+
+    What it finds is (found, expected). It can be pickled.
+    """
+
+    def by_value(self, path: str, decoded: pa.Table) -> tuple[str, str] | None:
+        """Return what differs in the file at this path, compared value by value; None if it holds these rows."""
+
+    def digest(self, decoded: pa.Table) -> Digest:
+        """Return what `by_digest` compares of these rows."""
+
+    def by_digest(self, digests: Mapping[str, Digest]) -> Mapping[str, tuple[str, str]]:
+        """Return what differs, by path; the files are what the rows are written as, to the byte."""
 
 
 def examine(
@@ -58,11 +86,29 @@ def examine(
 ) -> SegmentFacts:
     """Compare the segment of this commit, or with these names, with its record and what the second reader finds.
 
-    Where names are given, the ledger has format 2, whose runs may begin or end in other segments.
+    What that reads by digest is left to `examine_some`. Where names are given, the ledger has format 2, whose runs may
+    begin or end in other segments.
 
     Raises: Only what `unexpected` raises.
     """
     return _guarded(partial(_examine, second_reader), Path(ledger), number, record, names)
+
+
+def examine_some(
+    one: Callable[..., SegmentFacts],
+    ledger: str,
+    segments: Sequence[_Asked],
+    second_reader: SecondReader | None,
+) -> list[SegmentFacts]:
+    """Return what each of these segments holds, each as by `one`, which is `examine`; digests are compared at once."""
+    found = [one(ledger, number, record, second_reader, names) for number, record, names in segments]
+    digests = {f"{ledger}/{facts.file}": facts.digest for facts in found if facts.digest is not None}
+    others = second_reader.by_digest(digests) if second_reader is not None and digests else {}
+    for at, (facts, (number, _, _)) in enumerate(zip(found, segments, strict=True)):
+        if (other := others.get(f"{ledger}/{facts.file}")) is not None:
+            problem = Problem(facts.file, *other, commit=number, field="segment_sha256")
+            found[at] = msgspec.structs.replace(facts, problems=(*facts.problems, problem))
+    return found
 
 
 def examine_file(ledger: str, number: int, record: Stored | None, names: Names | None = None) -> SegmentFacts:
@@ -75,7 +121,7 @@ def examine_file(ledger: str, number: int, record: Stored | None, names: Names |
 
 def examine_all(
     ledger: Path,
-    segments: Sequence[tuple[int, Stored | None, Names | None]],
+    segments: Sequence[_Asked],
     workers: int,
     second_reader: SecondReader | None,
     *,
@@ -92,18 +138,35 @@ def examine_all(
     """
     if not segments:
         return
-    numbers, records, names = zip(*segments, strict=True)
-    quickly = (repeat(str(ledger)), numbers, records, names)
-    wholly = (repeat(str(ledger)), numbers, records, repeat(second_reader), names)
     workers = min(workers, len(segments))
     with ExitStack() as stack:
         if is_quick:
             each = stack.enter_context(ThreadPoolExecutor(workers)).map if workers > 1 else map
-            yield from each(examine_file, *quickly)
-        elif workers > 1:
-            yield from stack.enter_context(WorkerPool(workers)).map(examine, *wholly)
-        else:
-            yield from map(examine, *wholly)
+            yield from each(examine_file, repeat(str(ledger)), *zip(*segments, strict=True))
+            return
+        given = (repeat(examine), repeat(str(ledger)), _together(segments, workers), repeat(second_reader))
+        parts = (
+            stack.enter_context(WorkerPool(workers)).map(examine_some, *given)
+            if workers > 1
+            else map(examine_some, *given)
+        )
+        for part in parts:
+            yield from part
+
+
+def _together(segments: Sequence[_Asked], workers: int) -> Iterator[list[_Asked]]:
+    """Yield these in parts that are read at once; so many that each worker has several."""
+    most = max(1, min(_MOST_SEGMENTS, len(segments) // (4 * workers)))
+    part: list[_Asked] = []
+    rows = 0
+    for number, record, names in segments:
+        rows += record.rows if record is not None else 0
+        if part and (len(part) == most or rows > _MOST_ROWS):
+            yield part
+            part, rows = [], record.rows if record is not None else 0
+        part.append((number, record, names))
+    if part:
+        yield part
 
 
 _Check = Callable[[Path, str, int, Stored, Names | None], SegmentFacts]
@@ -167,15 +230,17 @@ def _examine(
     if fingerprint(layout.schema) != record.schema_sha256:
         return fail(fingerprint(layout.schema), f"{record.schema_sha256}, {says}", "schema_sha256")
     table = read_coded(path, data, layout)
-    flaw = first_flaw(table, is_whole=names is None)
+    columns = Columns(table)
+    flaw = first_flaw(columns, is_whole=names is None)
     problems = (
         () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
     )
-    run_ids = whole(table.column("run_id"))
+    run_ids = columns.arrays["run_id"]
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
     stored = table.select(layout.schema.names)
-    is_as_written, misleading = _misleading(data, layout, stored)
-    again = second_reader(str(path), stored, is_as_written) if second_reader is not None else None
+    is_as_written, misleading = _misleading(data, layout, stored, columns)
+    again = second_reader.by_value(str(path), stored) if second_reader is not None and not is_as_written else None
+    digest = second_reader.digest(stored) if second_reader is not None and is_as_written else None
     problems = (
         *problems,
         *(
@@ -184,20 +249,20 @@ def _examine(
             if other is not None
         ),
     )
-    leaves = canonical.leaves(table)
-    alone = frozenset(run_ids.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
+    leaves = canonical.leaves(columns)
+    alone = frozenset(run_ids.filter(pa.array(standing_alone(columns.arrays["type"]))).to_pylist())
     blocks = tuple(blocks_of(table)) if names is not None and flaw is None else ()
-    return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone, blocks)
+    return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone, blocks, digest)
 
 
-def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tuple[str, str] | None]:
+def _misleading(data: bytes, layout: Layout, table: pa.Table, columns: Columns) -> tuple[bool, tuple[str, str] | None]:
     """Return whether the file is what these rows are written as, and what in it could make a reader see other rows.
 
     That is (found, expected), or None. A query engine skips rows by the statistics in the footer, which no leaf covers.
     The same version of pyarrow must write the same bytes; for a file by another version, the statistics are compared.
     """
     # Otherwise writing them again would repeat what is not ours.
-    is_ours = all(_is_sorted(whole(table.column(name))) for name in table.column_names)
+    is_ours = all(_is_sorted(name, columns) for name in table.column_names)
     again = to_parquet(table)
     if is_ours and again.equals(pa.py_buffer(data)):
         return True, None
@@ -225,13 +290,13 @@ def _stored(value: int | str) -> bytes:
     return value.encode() if isinstance(value, str) else value.to_bytes(8, "little", signed=True)
 
 
-def _is_sorted(column: pa.Array) -> bool:
+def _is_sorted(name: str, columns: Columns) -> bool:
     """Return whether a column has no dictionary, or one as we write it."""
-    if not isinstance(column, pa.DictionaryArray):
+    if not isinstance(columns.arrays[name], pa.DictionaryArray):
         return True
-    texts = column.dictionary
-    if column.null_count == len(column):  # as most columns of a segment are
-        return not len(texts)
+    texts = columns.texts[name]
+    if columns.arrays[name].null_count == len(columns.table):  # as most columns of a segment are
+        return not texts
     is_used = np.zeros(len(texts) + 1, bool)
-    is_used[places(column)] = True
-    return bool(is_used[:-1].all()) and pc.all(pc.less(texts[:-1], texts[1:])).as_py() is not False
+    is_used[columns.places[name]] = True
+    return bool(is_used[:-1].all()) and all(map(operator.lt, texts, texts[1:]))

@@ -1,0 +1,143 @@
+"""Measures what each command costs on one ledger: wall time, CPU seconds and peak memory, each in its own process.
+
+python benchmarks/every_command.py                          10 million events; the ledger is simulated once and kept
+python benchmarks/every_command.py --events 200000          a small one
+python benchmarks/every_command.py --ledger out/ledger      a ledger of yours, which is only read
+python benchmarks/every_command.py --only audit --only log  some commands
+
+Commands run one after the other, with the memory that they may have by default. An exit code of 0 or 1 is an answer;
+any other one is shown. Peak memory is that of the largest process of a command.
+"""
+
+import argparse
+import os
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+EVENTS_A_RUN = 547
+ONE_SEED = "42"
+MODULE = [sys.executable, "-m", "fsar_ledger"]
+ANSWERS = (0, 1)
+
+LEFT_OUT = {
+    "simulate": "it makes the ledger",
+    "upgrade": "it takes a ledger of format 1",
+    "verify-proof": "it reads a proof, not a ledger",
+    "calibrate": "it takes no ledger",
+    "predict": "it takes no ledger",
+    "judge": "it takes no ledger",
+    "sensitivity": "it takes no ledger",
+    "reproduce": "it takes no ledger",
+    "key": "it takes no ledger",
+    "witness": "it asks other machines",
+}
+"""The commands that are not measured, and why."""
+
+COMMANDS: dict[str, str] = {
+    "info": "{ledger}",
+    "verify": "{ledger}",
+    "verify --quick": "{ledger}",
+    "recover": "{copy}",
+    "metrics": "{ledger}",
+    "audit": "{ledger}",
+    "statistics": "{ledger}",
+    "compare": "{ledger} --first fsar --second cfc",
+    "multiverse": "{ledger}",
+    "query": "metrics/run_metrics {ledger} --limit 20",
+    "query failures": "{ledger} --limit 20",
+    "query coordination_cost": "{ledger}",
+    "sql": "{ledger} SELECT|type,|count(*)|AS|rows|FROM|events|GROUP|BY|type|ORDER|BY|rows",
+    "explain": "{ledger}",
+    "explain --run": "1 {ledger}",
+    "log": "{ledger}",
+    "log --run": "1 {ledger} --to 30s",
+    "state": "{ledger} --run 1 --at 46.6s",
+    "step": "{ledger} --run 1 --script next",
+    "why": "{ledger} 1:148",
+    "diff": "{ledger} 1 2",
+    "view": "{ledger} --run 1 --out {out}.html",
+    "whatif": "{ledger} --run 1 --change drop|window:*",
+    "cause": "{ledger} --run 1 --outcome policy_violations|>|0 --futures 0",
+    "bisect": "{ledger} --first fsar --second cfc --outcome policy_violations|>|0",
+    "prove": "{ledger} 1:12 --out {out}.tlog-proof",
+    "export": "{ledger} --out {out}.parquet",
+    "export --tiles": "{ledger} --out {out}",
+    "open": "{ledger} --out {out}.duckdb",
+    "report": "{ledger} --out {out}.pdf",
+    "compact": "{copy}",
+}
+"""The commands by name with first option, and what follows; a space within an argument is written as |."""
+
+
+class Cost(NamedTuple):
+    """What a process cost: wall and CPU seconds, peak memory in MiB, and its exit code."""
+
+    wall_s: float
+    cpu_s: float
+    memory_mib: float
+    code: int
+
+
+def cost_of(command: list[str], errors: Path) -> Cost:
+    """Run a command to its end, without its output."""
+    began = time.perf_counter()
+    to = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+    actions = [(os.POSIX_SPAWN_OPEN, 1, os.devnull, to, 0o600), (os.POSIX_SPAWN_OPEN, 2, str(errors), to, 0o600)]
+    process = os.posix_spawn(command[0], command, os.environ, file_actions=actions)
+    _, status, used = os.wait4(process, 0)
+    seconds = time.perf_counter() - began
+    kib = used.ru_maxrss if sys.platform != "darwin" else used.ru_maxrss / 1024
+    return Cost(seconds, used.ru_utime + used.ru_stime, kib / 1024, os.waitstatus_to_exitcode(status))
+
+
+def arguments(name: str, ledger: Path, folder: Path) -> list[str]:
+    """Return the whole command line, and copy the ledger for a command that changes it."""
+    places = {"ledger": ledger, "copy": folder / "copy", "out": folder / "out"}
+    words = [word.format(**places).replace("|", " ") for word in COMMANDS[name].split()]
+    if "{copy}" in COMMANDS[name]:
+        shutil.copytree(ledger, folder / "copy", dirs_exist_ok=True)
+    return [*MODULE, *name.split(), *words]
+
+
+def ledger_of(events: int, cache: Path) -> Path:
+    """Return a ledger of about so many events in format 2; it is simulated once and kept."""
+    runs = max(1, round(events / EVENTS_A_RUN / 15))
+    ledger = cache / f"every-command-{runs}"
+    if not ledger.exists():
+        print(f"simulates {runs} runs per scenario and architecture: {ledger}", flush=True)
+        made = ["simulate", str(ledger), "--runs", str(runs), "--seed", ONE_SEED, "--format", "2"]
+        cost = cost_of([*MODULE, *made], Path(os.devnull))
+        if cost.code:
+            raise SystemExit(f"simulate: found exit code {cost.code}, expected 0")
+    return ledger
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--events", type=int, default=10_000_000)
+    parser.add_argument("--ledger", type=Path, help="instead of one that is made")
+    parser.add_argument("--only", action="append", help="a command; may be repeated")
+    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "fsar-ledger-benchmark")
+    options = parser.parse_args()
+    options.cache.mkdir(parents=True, exist_ok=True)
+    ledger = options.ledger or ledger_of(options.events, options.cache)
+    print(f"{'command':26}{'wall s':>9}{'CPU s':>9}{'MiB':>8}   load {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores")
+    failed = False
+    for name in COMMANDS:
+        if options.only and name.split()[0] not in options.only:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            errors = Path(folder) / "errors"
+            cost = cost_of(arguments(name, ledger, Path(folder)), errors)
+            said = "" if cost.code in ANSWERS else f"   exit code {cost.code}: {errors.read_text()[-200:].strip()}"
+        failed |= bool(said)
+        print(f"{name:26}{cost.wall_s:>9.1f}{cost.cpu_s:>9.1f}{cost.memory_mib:>8.0f}{said}", flush=True)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,3 @@
+from typing import Any
+
+def lines(rows: int, columns: list[tuple[Any, ...]], /) -> bytes: ...

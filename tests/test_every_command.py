@@ -1,0 +1,15 @@
+"""Every command is measured, or it is said why not."""
+
+from typing import Any
+
+from typer.main import get_command
+
+from benchmarks.every_command import COMMANDS, LEFT_OUT
+from fsar_ledger.cli.app import app
+
+
+def test_every_command_is_measured_or_left_out_for_a_reason() -> None:
+    group: Any = get_command(app)
+    measured = {name.split()[0] for name in COMMANDS}
+    assert not measured & LEFT_OUT.keys()
+    assert measured | LEFT_OUT.keys() == set(group.commands)
