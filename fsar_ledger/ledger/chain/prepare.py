@@ -57,11 +57,11 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
     covered = behind(view)
     with disk.refusals(path, "finishing what an interrupted writer left"):
         disk.sync_folder(path)
-        _cut(path / CHAIN, view.followed.end, view.followed.torn)
-        growing.write_again(path / CHAIN, view.followed.last, view.followed.end)
+        growing.write_again(path / CHAIN, view.followed.last, view.followed.end, cuts=view.followed.torn > 0)
         if view.journal.frames:
-            _cut(path / JOURNAL, view.journal.end, view.journal.torn)
-            growing.write_again(path / JOURNAL, view.journal.last, view.journal.end)
+            # What follows is torn, or room that was allotted, of which nobody knows whether it is on disk.
+            cuts = view.journal.torn > 0 or (settles and growing.size_of(path / JOURNAL) > view.journal.end)
+            growing.write_again(path / JOURNAL, view.journal.last, view.journal.end, cuts=cuts)
         elif os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
             os.unlink(path / JOURNAL)
             disk.sync_folder(path)
@@ -73,18 +73,6 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
             note = str(view.note())
             disk.write_files({path / CHECKPOINT: note.encode()}, path / STAGING)
     return open_chain(path, read_manifest(path))
-
-
-def _cut(path: Path, end: int, torn: int) -> None:
-    """Take what is torn off the end of the file."""
-    if not torn:
-        return
-    handle = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
-    try:
-        os.ftruncate(handle, end)
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _roll_forward(view: ChainView) -> None:

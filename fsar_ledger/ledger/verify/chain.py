@@ -188,23 +188,28 @@ class ChainVerification:
                 step = min(end, commit.tree_size) - at
                 at, seq = at + step, seq + step
                 index += at == commit.tree_size
+        said_by = JOURNAL if file == JOURNAL else CHAIN
         for commit in commits:
             continues = tuple(sorted(found.get(commit.number, ())))
             if continues != commit.continues:
                 self.problems.append(
-                    Problem(CHAIN, f"{commit.continues!r}", f"{continues!r}", commit.number, field="continues")
+                    Problem(said_by, f"{commit.continues!r}", f"{continues!r}", commit.number, field="continues")
                 )
                 return
             if absent := [run for run in commit.goes_on if (commit.number, run) not in seen]:
                 expected = "runs of which the commit holds events"
-                self.problems.append(Problem(CHAIN, f"{absent[0]!r}", expected, commit.number, field="goes_on"))
+                self.problems.append(Problem(said_by, f"{absent[0]!r}", expected, commit.number, field="goes_on"))
                 return
 
     def _add_frame(self, frame: Frame) -> None:
         """Add one commit of the journal."""
         commit = frame.commit
         if self.tree is not None:
-            self.tree = self.tree.extend(leaves_of(frame.rows))
+            leaves, first = leaves_of(frame.rows), self.tree.size
+            for size in self.asked.sizes():
+                if first < size < commit.tree_size:
+                    self.roots[size] = self.tree.extend(leaves[: (size - first) * HASH_BYTES]).root()
+            self.tree = self.tree.extend(leaves)
             self._compare_root(self.tree, commit, JOURNAL)
         if self.asked.is_quick or self.problems:
             return
@@ -291,8 +296,11 @@ class ChainVerification:
         origin = view.manifest.origin
         signed = Signatures("signer not checked")
         if not self.problems:
+            sealed = len(view.commits) - len(view.journal.frames)
             doubts, signed = check_signatures(
-                [commit.note(origin) for commit in view.commits], lambda _: CHAIN, self.asked.trusted
+                [commit.note(origin) for commit in view.commits],
+                lambda number: CHAIN if number < sealed else JOURNAL,
+                self.asked.trusted,
             )
             self.problems += doubts
         anchored = self._check_anchors(view)
