@@ -507,7 +507,8 @@ def verifier_of(ledger: Path, *given: Any) -> Any:
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         is_chained = None
     if is_chained is None:
-        is_chained = os.path.lexists(ledger / "chain.jsonl") and not os.path.lexists(ledger / "commits")
+        own = [ledger / "chain.jsonl", ledger / "journal.jsonl"]
+        is_chained = any(map(os.path.lexists, own)) and not os.path.lexists(ledger / "commits")
     return (ChainVerifier if is_chained else Verifier)(ledger, *given)
 
 

@@ -102,7 +102,7 @@ def read_frames(data: bytes, chain: Chain) -> Journal:
         shas.pop()
         chain.forget(len(chain.commits) - 1, shas[-1])
         if frames and _tree(before, leaves).root().hex() != frames[-1].commit.tree_root:
-            return Journal([], before, bytearray(), problem=_wrong_rows(frames[-1].commit))
+            return Journal([], before, bytearray(), problem=_first_wrong(before, frames))
     for frame in frames:
         end += size_of(frame)
     is_damage = contradicts or (problem is not None and _has_later_frame(lines[at:], len(chain.commits)))
@@ -142,6 +142,15 @@ def _commit(line: bytes, chain: Chain) -> tuple[Commit | None, Problem | None]:
         return record, None
     name, found, expected = doubt
     return None, Problem(JOURNAL, f"{found!r}", f"{expected}, as {CHAIN} and the frames before say", number, field=name)
+
+
+def _first_wrong(before: Frontier, frames: Sequence[Frame]) -> Problem:
+    """Return which of these frames, of which the last has a wrong root, is the first with one."""
+    for frame in frames:
+        before = before.extend(leaves_of(frame.rows))
+        if before.root().hex() != frame.commit.tree_root:
+            break
+    return _wrong_rows(frame.commit)
 
 
 def _wrong_rows(commit: Commit) -> Problem:

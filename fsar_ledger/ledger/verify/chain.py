@@ -7,7 +7,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
+import msgspec
+
+from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.checkpoint import behind
 from fsar_ledger.ledger.chain.derived import derived_sizes
 from fsar_ledger.ledger.chain.index import index_line
@@ -25,7 +27,7 @@ from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem, refusal
-from fsar_ledger.ledger.store.record import CHAINED, VERSION, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.record import CHAINED, VERSION, sha256_hex
 from fsar_ledger.ledger.store.walk import MISSING, Names, check_manifest, names_in
 from fsar_ledger.ledger.verify.notes import Anchor, Signatures, check_anchor, check_signatures
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
@@ -44,12 +46,12 @@ _SYMBOLIC = "a link or something else than a file"
 
 
 def is_chained(path: Path) -> bool:
-    """Return whether the ledger at this path says that it has format 2 or, if it says nothing, has a chain."""
-    try:
-        data = disk.read_document(path / MANIFEST)
-        return parse_manifest(path / MANIFEST, data, (VERSION, CHAINED)).version == CHAINED
-    except (OSError, FsarLedgerError):
-        return os.path.lexists(path / CHAIN) and not os.path.lexists(path / COMMITS)
+    """Return whether the ledger at this path says that it has format 2 or, if it says nothing, has a file of it."""
+    with suppress(OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        version = msgspec.json.decode(disk.read_document(path / MANIFEST), type=dict[str, object]).get("version")
+        if version in (VERSION, CHAINED):
+            return version == CHAINED
+    return any(os.path.lexists(path / name) for name in (CHAIN, JOURNAL)) and not os.path.lexists(path / COMMITS)
 
 
 def chain_moment(path: Path) -> tuple[int, ...]:
