@@ -167,7 +167,7 @@ class ChainVerifier:
         own = types["types"] if types is not None else {}
         self.concerns = {name: one["concern"] for name, one in own.items() if "concern" in one}
         self.stand_alone = {name for name, one in own.items() if one.get("alone")}
-        self.remarks: list[str] = []
+        self.remarks, self.is_sealed = list[str](), False
 
     def verify(self) -> tuple[int, str, str, list[str]]:
         """Verify the ledger; return its events, its root, whose signature it has, and what a crash left."""
@@ -177,7 +177,7 @@ class ChainVerifier:
         chain = self.read_chain(digest)
         frames = self.read_journal(chain)
         covered = self.covered(chain, len(chain.commits))
-        self.is_behind = covered < chain.placed_size
+        self.is_behind = self.is_sealed or covered < chain.placed_size
         commits = iter(chain.commits)
         for first in sorted(chain.placed):
             placement = chain.placed[first]
@@ -256,7 +256,8 @@ class ChainVerifier:
         except ValueError:
             first = {}
         if first.get("kind") == "commit" and first in chain.commits[first["number"] : first["number"] + 1]:
-            return []  # sealed
+            self.is_sealed = True
+            return []
         tree, at = self.tree_of(chain), 0
         while at < len(lines) - 1:
             error: object = "rows that are missing, or lead to another root"

@@ -190,12 +190,12 @@ def anchor_at(path: Path, size: int, signer: Signer | None, to: Path) -> Path:
     return to
 
 
-def bases(folder: Path) -> list[Path]:
-    """Write ledgers of several histories: of no commit, of few and of many, signed, half signed, and not."""
+def bases(folder: Path, count: int = 12) -> list[Path]:
+    """Write ledgers of so many histories: of no commit, of few and of many, signed, half signed, and not."""
     found = [folder / "base-empty"]
     folder.mkdir(exist_ok=True)
     ChainWriter(found[0], ORIGIN).close()
-    for seed in range(12):
+    for seed in range(count):
         found.append(folder / f"base-{seed}")
         signers: Sequence[Signer | None] = ([None], [KEY], [KEY, None])[seed % 3]
         History(found[-1], random.Random(seed), signers).go_on(1 + seed // 2)

@@ -109,12 +109,15 @@ def a_torn_end(path: Path, draw: random.Random, beside: Path) -> Case | None:
 def a_sealed_journal(path: Path, draw: random.Random, beside: Path) -> Case | None:
     if not view_of(path).journal.frames:
         return None
-    data = (path / JOURNAL).read_bytes()
+    kept = {name: (path / name).read_bytes() for name in (JOURNAL, NODES, INDEX) if (path / name).exists()}
+    is_compacted = draw.random() < 0.5
     with ChainWriter(path, ORIGIN) as writer:
         writer.seal()
-        if draw.random() < 0.5:
+        if is_compacted:
             writer.compact()
-    (path / JOURNAL).write_bytes(data)
+    for name, data in kept.items():
+        if name == JOURNAL or not is_compacted:  # what follows from sealing may be missing, but not after compaction
+            (path / name).write_bytes(data)
     return Case("a sealed journal", path, True)
 
 

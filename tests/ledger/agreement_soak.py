@@ -40,9 +40,9 @@ def drawn(folder: Path, count: int, *, is_large: bool) -> Iterator[Case]:
         shutil.rmtree(beside)
 
 
-def drawn_of_chain(folder: Path, count: int) -> Iterator[Case]:
+def drawn_of_chain(folder: Path, count: int, shapes: int) -> Iterator[Case]:
     """Yield this many ledgers of format 2, as `drawn`. A third is of a random history of its own."""
-    shapes = agreement_chain.bases(folder / "bases")
+    written = agreement_chain.bases(folder / "bases", shapes)
     beside, path = folder / "beside", folder / "ledger"
     number = seed = 0
     while number < count:
@@ -51,7 +51,7 @@ def drawn_of_chain(folder: Path, count: int) -> Iterator[Case]:
         make = draw.choice(draw.choices((CHAIN_GOOD, CHAIN_DAMAGED), (4, 6))[0])
         beside.mkdir()
         if seed % 3:
-            shutil.copytree(draw.choice(shapes), path)
+            shutil.copytree(draw.choice(written), path)
         else:
             agreement_chain.History(path, draw, [KEY, None]).go_on(draw.randrange(1, 4))
         case = make(path, draw, beside)
@@ -77,10 +77,10 @@ def outcomes(count: int, *, is_large: bool) -> list[Outcome]:
         return [judged(case) for case in drawn(Path(folder), count, is_large=is_large)]
 
 
-def chain_outcomes(count: int) -> list[Outcome]:
-    """Return the verdicts of both verifiers on this many ledgers of format 2."""
+def chain_outcomes(count: int, shapes: int = 12) -> list[Outcome]:
+    """Return the verdicts of both verifiers on this many ledgers of format 2, of so many histories and others."""
     with tempfile.TemporaryDirectory() as folder:
-        return [judged(case) for case in drawn_of_chain(Path(folder), count)]
+        return [judged(case) for case in drawn_of_chain(Path(folder), count, shapes)]
 
 
 def main(arguments: list[str]) -> int:

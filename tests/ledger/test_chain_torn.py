@@ -7,9 +7,10 @@ import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.append import ChainWriter
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.verify.chain import SEALED
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.chain_damage import RUNS, piece, write_open
@@ -87,14 +88,34 @@ def test_a_sealed_journal_that_cannot_be_removed_leaves_nothing_in_the_next_one(
     assert verify(path).remarks == ()
 
 
+@pytest.mark.parametrize("rubbish", [False, True])
+def test_sealing_may_be_interrupted_when_the_checkpoint_covers_the_journal_already(path: Path, rubbish: bool) -> None:
+    with ChainWriter(path, ORIGIN) as writer:
+        writer.add([RUNS[0]])
+    before = contents(path)
+    with ChainWriter(path, ORIGIN) as writer:
+        writer.seal()
+    sealed = contents(path)
+    (path / JOURNAL).write_bytes(before[JOURNAL])
+    for name in (NODES, INDEX):
+        size = len(sealed[name]) - len(before[name])
+        (path / name).write_bytes(before[name] + b"x" * size * rubbish)
+    report = verify(path)
+    assert (report.problems, report.remarks) == ((), (SEALED,))
+    assert judged(Case("sealed", path, True)).difference == ""
+    ChainWriter(path, ORIGIN).close()
+    assert contents(path) == sealed
+    assert verify(path).remarks == ()
+
+
+@pytest.mark.slow
 def test_a_checkpoint_outlives_no_power_failure_that_takes_the_files_before_it(tmp_path: Path) -> None:
     laboratory = ChainLaboratory(tmp_path)
     root = tmp_path / "calls"
     root.mkdir()
     calls = calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger", 1))
     last = max(number for number, name in enumerate(calls) if name == "replace")
-    for seed in range(2):
-        laboratory.trial([Fault(last + 1, "killed")], choices(seed, 9)[4:])
+    laboratory.trial([Fault(last + 1, "killed")], choices(0, 6)[4:])
     assert laboratory.tally.complaints == []
 
 

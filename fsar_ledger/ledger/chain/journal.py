@@ -36,7 +36,8 @@ class Journal(msgspec.Struct):
     """What a journal holds: its frames, the tree after them, and the bytes up to the end of the last one.
 
     `leaves` are the packed leaf hashes of all rows. `problem` says where it contradicts the chain or itself, if not
-    merely its last frame is torn.
+    merely its last frame is torn. One that `is_sealed` holds nothing any more; as long as it is there, its sealing may
+    not be finished.
     """
 
     frames: list[Frame]
@@ -45,6 +46,7 @@ class Journal(msgspec.Struct):
     end: int = 0
     torn: int = 0
     problem: Problem | None = None
+    is_sealed: bool = False
 
     @property
     def last(self) -> int:
@@ -77,7 +79,7 @@ def read_frames(data: bytes, chain: Chain) -> Journal:
     """
     text = data.rstrip(b"\0")
     if _is_sealed(text, chain):
-        return Journal([], chain.tree(), bytearray())
+        return Journal([], chain.tree(), bytearray(), is_sealed=True)
     lines = text.split(b"\n")
     rest = lines.pop()  # empty, unless the last line is torn
     frames: list[Frame] = []

@@ -62,16 +62,16 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
             # What follows is torn, or room that was allotted, of which nobody knows whether it is on disk.
             cuts = view.journal.torn > 0 or (settles and growing.size_of(path / JOURNAL) > view.journal.end)
             growing.write_again(path / JOURNAL, view.journal.last, view.journal.end, cuts=cuts)
-        elif os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
-            os.unlink(path / JOURNAL)
-            disk.sync_folder(path)
         _roll_forward(view)
         _clean(view, is_alone=is_alone)
-        is_settled = not covered or view.commits[-covered].tree_size > view.chain.placed_size
-        _derive(view, is_settled=is_settled)
-        if covered and (settles or not is_settled):
+        is_covered = not covered or view.commits[-covered].tree_size > view.chain.placed_size
+        _derive(view, is_settled=is_covered and not view.journal.is_sealed)
+        if covered and (settles or not is_covered):
             note = str(view.note())
             disk.write_files({path / CHECKPOINT: note.encode()}, path / STAGING)
+        if not view.journal.frames and os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
+            os.unlink(path / JOURNAL)
+            disk.sync_folder(path)
     return open_chain(path, read_manifest(path))
 
 

@@ -40,6 +40,10 @@ BEHIND = (
     "fsar-ledger recover, goes on from there"
 )
 OPEN = "the checkpoint is behind the journal, as a writer that was not closed leaves it"
+SEALED = (
+    "the journal is there though it was sealed, and what follows from that may be missing, as a crash leaves it; the "
+    "next writer, or fsar-ledger recover, goes on from there"
+)
 TORN = "an append was interrupted, and what is left of it is no commit; the next writer removes it"
 SUPERSEDED = "segments are there that were compacted, as a crash leaves them; the next writer removes them"
 _SYMBOLIC = "a link or something else than a file"
@@ -87,7 +91,7 @@ class ChainVerification:
         segments = [(one.number, one, Names(segment_of(one), CHAIN)) for one in chain.placed]
         facts = examine_all(self.path, segments, workers, self.asked.second_reader, is_quick=self.asked.is_quick)
         self.index = list(chain.index_lines(self._index_bytes()))
-        is_behind = self._is_behind(view)
+        is_behind = self._is_behind(view) or view.journal.is_sealed
         for number, found in enumerate(facts):
             self._add(view, number, found, is_behind=is_behind)
             if progress is not None:
@@ -289,7 +293,7 @@ class ChainVerification:
         placed = {segment_of(one) for one in view.chain.placed}
         left = any(f"{SEGMENTS}/{name}" not in placed for name in names_in(self.path / SEGMENTS))
         return (
-            *((BEHIND,) if is_behind else (OPEN,) if back else ()),
+            *((SEALED,) if view.journal.is_sealed else (BEHIND,) if is_behind else (OPEN,) if back else ()),
             *((TORN,) if view.followed.torn or view.journal.torn else ()),
             *((SUPERSEDED,) if left else ()),
         )
