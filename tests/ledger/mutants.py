@@ -41,7 +41,7 @@ CHAIN_CHECKED: dict[str, tuple[str, ...] | None] = {
     "chain/read.py": ("_placed", "_coded", "open_chain"),
     "rows/blocks.py": ("flaw",),
 }
-"""The files that make checks, and the functions in them, None: all; of what both formats need, and of format 2 alone."""
+"""The files that make checks, and the functions in them, None: all. The second are those of format 2 alone."""
 
 _NO_CHECKS = frozenset({"_examine_all", "__str__"})
 
