@@ -1,11 +1,10 @@
-"""What a writer of format 2 does before it appends: create the ledger, and finish what an interrupted one left."""
+"""What a writer of format 2 does before it appends: finish what an interrupted one left."""
 
 import os
 import stat
-from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger
+from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.checkpoint import behind
 from fsar_ledger.ledger.chain.derived import append_derived, derived_sizes
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, segment_of
@@ -13,34 +12,10 @@ from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk, growing
-from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING, is_unfinished, require_outside
+from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING
 from fsar_ledger.ledger.store.read import read_manifest
-from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest, sha256_hex
-
-
-def create(ledger: Path, origin: str) -> None:
-    """Create an empty ledger of format 2, or finish an interrupted creation; leave anything else there alone."""
-    if os.path.lexists(ledger / MANIFEST):
-        return
-    if os.path.lexists(ledger) and not os.path.isdir(ledger):
-        raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
-    require_outside(ledger.parent, str(ledger))
-    temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
-    with disk.refusals(ledger, "creating a ledger"):
-        if os.path.isdir(ledger) and not is_unfinished(ledger):
-            if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
-                return
-            raise NotALedger(
-                f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
-            )
-        for folder in (ledger, ledger / SEGMENTS, ledger / STAGING):
-            disk.make_folder(folder)
-        disk.write_temporary(temporary, canonical.document(Manifest(FORMAT, origin, CHAINED)))
-        with suppress(FileExistsError):  # another writer was quicker
-            disk.link_new(temporary, ledger / MANIFEST)
-        disk.sync_folder(ledger)
+from fsar_ledger.ledger.store.record import sha256_hex
 
 
 def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainView:
