@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.checkpoint import behind
+from fsar_ledger.ledger.chain.checkpoint import behind, covered
 from fsar_ledger.ledger.chain.derived import derived_sizes
 from fsar_ledger.ledger.chain.index import index_line
 from fsar_ledger.ledger.chain.journal import Frame
@@ -107,15 +107,12 @@ class ChainVerification:
 
     def _is_behind(self, view: ChainView) -> bool:
         """Return whether the checkpoint is that of before the last append to the chain."""
-        try:
-            back = behind(view)
-        except LedgerCorrupted as error:
-            if not self.problems:
-                found, _, expected = refusal(CHECKPOINT, error)[1:-1].removeprefix("found ").partition(", expected ")
-                self.problems.append(Problem(CHECKPOINT, found, expected or "the newest note"))
+        back = covered(view)
+        if isinstance(back, Problem):
+            self.problems += [] if self.problems else [back]
             return False
-        covered = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
-        return back > 0 and covered < view.chain.placed_size
+        size = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
+        return back > 0 and size < view.chain.placed_size
 
     def _add(self, view: ChainView, number: int, facts: SegmentFacts, *, is_behind: bool) -> None:
         """Add one segment: its rows go into the tree, its blocks to the runs."""
