@@ -57,7 +57,6 @@ CHAIN_TESTS = tuple(
         "chain_damage",
         "agreement_soak",
         "chain",
-        "chain_checks",
         "recover_beside",
     )
 )
