@@ -104,12 +104,13 @@ soak-tests: $(READY_TEST)
 soak-federation: $(READY_TEST)
 	$(BIN)/python -m tests.runtime.test_federation_model $(STEPS)
 
-# Inject a fault at every call of an append and of its recovery, cut the power, kill 2,000 processes: nothing is lost,
-# nothing torn.
+# Inject a fault at every call of an append and of its recovery, cut the power, kill 2,000 processes, in both formats; in
+# format 2 of the journal, sealing and compaction, too: nothing is lost, nothing torn.
 soak-crash: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.crash_soak
 
-# Flip every bit of every file of a ledger and cut it at every length: each is found, with its place.
+# Flip every bit of every file of a ledger of each format and cut it at every length: each is found, with its place, but
+# for what a crash may leave of a ledger of format 2 that was not closed.
 soak-damage: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.damage_soak
 
@@ -117,11 +118,12 @@ soak-damage: $(READY_TEST)
 soak-verifier: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.mutate_verifier
 
-# Compare verify with a verifier that shares no code with the package, on 1,200 good and damaged ledgers.
+# Compare verify with a verifier that shares no code with the package, on 1,200 good and damaged ledgers of each format.
 soak-agreement: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.agreement_soak 1200
 
-# Flip 2,000 single bits, one at a time, and call every command that answers: it refuses, or its answer is right.
+# Flip 2,000 single bits of a ledger of each format, one at a time, and call every command that answers: it refuses, or
+# its answer is right.
 soak-flips: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.flips_soak 2000
 

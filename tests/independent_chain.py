@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -166,7 +167,7 @@ class ChainVerifier:
         own = types["types"] if types is not None else {}
         self.concerns = {name: one["concern"] for name, one in own.items() if "concern" in one}
         self.stand_alone = {name for name, one in own.items() if one.get("alone")}
-        self.remarks: list[str] = []
+        self.remarks, self.is_sealed = list[str](), False
 
     def verify(self) -> tuple[int, str, str, list[str]]:
         """Verify the ledger; return its events, its root, whose signature it has, and what a crash left."""
@@ -176,7 +177,7 @@ class ChainVerifier:
         chain = self.read_chain(digest)
         frames = self.read_journal(chain)
         covered = self.covered(chain, len(chain.commits))
-        self.is_behind = covered < chain.placed_size
+        self.is_behind = self.is_sealed or covered < chain.placed_size
         commits = iter(chain.commits)
         for first in sorted(chain.placed):
             placement = chain.placed[first]
@@ -195,7 +196,7 @@ class ChainVerifier:
         self.check_strays(chain)
         self.check_sizes(chain)
         notes = [self.note_of(commit) for commit in chain.commits]
-        signature = self.check_signatures(notes)
+        signature = self.check_signatures(notes, len(notes) - len(frames))
         self.check_anchor(chain)
         if self.is_behind or covered < chain.size:
             self.remarks.append("behind")
@@ -228,14 +229,15 @@ class ChainVerifier:
         data, whole = self.bytes_of("chain.jsonl"), Chain(digest, self.types)
         ahead, at, end = whole.copy(), 0, 0
         while at < len(data):
-            stop = data.find(b"\n", at)
+            stop, is_read = data.find(b"\n", at), False
             try:
                 if stop < 0:
                     raise ValueError("a line without end")
                 record = read_record(data[at:stop])
+                is_read = True
                 ahead.add(data[at:stop], record)
             except ValueError as error:
-                if any(is_placement(line) and rest for line, rest in later(data[at:])):
+                if is_read or any(is_placement(line) and rest for line, rest in later(data[at:])):
                     raise ProblemError("chain.jsonl", error, "a record of the chain", len(ahead.commits)) from error
                 break
             at = stop + 1
@@ -253,28 +255,31 @@ class ChainVerifier:
             first = read_record(lines[0])
         except ValueError:
             first = {}
-        if first.get("kind") == "commit" and first["number"] < len(chain.commits):
-            return []  # sealed
+        if first.get("kind") == "commit" and first in chain.commits[first["number"] : first["number"] + 1]:
+            self.is_sealed = True
+            return []
         tree, at = self.tree_of(chain), 0
         while at < len(lines) - 1:
             error: object = "rows that are missing, or lead to another root"
+            is_read = False
             try:
-                ahead = chain.copy()
-                record = read_record(lines[at])
+                ahead, record = chain.copy(), read_record(lines[at])
+                is_read = True
                 if record["kind"] != "commit":
                     raise ValueError("a placement")
                 ahead.add(lines[at], record)
+                is_read = False
                 rows = lines[at + 1 : at + 1 + record["rows"]]
                 grown = tree + [sha256(b"\x00", row) for row in rows]
                 is_whole = at + 1 + record["rows"] < len(lines)
-                if is_whole and root_over(grown).hex() == record["tree_root"]:
+                if is_whole and root_of(grown).hex() == record["tree_root"]:
                     frames.append((record, self.parsed(rows, record["number"])))
                     tree, at = grown, at + 1 + record["rows"]
                     chain.__dict__.update(ahead.__dict__)
                     continue
             except ValueError as found:
                 error = found
-            if any(self.is_later(line, len(chain.commits)) for line in lines[at:]):
+            if is_read or any(self.is_later(line, len(chain.commits)) for line in lines[at:]):
                 raise ProblemError("journal.jsonl", error, "a frame", len(chain.commits))
             self.remarks.append("torn")
             break
@@ -298,11 +303,12 @@ class ChainVerifier:
         return found
 
     def is_later(self, line: bytes, expected: int) -> bool:
-        try:
-            record = read_record(line)
-        except ValueError:
-            return False
-        return bool(record["kind"] == "commit" and record["number"] > expected)
+        """Return whether a line ends with the record of a later commit: the line feed before it may be lost."""
+        for found in re.finditer(rb"{", line) if b'"kind":"commit"' in line else ():
+            with suppress(ValueError):
+                record = read_record(line[found.start() :])
+                return bool(record["kind"] == "commit" and record["number"] > expected)
+        return False
 
     def covered(self, chain: Chain, count: int) -> int:
         """Return the events that the checkpoint covers; it must be a note that a crash leaves (section 6)."""
@@ -427,6 +433,7 @@ class ChainVerifier:
     def check_runs(self, where: str, rows: list[Row], commits: list[Row]) -> None:
         """Check what spans commits: seq, `continues`, `goes_on`, events that stand alone, and concerns."""
         start = commits[0]["tree_size"] - commits[0]["rows"]
+        said_by = "journal.jsonl" if where == "journal.jsonl" else "chain.jsonl"
         for commit in commits:
             own = rows[commit["tree_size"] - commit["rows"] - start : commit["tree_size"] - start]
             seen: dict[str, int] = {}
@@ -450,9 +457,9 @@ class ChainVerifier:
                 if row["type"] in self.stand_alone:
                     self.alone.add(run)
             if sorted([run, seq] for run, seq in seen.items() if seq) != commit.get("continues", []):
-                raise ProblemError("chain.jsonl", "other runs", "those that it continues", commit["number"])
+                raise ProblemError(said_by, "other runs", "those that it continues", commit["number"])
             if not set(commit.get("goes_on", [])) <= seen.keys():
-                raise ProblemError("chain.jsonl", "a run without events there", "runs of the commit", commit["number"])
+                raise ProblemError(said_by, "a run without events there", "runs of the commit", commit["number"])
 
     def check_strays(self, chain: Chain) -> None:
         named = {f"{one['first']:012d}-{one['first'] + one['rows']:012d}.parquet" for one in chain.placements}
@@ -467,7 +474,7 @@ class ChainVerifier:
             if size > expected or (size < expected and not self.is_behind):
                 raise ProblemError(name, f"{size} bytes", expected)
 
-    def check_signatures(self, notes: list["Whole"]) -> str:
+    def check_signatures(self, notes: list["Whole"], sealed: int) -> str:
         if self.key is None:
             return "signer not checked" if notes and notes[-1].note.signatures else "unsigned"
         if not notes:
@@ -476,7 +483,8 @@ class ChainVerifier:
             is_signed = whole.note.has(self.key)
             if is_signed is False or (number == len(notes) - 1 and not is_signed):
                 found = "no signature of the trusted key, or a wrong one"
-                raise ProblemError("chain.jsonl", found, self.key[0], number)
+                where = "chain.jsonl" if number < sealed else "journal.jsonl"
+                raise ProblemError(where, found, self.key[0], number)
         return "signed"
 
     def check_anchor(self, chain: Chain) -> None:
@@ -500,7 +508,8 @@ def verifier_of(ledger: Path, *given: Any) -> Any:
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         is_chained = None
     if is_chained is None:
-        is_chained = os.path.lexists(ledger / "chain.jsonl") and not os.path.lexists(ledger / "commits")
+        own = [ledger / "chain.jsonl", ledger / "journal.jsonl"]
+        is_chained = any(map(os.path.lexists, own)) and not os.path.lexists(ledger / "commits")
     return (ChainVerifier if is_chained else Verifier)(ledger, *given)
 
 
@@ -529,11 +538,6 @@ class Forest(list[bytes]):
                 found.append(sha256(b"\x01", left, right))
                 bits >>= 1
         return Forest(found, size)
-
-
-def root_over(forest: list[bytes]) -> bytes:
-    root: bytes = root_of(forest)
-    return root
 
 
 def is_placement(line: bytes) -> bool:

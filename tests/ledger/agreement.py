@@ -62,11 +62,11 @@ ODD = [
 
 
 @cache
-def independent() -> Any:
+def independent(module: str = "independent_verifier") -> Any:
     """Load the independent verifier from its file, as a module outside any package."""
     sys.path.insert(0, str(ROOT / "tests"))
     try:
-        return importlib.import_module("independent_verifier")
+        return importlib.import_module(module)
     finally:
         sys.path.pop(0)
 
@@ -341,7 +341,7 @@ def by_independent(case: Case) -> tuple[Place, str] | None:
     module = independent()
     key = module.read_key(str(case.trusted)) if case.trusted else None
     try:
-        module.Verifier(case.path, key, case.anchor, event_types()).verify()
+        independent("independent_chain").verifier_of(case.path, key, case.anchor, event_types()).verify()
     except module.ProblemError as error:
         named = Problem(error.where, "", "", run=error.run)  # a report names both in printable characters
         return (named.where, error.commit, named.run, error.seq), str(error)

@@ -1,9 +1,10 @@
-"""Try everything of which test_crash.py and test_concurrency.py try a part: `python -m tests.ledger.crash_soak [KILLS]
-[PAIRS]`.
+"""Try everything of which test_crash.py, test_chain_crash.py and test_concurrency.py try a part: `python -m
+tests.ledger.crash_soak [KILLS [PAIRS [FORMAT]]]`, by default of both formats.
 
-Tries every kind of fault at every call of two appends, each followed by power failures; pairs of faults, the second
-during the recovery from the first; processes killed at every call; KILLS processes (2,000) killed at random moments,
-two to eight at a time on one ledger. Prints counts, and exits with 1 if anything was lost or torn.
+Tries every kind of fault at every call of two appends (format 2: appends, the journal, sealing, compaction), each
+followed by power failures; a fault at every call of the recovery from each state that a kill leaves; pairs of faults,
+the second during the recovery from the first; processes killed at every call; KILLS processes (2,000) killed at random
+moments, two to eight at a time on one ledger. Prints counts, and exits with 1 if anything was lost or torn.
 """
 
 import random
@@ -13,23 +14,36 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.ledger.chain_trials import ChainLaboratory, write_with
-from tests.ledger.crash_trials import Laboratory, Tally, append_with
+from tests.ledger import chain_crowd, crowd
+from tests.ledger.agreement import Case, judged
+from tests.ledger.chain_trials import ChainLaboratory
+from tests.ledger.crash_trials import Laboratory, Tally
 from tests.ledger.crash_writer import Nursery, Order
-from tests.ledger.crowd import NAMES, judge
-from tests.ledger.faults import Fault, FaultyOs, calls_of, faults_at
+from tests.ledger.crowd import NAMES
+from tests.ledger.faults import WRITES, Fault, FaultyOs, calls_of, faults_at
 from tests.ledger.power import choices
 
 ROUNDS = 6
 """How often the writers of one ledger are killed before a new ledger is begun."""
 MAX_COMPLAINTS = 20
-DEFAULTS = ("2000", "2000")
+DEFAULTS = ("2000", "2000", "12")
+LABORATORY = {1: Laboratory, 2: ChainLaboratory}
+JUDGE = {1: crowd.judge, 2: chain_crowd.judge}
+BATCHES_A_ROUND = {1: 1, 2: 3}
 
 
 def single_faults(laboratory: Laboratory, calls: list[str]) -> None:
     """Try every kind of fault at every call, with nine ways for the power to fail after it and after the recovery."""
     for number, fault in enumerate(faults_at(calls)):
         laboratory.trial([fault], choices(number, 2))
+
+
+def faults_in_recovery(laboratory: Laboratory, calls: list[str]) -> None:
+    """Kill at every call and, from each state that this leaves, let each call of the recovery fail in turn."""
+    kinds = ("killed", "io-error", "killed-in-write", "disk-full", "io-error-after", "short-write-no-space")
+    for at, name in enumerate(calls):
+        for kind in ("killed", "killed-in-write")[: 1 + (name in WRITES)]:
+            laboratory.trials_of_recovery(Fault(at, kind), kinds)
 
 
 def pairs_of_faults(laboratory: Laboratory, calls: list[str], pairs: int) -> None:
@@ -46,16 +60,16 @@ def pairs_of_faults(laboratory: Laboratory, calls: list[str], pairs: int) -> Non
             )
 
 
-def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -> None:
+def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str], version: int) -> None:
     """Kill a process at every call, and in the middle of every write."""
     kills = [Fault(at, "killed") for at in range(len(calls))] + [
-        Fault(at, "killed-in-write") for at, name in enumerate(calls) if name == "write"
+        Fault(at, "killed-in-write") for at, name in enumerate(calls) if name in WRITES
     ]
     for fault in kills:
         root = laboratory.folder / f"{fault.kind}-{fault.at}"
         path = root / "out" / "ledger"
         root.mkdir()
-        outcome = nursery(Order(str(path), fault_at=fault.at, fault_kind=fault.kind))
+        outcome = nursery(Order(str(path), fault_at=fault.at, fault_kind=fault.kind, version=version))
         laboratory.tally.kills += outcome.killed
         for complaint in outcome.wrong:
             laboratory.tally.note(complaint, fault)
@@ -63,12 +77,13 @@ def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -
         shutil.rmtree(root)
 
 
-def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, seed: int = 13) -> int:
+def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, version: int, seed: int = 13) -> int:
     """Kill this many processes at random moments while they open, recover and append.
 
-    Returns how many batches were acknowledged.
+    Returns how many batches were acknowledged. Both verifiers judge what is there when nobody is killed any more.
     """
     draw = random.Random(seed)
+    judge, batches = JUDGE[version], BATCHES_A_ROUND[version]
     acknowledged = ledgers = 0
     until = tally.kills + kills
     while tally.kills < until:
@@ -78,65 +93,48 @@ def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, s
         known = dict.fromkeys(writers, 0)
         for again in range(1, ROUNDS + 1):
             moments = tuple(draw.randrange(1, 60_000 + 25_000 * len(writers)) for _ in writers)
-            outcome = nursery(Order(str(path), writers, again, readers=int(again == ROUNDS), kill_after_us=moments))
+            readers = int(again == ROUNDS)
+            outcome = nursery(Order(str(path), writers, again * batches, readers, moments, version=version))
             known = {name: max(count, outcome.acknowledged.get(name, 0)) for name, count in known.items()}
             tally.kills += outcome.killed
             for complaint in (*outcome.wrong, *judge(path, known)):
                 tally.note(complaint, (path.name, again))
-        outcome = nursery(Order(str(path), writers, ROUNDS))  # nobody is killed, so that everything begun is finished
-        for complaint in (*outcome.wrong, *judge(path, dict.fromkeys(writers, ROUNDS))):
+        # Nobody is killed, so that everything begun is finished.
+        outcome = nursery(Order(str(path), writers, ROUNDS * batches, version=version))
+        difference = judged(Case("the end", path, True)).difference
+        everything = dict.fromkeys(writers, ROUNDS * batches)
+        for complaint in (*outcome.wrong, *judge(path, everything), *filter(None, [difference])):
             tally.note(complaint, (path.name, "the end"))
-        acknowledged += ROUNDS * len(writers)
+        acknowledged += ROUNDS * batches * len(writers)
         shutil.rmtree(path)
     return acknowledged
 
 
-def chain_faults(folder: Path, pairs: int) -> Tally:
-    """Try the same of a writer of format 2, which appends, journals, seals and compacts; return the tally."""
-    laboratory = ChainLaboratory(folder)
-    root = folder / "calls"
-    root.mkdir()
-    calls = calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger"))
-    single_faults(laboratory, calls)
-    pairs_of_faults(laboratory, calls, pairs)
-    return laboratory.tally
-
-
-def soak(folder: Path, kills: int, pairs: int) -> Tally:
-    """Run all parts, and print a line on each."""
-    laboratory = Laboratory(folder)
-    tally = laboratory.tally
-    start = time.monotonic()
-    (folder / "chain").mkdir()
-    chain = chain_faults(folder / "chain", pairs // 10)
-    print(
-        f"{time.monotonic() - start:6.0f} s  format 2: {chain.faults:,} faults, {chain.faults_in_recovery:,} during "
-        f"the recovery, {chain.power_failures:,} power failures",
-        flush=True,
-    )
-    tally.lost, tally.torn, tally.complaints = chain.lost, chain.torn, chain.complaints
-    root = folder / "calls"
-    root.mkdir()
-    calls = calls_of(root, lambda: append_with(FaultyOs(root), root / "out" / "ledger"))
+def soak(folder: Path, kills: int, pairs: int, version: int) -> Tally:
+    """Run all parts on ledgers of this format, and print a line on each."""
     start = time.monotonic()
 
     def say(text: str) -> None:
-        print(f"{time.monotonic() - start:6.0f} s  {text}", flush=True)
+        print(f"{time.monotonic() - start:6.0f} s  format {version}: {text}", flush=True)
 
+    folder.mkdir()
+    laboratory = LABORATORY[version](folder)
+    tally, root = laboratory.tally, folder / "calls"
+    root.mkdir()
+    calls = calls_of(root, lambda: laboratory.append(FaultyOs(root), root / "out" / "ledger"))
     single_faults(laboratory, calls)
-    say(
-        f"{len(calls)} calls of two appends: {tally.faults:,} faults, {tally.power_failures:,} power failures "
-        "after them"
-    )
+    say(f"{len(calls)} calls: {tally.faults:,} faults, {tally.power_failures:,} power failures after them")
+    faults_in_recovery(laboratory, calls)
+    say(f"every call of the recovery: {tally.faults_in_recovery:,} faults")
     pairs_of_faults(laboratory, calls, pairs)
     say(
         f"{pairs:,} pairs of faults: {tally.faults_in_recovery:,} during the recovery, "
         f"{tally.power_failures:,} power failures in all"
     )
     with Nursery() as nursery:
-        kills_at_calls(laboratory, nursery, calls)
+        kills_at_calls(laboratory, nursery, calls, version)
         say(f"{tally.kills:,} processes killed, one at each call")
-        acknowledged = kills_at_moments(folder, tally, nursery, kills)
+        acknowledged = kills_at_moments(folder, tally, nursery, kills, version)
         say(
             f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} batches "
             "acknowledged beside them"
@@ -146,18 +144,22 @@ def soak(folder: Path, kills: int, pairs: int) -> Tally:
 
 def main(arguments: list[str]) -> int:
     """Print the counts. Return 0 if nothing was lost or torn, else 1."""
-    kills, pairs = (int(given) for given in [*arguments, *DEFAULTS[len(arguments) :]])
-    with tempfile.TemporaryDirectory() as folder:
-        tally = soak(Path(folder), kills, pairs)
-    print(
-        f"injected faults {tally.faults:,}, during recovery {tally.faults_in_recovery:,}, power failures "
-        f"{tally.power_failures:,}, SIGKILLs {tally.kills:,}\n"
-        f"acknowledged events lost: {tally.lost}, torn: {tally.torn}, other complaints: "
-        f"{len(tally.complaints) - tally.lost - tally.torn}"
-    )
-    for complaint in tally.complaints[:MAX_COMPLAINTS]:
-        print(complaint)
-    return 0 if tally.is_clean else 1
+    kills, pairs, formats = [*arguments, *DEFAULTS[len(arguments) :]]
+    is_clean = True
+    for version in map(int, formats):
+        with tempfile.TemporaryDirectory() as folder:
+            tally = soak(Path(folder) / "soak", int(kills), int(pairs), version)
+        print(
+            f"format {version}: injected faults {tally.faults:,}, during recovery {tally.faults_in_recovery:,}, power "
+            f"failures {tally.power_failures:,}, SIGKILLs {tally.kills:,}\n"
+            f"acknowledged events lost: {tally.lost}, torn: {tally.torn}, other complaints: "
+            f"{len(tally.complaints) - tally.lost - tally.torn}",
+            flush=True,
+        )
+        for complaint in tally.complaints[:MAX_COMPLAINTS]:
+            print(complaint)
+        is_clean = is_clean and tally.is_clean
+    return 0 if is_clean else 1
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from fsar_ledger.ledger.store.record import sha256_hex
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, in_place_of_os
 from tests.ledger.forgery import Examined, examined_once
-from tests.ledger.power import Choice, Disk
+from tests.ledger.power import Choice, Disk, choices
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
 COMMITS = 3
@@ -157,12 +157,17 @@ class Laboratory:
     def __init__(self, folder: Path):
         self.folder = folder
         self.tally = Tally()
-        append_all(folder / "reference", BATCHES)
-        self.reference = contents(folder / "reference")
-        self._examined = Examined(folder / "reference")
         self._number = 0
         self._judged: dict[str, tuple[int, list[str]]] = {}
         self._finished: dict[str, str | None] = {}
+        self._recovered: set[str] = set()
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Write what later ledgers are compared with."""
+        append_all(self.folder / "reference", BATCHES)
+        self.reference = contents(self.folder / "reference")
+        self._examined = Examined(self.folder / "reference")
 
     def _fresh(self) -> Path:
         """Return an unused path, two folders deep in an empty root."""
@@ -267,6 +272,34 @@ class Laboratory:
         root = self.folder / str(self._number)
         disk.after_power_failure(choice, root)
         return root / "out" / "ledger"
+
+    def trials_of_recovery(self, first: Fault, kinds: Sequence[str]) -> None:
+        """Let the first fault happen and, unless that was tried from the same state, let each call of the recovery fail
+        in turn, in one of these ways; then let the power fail."""
+        path = self._fresh()
+        root = path.parent.parent
+        acknowledged = self.append(FaultyOs(root, first), path).acknowledged
+        self.tally.faults += 1
+        if (state := _state(path)) not in self._recovered:
+            self._recovered.add(state)
+            at, is_at_end = 0, False
+            while not is_at_end:
+                again = self.folder / f"{root.name}-{at}"
+                shutil.copytree(root, again)
+                fault = Fault(at, kinds[at % len(kinds)])
+                is_at_end = self._recover(again, path.relative_to(root), fault, acknowledged, (first, fault))
+                shutil.rmtree(again)
+                at += 1
+        shutil.rmtree(root)
+
+    def _recover(self, root: Path, name: Path, fault: Fault, acknowledged: int, where: object) -> bool:
+        """Open the ledger and close it, with this fault. Returns whether that was done before the fault."""
+        faulty = FaultyOs(root, fault)
+        acknowledged = max(acknowledged, self.append(faulty, root / name, 0).acknowledged)
+        self.tally.faults_in_recovery += faulty.was_hit
+        self.finish(root / name, self.judge(root / name, acknowledged, where), where)
+        self._fail_power(faulty.disk, acknowledged, choices(fault.at, 1)[fault.at % 5 :: 3], where)
+        return len(faulty.calls) <= fault.at
 
     def trial_after_power_failure(self, first: Fault, choice: Choice, second: Fault) -> None:
         """Let the first fault happen, then a power failure, then a second fault during the recovery."""

@@ -20,18 +20,24 @@ from types import TracebackType
 
 import msgspec
 
+from tests.ledger import chain_crowd, crowd
+from tests.ledger.chain_trials import STEPS, write_with
 from tests.ledger.crash_trials import INTERRUPTED, append_with, encode_all
-from tests.ledger.crowd import watch, write
 from tests.ledger.faults import Fault, FaultyOs
 
 STUCK_AFTER_S = 120
+
+WRITE = {1: crowd.write, 2: chain_crowd.write}
+WATCH = {1: crowd.watch, 2: chain_crowd.watch}
+TRIAL = {1: (append_with, INTERRUPTED), 2: (write_with, len(STEPS))}
+"""What a writer, a reader, and the process of a trial do, by format version."""
 
 
 class Order(msgspec.Struct, frozen=True):
     """What the nursery does at a path: these writers append this many batches each, while this many readers watch.
 
     `kill_after_us` has a moment for each writer that is killed, counted from its start. With a fault, one process
-    appends the batches of the trials and is killed at that call.
+    appends the batches of the trials and is killed at that call. In format 2, a batch is a step of `chain_crowd`.
     """
 
     path: str
@@ -41,6 +47,7 @@ class Order(msgspec.Struct, frozen=True):
     kill_after_us: tuple[int, ...] = ()
     fault_at: int | None = None
     fault_kind: str = "killed"
+    version: int = 1
 
 
 class Outcome(msgspec.Struct, frozen=True):
@@ -79,13 +86,15 @@ def obey(order: Order) -> Outcome:
     listen, pipe = os.pipe()
     stop, stopper = os.pipe()
     readers = [
-        _child(partial(_watch_until, stopper, path, stop), f"reader {number}", pipe) for number in range(order.readers)
+        _child(partial(_watch_until, order.version, stopper, path, stop), f"reader {number}", pipe)
+        for number in range(order.readers)
     ]
     start = time.monotonic_ns()
     if order.fault_at is not None:
         fault = Fault(order.fault_at, order.fault_kind)
-        writers = [_child(partial(_fail, path, fault), "trial", pipe)]
+        writers = [_child(partial(_fail, order.version, path, fault), "trial", pipe)]
     else:
+        write = WRITE[order.version]
         writers = [_child(partial(write, path, name, order.batches), name, pipe) for name in order.writers]
     os.close(pipe)
     os.close(stop)
@@ -110,18 +119,15 @@ def obey(order: Order) -> Outcome:
     )
 
 
-def _watch_until(stopper: int, path: Path, stop: int, say: Callable[[str, object], None]) -> None:
+def _watch_until(version: int, stopper: int, path: Path, stop: int, say: Callable[[str, object], None]) -> None:
     os.close(stopper)
-    watch(path, stop, say)
+    WATCH[version](path, stop, say)
 
 
-def _fail(path: Path, fault: Fault, say: Callable[[str, object], None]) -> None:
-    append_with(
-        FaultyOs(path.parent.parent, fault, really_kills=True),
-        path,
-        INTERRUPTED,
-        lambda commits: say("acknowledged", commits),
-    )
+def _fail(version: int, path: Path, fault: Fault, say: Callable[[str, object], None]) -> None:
+    work, steps = TRIAL[version]
+    faulty = FaultyOs(path.parent.parent, fault, really_kills=True)
+    work(faulty, path, steps, lambda count: say("acknowledged", count))
 
 
 def _gather(listen: int, writers: list[int], stopper: int, readers: list[int]) -> tuple[bytes, list[int]]:

@@ -78,24 +78,27 @@ def is_placed(report: VerifyReport, places: Iterable[str]) -> bool:
 
 
 def _names(problem: Problem, place: str) -> bool:
-    is_stray = "a stray file" in problem.found or "a file of no commit" in problem.found
+    is_stray = any(
+        problem.found == stray for stray in ("a stray file", "a file of no commit", "a file of no placement")
+    )
     if place.startswith(("commits/", "segments/")) and problem.commit is None and not is_stray:
         return False
-    return problem.where == place or (place.endswith((".json", "checkpoint")) and place in str(problem))
+    return problem.where == place or (place.endswith((".json", ".jsonl", "checkpoint")) and place in str(problem))
 
 
 def cases(path: Path) -> Iterator[Case]:
     """Yield each damage to whole files: any removed, emptied, extended or replaced, and any two of a kind exchanged."""
     names = files_of(path)
     for name in names:
-        yield from _alone(path, name)
+        yield from alone(path, name)
     for one, other in combinations(names, 2):
         if kind_of(one).rpartition(" ")[2] == kind_of(other).rpartition(" ")[2]:
             yield from _together(path, one, other)
     yield from _strays(path)
 
 
-def _alone(path: Path, name: str) -> Iterator[Case]:
+def alone(path: Path, name: str) -> Iterator[Case]:
+    """Yield each damage to this file alone."""
     file, data, places = path / name, (path / name).read_bytes(), frozenset({name})
 
     def put_beside() -> None:

@@ -1,8 +1,11 @@
 """Try every single-bit flip and every length of every file of a ledger, and files in each other's place: `python -m
-tests.ledger.damage_soak`.
+tests.ledger.damage_soak [FORMAT [STEP]]`, by default of both formats.
 
-Each damage is made alone. `verify` looks at the whole ledger, and must find it and name the file. Unchanged segments
-are decoded only once. Prints counts by kind of file; exits with 1 if a damage is not found or not placed.
+Each damage is made alone. `verify` looks at the whole ledger, and must find it and name the file. Of ledgers of format
+2, one was closed, one left open, and one cut short within an append: there, and only there, a damage may pass for one
+that a crash leaves, by the rule in `chain_damage`. With a STEP, only every so many bytes of segments are tried.
+Unchanged segments are decoded only once. Prints counts by kind of file; exits with 1 if a damage is not found or not
+placed.
 """
 
 import os
@@ -11,17 +14,21 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from itertools import combinations
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.damage import SIGNER, cases, files_of, flips, is_placed, kind_of, write_ledger
+from tests.ledger.chain_damage import LEDGERS, Allowance, chain_cases, look, write_closed
+from tests.ledger.damage import SIGNER, Case, cases, files_of, flips, is_placed, kind_of, write_ledger
 from tests.ledger.forgery import examined_once
+from tests.ledger.once import decoded_once
 
 SIZES = (280, 20)
 SWAPPED_SIZES = (130, 130, 20, 20)
@@ -30,32 +37,33 @@ CHUNK = 512
 
 
 class Task(NamedTuple):
-    """A part of one file: each bit from byte `first` to before `last` is flipped, or the file is cut to each of these
-    lengths."""
+    """A part of one file: each bit of each of these bytes is flipped, or the file is cut to each of these lengths."""
 
     name: str
     is_cut: bool
-    first: int
-    last: int
+    at: range
 
 
 class Tally(NamedTuple):
-    """How many damages were tried, found, and found in their place; and the first that was missed."""
+    """How many damages were tried, found, found in their place, and left as a crash may; and the first that was
+    missed."""
 
     kind: str
     tried: int
     found: int
     placed: int
+    left: int = 0
     missed: str = ""
 
 
-def tasks(path: Path) -> Iterator[Task]:
+def tasks(path: Path, step: int = 1) -> Iterator[Task]:
     """Yield every flip and every length of every file, in parts."""
     for name in files_of(path):
         size = (path / name).stat().st_size
+        step_here = step if name.endswith(".parquet") else 1
         for first in range(0, size, CHUNK):
             for is_cut in (False, True):
-                yield Task(name, is_cut, first, min(size, first + CHUNK))
+                yield Task(name, is_cut, range(first, min(size, first + CHUNK), step_here))
 
 
 def try_all(place: tuple[str, str], part: Sequence[Task]) -> list[Tally]:
@@ -63,29 +71,39 @@ def try_all(place: tuple[str, str], part: Sequence[Task]) -> list[Tally]:
     folder, ledger = place
     with tempfile.TemporaryDirectory(dir=folder) as mine:
         path = Path(shutil.copytree(ledger, Path(mine) / "ledger"))
-        with examined_once(path):
-            return [_try(path, task) for task in part]
+        is_chained = (path / "chain.jsonl").exists()
+        with decoded_once() if is_chained else examined_once(path):
+            allowance = Allowance(path) if is_chained else None
+            return [_try(path, task, Path(ledger).name if is_chained else "", allowance) for task in part]
 
 
-def _try(path: Path, task: Task) -> Tally:
+def _try(path: Path, task: Task, label: str, allowance: Allowance | None) -> Tally:
     file = path / task.name
     good = file.read_bytes()
-    kind = f"{kind_of(task.name)}: {'lengths' if task.is_cut else 'bits'}"
-    tried = found = placed = 0
+    counts = Counter[str]()
     missed = ""
-    damaged = (
-        (good[:length] for length in range(task.first, task.last))
-        if task.is_cut
-        else flips(good, task.first, task.last)
-    )
-    for data in damaged:
-        file.write_bytes(data)
-        report = verify(path)
-        tried, found, placed = tried + 1, found + (not report.ok), placed + is_placed(report, {task.name})
-        if placed < tried and not missed:
-            missed = f"{task}, damage {tried - 1}: {report.problems[:3]}"
+    for at in task.at:
+        for data in [good[:at]] if task.is_cut else flips(good, at, at + 1):
+            file.write_bytes(data)
+            if allowance is not None:
+                found = look(path, allowance, task.name, at, is_cut=task.is_cut)
+            else:
+                report = verify(path)
+                found = "placed" if is_placed(report, {task.name}) else "missed" if report.ok else "found"
+            counts[found] += 1
+            if found in ("missed", "found") and not missed:
+                missed = f"{task}, byte {at}: {verify(path).problems[:3]}"
     file.write_bytes(good)
-    return Tally(kind, tried, found, placed, missed)
+    kind = f"{label}{': ' * bool(label)}{kind_of(task.name)}: {'lengths' if task.is_cut else 'bits'}"
+    return Tally(kind, counts.total(), counts["found"] + counts["placed"], counts["placed"], counts["left"], missed)
+
+
+def _tried(kind: str, case: Case, path: Path, asked: Asked | None = None, expected: str = "") -> Tally:
+    """Make this damage to whole files, and return whether it is found in its place."""
+    case.do()
+    report = verify(path, asked=asked)
+    is_right = is_placed(report, case.places) and expected in report.problems[0].expected
+    return Tally(kind, 1, not report.ok, is_right, 0, "" if is_right else f"{case.name}: {report.problems[:3]}")
 
 
 def try_places(folder: Path) -> Iterator[Tally]:
@@ -93,66 +111,82 @@ def try_places(folder: Path) -> Iterator[Tally]:
     path = folder / "swapped" / "ledger"
     write_ledger(path, SWAPPED_SIZES, folder / "snapshots")
     with examined_once(path):
-        for case in list(cases(path)):
-            case.do()
-            report = verify(path)
-            is_right = is_placed(report, case.places)
-            yield Tally(
-                "files removed, replaced, exchanged, replayed, added",
-                1,
-                not report.ok,
-                is_right,
-                "" if is_right else f"{case.name}: {report.problems[:3]}",
-            )
-            shutil.rmtree(folder / "swapped")
-            shutil.copytree(folder / "snapshots" / str(len(SWAPPED_SIZES)), path)
-    for kept in range(1, len(SWAPPED_SIZES)):
-        for number in range(kept + 1, len(SWAPPED_SIZES) + 1):
-            for is_quick in (False, True):
-                anchor = read_anchor(folder / "snapshots" / str(number) / "checkpoint")
-                report = verify(folder / "snapshots" / str(kept), asked=Asked(is_quick, SIGNER.verifier, anchor))
-                is_right = not report.ok and "the newest were removed" in report.problems[0].expected
-                yield Tally(
-                    "tails dropped from all files, with an anchor",
-                    1,
-                    not report.ok,
-                    is_right,
-                    "" if is_right else f"{kept} of {number}: {report}",
-                )
+        yield from _places(folder, path, cases, range(1, len(SWAPPED_SIZES) + 1))
 
 
-def main() -> int:
-    """Try and count every damage; return 0 if each was found and placed."""
-    began = time.monotonic()
-    workers = len(os.sched_getaffinity(0))
-    with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as place:
-        folder = Path(place)
-        write_ledger(folder / "ledger", SIZES)
-        assert verify(folder / "ledger").ok
-        every = list(tasks(folder / "ledger"))
+def try_chain_places(folder: Path) -> Iterator[Tally]:
+    """Do the same to a ledger of format 2."""
+    path = folder / "swapped" / "ledger"
+    write_closed(path, folder / "snapshots")
+    with decoded_once():
+        yield from _places(folder, path, chain_cases, range(len(os.listdir(folder / "snapshots"))))
+
+
+def _places(
+    folder: Path, path: Path, damages: Callable[[Path], Iterator[Case]], snapshots: Sequence[int]
+) -> Iterator[Tally]:
+    for case in list(damages(path)):
+        yield _tried("files removed, replaced, exchanged, replayed, added", case, path)
+        shutil.rmtree(folder / "swapped")
+        shutil.copytree(folder / "snapshots" / str(snapshots[-1]), path)
+    for kept, number in combinations(snapshots, 2):
+        anchor = read_anchor(folder / "snapshots" / str(number) / "checkpoint")
+        ledger = folder / "snapshots" / str(kept)
+        if anchor.note is None or anchor.note.checkpoint.size == open_ledger(ledger).head.size:
+            continue  # nothing was added in between: segments were compacted
+        for is_quick in (False, True):
+            asked = Asked(is_quick, SIGNER.verifier, anchor)
+            case = Case(f"{kept} of {number}", lambda: None, frozenset({anchor.file}))
+            yield _tried("tails dropped from all files, with an anchor", case, ledger, asked, "the newest were removed")
+
+
+def tallies_of(place: str, version: int, step: int) -> Iterator[Tally]:
+    """Try every damage to ledgers of this format."""
+    folder = Path(place) / str(version)
+    folder.mkdir()
+    yield from (try_places, try_chain_places)[version - 1](folder)
+    ledgers = ["ledger"] if version == 1 else list(LEDGERS)
+    for name in ledgers:
+        path = folder / "whole" / name
+        path.parent.mkdir(exist_ok=True)
+        write_ledger(path, SIZES) if version == 1 else LEDGERS[name](path)
+        assert verify(path).ok
+        every = list(tasks(path, step))
         parts = [every[at::64] for at in range(64)]
-        tallies = list(try_places(folder))
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            for done, found in enumerate(pool.map(try_all, [(place, str(folder / "ledger"))] * len(parts), parts)):
-                tallies += found
+        with ProcessPoolExecutor(len(os.sched_getaffinity(0)), mp_context=get_context("spawn")) as pool:
+            for done, found in enumerate(pool.map(try_all, [(str(folder), str(path))] * len(parts), parts)):
+                yield from found
                 if sys.stderr.isatty():
                     print(f"\r{done + 1} of {len(parts)} parts", end="", file=sys.stderr)
-        assert verify(folder / "ledger").ok
-    counts: dict[str, Counter[str]] = {}
-    for tally in tallies:
-        counts.setdefault(tally.kind, Counter()).update(tried=tally.tried, found=tally.found, placed=tally.placed)
-    print(f"{'damage':52}{'tried':>9}{'found':>9}{'placed':>9}")
-    for kind, count in sorted(counts.items()):
-        print(f"{kind:52}{count['tried']:9,}{count['found']:9,}{count['placed']:9,}")
-    missed = [tally.missed for tally in tallies if tally.missed]
-    print("\n".join(missed[:10]))
-    total = sum((count for count in counts.values()), Counter())
-    print(
-        f"{total['tried']:,} damages of a ledger of {sum(SIZES)} events, {total['found']:,} found, "
-        f"{total['placed']:,} placed; {time.monotonic() - began:.0f} s"
-    )
-    return 0 if total["tried"] == total["found"] == total["placed"] > 0 else 1
+        assert verify(path).ok
+
+
+def main(arguments: list[str]) -> int:
+    """Try and count every damage; return 0 if each was found and placed."""
+    formats, step = [*arguments, *("12", "1")[len(arguments) :]]
+    is_right = True
+    for version in map(int, formats):
+        began = time.monotonic()
+        with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as place:
+            tallies = list(tallies_of(place, version, int(step)))
+        counts: dict[str, Counter[str]] = {}
+        for tally in tallies:
+            counts.setdefault(tally.kind, Counter()).update(
+                tried=tally.tried, found=tally.found, placed=tally.placed, left=tally.left
+            )
+        print(f"{f'format {version}: damage':58}{'tried':>9}{'found':>9}{'placed':>9}{'left':>9}")
+        for kind, count in sorted(counts.items()):
+            print(f"{kind:58}{count['tried']:9,}{count['found']:9,}{count['placed']:9,}{count['left']:9,}")
+        print("\n".join([tally.missed for tally in tallies if tally.missed][:10]))
+        total = sum((count for count in counts.values()), Counter())
+        print(
+            f"format {version}: {total['tried']:,} damages, {total['found']:,} found, {total['placed']:,} placed, "
+            f"{total['left']:,} left as a crash leaves them; {time.monotonic() - began:.0f} s",
+            flush=True,
+        )
+        is_right = is_right and total["tried"] - total["left"] == total["found"] == total["placed"] > 0
+    return 0 if is_right else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))

@@ -222,6 +222,13 @@ def faults_at(calls: list[str]) -> Iterator[Fault]:
                 yield Fault(at, kind)
 
 
+def one_fault_a_call(calls: list[str]) -> Iterator[Fault]:
+    """Yield, for each call, a kill or another kind of fault in turn."""
+    for at, name in enumerate(calls):
+        kinds = [kind for kind in KINDS if name in WRITES or kind not in OF_WRITES]
+        yield Fault(at, kinds[at // 2 % len(kinds)] if at % 2 else "killed")
+
+
 def calls_of(root: Path, work: Callable[[], object]) -> list[str]:
     """Return the counted calls of this work when nothing fails."""
     with in_place_of_os(FaultyOs(root)) as faulty:

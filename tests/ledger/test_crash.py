@@ -19,7 +19,7 @@ from fsar_ledger.ledger.store.append import Writer, stage
 from tests.ledger.crash_trials import BATCHES, COMMITS, INTERRUPTED, Laboratory, Session, append_with
 from tests.ledger.crash_writer import Nursery, Order
 from tests.ledger.crowd import NAMES, judge
-from tests.ledger.faults import KINDS, OF_WRITES, REFUSED, Fault, FaultyOs, calls_of, faults_at
+from tests.ledger.faults import KINDS, REFUSED, Fault, FaultyOs, calls_of, faults_at, one_fault_a_call
 from tests.ledger.power import choices
 from tests.ledger.samples import ORIGIN, append_all, contents
 from tests.quick import few
@@ -36,13 +36,6 @@ def calls(tmp_path: Path) -> list[str]:
     root = tmp_path / "calls"
     root.mkdir()
     return calls_of(root, lambda: append_with(FaultyOs(root), root / "out" / "ledger"))
-
-
-def one_fault_a_call(calls: list[str]) -> Iterator[Fault]:
-    """Yield, for each call, a kill or another kind of fault in turn."""
-    for at, name in enumerate(calls):
-        kinds = [kind for kind in KINDS if name == "write" or kind not in OF_WRITES]
-        yield Fault(at, kinds[at // 2 % len(kinds)] if at % 2 else "killed")
 
 
 def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.ledger.store.read import LedgerView
-from tests.ledger.flips import Answer, chosen, outcomes, undamaged, write_runs
+from tests.ledger.flips import CHAIN_KINDS, Answer, chosen, outcomes, undamaged, write_runs
 
 SAMPLED = ("metrics", "explain", "prove")
 """The quick ones; the soak asks every command."""
@@ -48,6 +48,17 @@ def test_no_flipped_bit_changes_an_answer(ledger: Ledger) -> None:
     tiles = tried(ledger, good, 1, {"full tiles": 1})
     assert tiles["wrong"] == 0
     assert tiles["same"] >= 2  # no other answer rests on tiles
+
+
+@pytest.mark.slow
+def test_no_flipped_bit_of_a_ledger_of_format_2_changes_an_answer(tmp_path: Path) -> None:
+    path, out = tmp_path / "ledger", tmp_path / "out"
+    out.mkdir()
+    write_runs(path, 2)
+    good = undamaged(path, out, SAMPLED)
+    found = tried((path, out), good, 30, CHAIN_KINDS)
+    assert found["wrong"] == 0
+    assert found["refused"] >= 30
 
 
 @pytest.mark.slow

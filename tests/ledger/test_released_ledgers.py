@@ -16,15 +16,23 @@ from fsar_ledger.cli.app import run
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.compacting import compact
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode, encode_hashed
 from fsar_ledger.ledger.rows.releases import RELEASE, parse_columns
 from fsar_ledger.ledger.rows.schema import LAYOUTS, RETIRED, SCHEMA, described
+from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.keys import read_verifier
 from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.upgrading import upgrade
+from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.writing import open_writer
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.library import staging_sql, view_name
+from tests.ledger.agreement import Case, judged
 from tests.ledger.bomb_trial import cost_of
 from tests.ledger.bombs import base_ledger, commit, runs
 from tests.ledger.keep_release import COLUMNS, LEDGERS, Kept, keep, stored_types
@@ -200,6 +208,32 @@ def test_a_writer_of_today_continues_a_kept_ledger(path: Path, kept: Kept, tmp_p
     copy = shutil.copytree(path, tmp_path / "ledger")
     head = append_all(copy, made_up_batches(1), origin=open_ledger(path).manifest.origin)
     assert (head.size, verify(copy).root) == (kept.events + 24, head.root)
+
+
+@pytest.mark.parametrize("version", few(VERSIONS, [VERSIONS[0]]))
+def test_a_kept_ledger_is_continued_in_each_format_and_both_verifiers_agree(
+    version: str, path: Path, kept: Kept, tmp_path: Path
+) -> None:
+    key, origin = read_verifier(kept.key), open_ledger(path).manifest.origin
+    old, new = Path(shutil.copytree(path, tmp_path / "old")), tmp_path / "new"
+    assert upgrade(path, new).root == kept.root
+    assert judged(Case("upgraded", new, True, key)).difference == ""
+    [runs] = made_up_batches(1)
+    for ledger in (old, new):
+        with open_writer(ledger, origin) as writer:
+            writer.append(stage(ledger, runs[:1]))
+            if isinstance(writer, ChainWriter):
+                writer.add(runs[1:])
+            else:
+                writer.append(stage(ledger, runs[1:]))
+            root = writer.head.root
+        report = verify(ledger, asked=Asked(anchor=read_anchor(path / "checkpoint")))
+        assert (report.problems, report.events, report.anchored) == ((), kept.events + 24, kept.events)
+        assert report.root == root == open_for_answers(old).head.root
+        assert judged(Case("continued", ledger, True, anchor=path / "checkpoint")).difference == ""
+        if isinstance(writer, ChainWriter):
+            compact(ledger)
+            assert judged(Case("compacted", ledger, True, anchor=path / "checkpoint")).difference == ""
 
 
 def test_a_kept_release_is_never_written_again(tmp_path: Path) -> None:

@@ -5,12 +5,15 @@ record     the lines of a chain: commits, and placements of their rows
 links      follow a chain line by line
 journal    commits whose rows are not in a segment yet
 tables     rows of a journal as columns
-nodes      the pack of the tree on disk
+derived    the pack of the tree, and the index, on disk
+index      which runs are where
+groups     which segments share runs
 paths      where the files are
 read       ChainView: what is committed
 checkpoint the file `checkpoint`, which may be behind
 prepare    what a writer does before it appends
 held       which runs a ledger holds, and how far
+compact    which segments are put together
 append     ChainWriter
 ```
 """

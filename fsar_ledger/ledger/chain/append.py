@@ -27,7 +27,7 @@ from fsar_ledger.ledger.chain.derived import append_derived
 from fsar_ledger.ledger.chain.held import HeldRuns
 from fsar_ledger.ledger.chain.index import index_line
 from fsar_ledger.ledger.chain.journal import Frame, JournalFile
-from fsar_ledger.ledger.chain.prepare import create, repair
+from fsar_ledger.ledger.chain.prepare import repair
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.chain.tables import stage_table
@@ -45,9 +45,9 @@ from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.append import Staged
 from fsar_ledger.ledger.store.held import Held
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING, staged_path
-from fsar_ledger.ledger.store.prepare import lock
+from fsar_ledger.ledger.store.prepare import create, lock, require_name
 from fsar_ledger.ledger.store.read import read_manifest
-from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.ledger.store.record import CHAINED, sha256_hex
 from fsar_ledger.ledger.store.view import Head
 
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
@@ -72,7 +72,8 @@ class ChainWriter:
     """
 
     def __init__(self, ledger: Path, origin: str, signer: Signer | None = None, *, adopts: bool = False):
-        create(ledger, origin)
+        require_name(origin, signer.verifier if signer is not None else None)
+        create(ledger, origin, CHAINED)
         self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
         self._is_broken = False
         self._pieces: list[LedgerRun] = []  # what this writer added to the journal that is there

@@ -4,11 +4,13 @@ It is written after each append to the chain, and when a writer closes the ledge
 So it may be behind by the commits that the journal holds, and, after a crash, by the last append to the chain.
 """
 
+import msgspec
+
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.store.derived import read_checkpoint
 from fsar_ledger.ledger.store.paths import CHECKPOINT
-from fsar_ledger.ledger.store.problem import Problem, refusal
+from fsar_ledger.ledger.store.problem import Problem
 
 
 def behind(view: ChainView) -> int:
@@ -16,7 +18,19 @@ def behind(view: ChainView) -> int:
 
     Raises: LedgerCorrupted if it is the note of none of them, or of none that a crash leaves.
     """
-    found = read_checkpoint(view.path)
+    found = covered(view)
+    if isinstance(found, Problem):
+        raise LedgerCorrupted(f"{view.path}/{found}; run fsar-ledger verify, and fsar-ledger recover if it says so")
+    return found
+
+
+def covered(view: ChainView) -> int | Problem:
+    """Return how many of the newest commits the checkpoint does not cover, or why it is no note that a crash leaves."""
+    try:
+        found = read_checkpoint(view.path)
+    except LedgerCorrupted as error:
+        reason = error.__cause__.strerror if isinstance(error.__cause__, OSError) else "not text"
+        return Problem(CHECKPOINT, f"an unreadable file ({reason})", "the note of a commit")
     commits, origin = view.commits, view.manifest.origin
     for back in range(len(commits) + 1):
         number = len(commits) - back
@@ -25,18 +39,15 @@ def behind(view: ChainView) -> int:
             return back
         if number and commits[number - 1].tree_size <= view.chain.settled:
             break
-    raise LedgerCorrupted(
-        f"{CHECKPOINT}: found {'no file' if found is None else f'{found!r:.400}'}, expected the note of the newest "
-        "commit, or of one since which a crash leaves none"
+    return Problem(
+        CHECKPOINT,
+        "no file" if found is None else f"{found!r:.400}",
+        "the note of the newest commit, or of one since which a crash leaves none",
     )
 
 
 def check_chain_checkpoint(view: ChainView) -> list[Problem]:
     """Compare the file with the notes of the newest commits. Returns the problems."""
-    try:
-        behind(view)
-    except LedgerCorrupted as error:
-        number = len(view.commits) - 1 if view.commits else None
-        found, _, expected = refusal(CHECKPOINT, error)[1:-1].removeprefix("found ").partition(", expected ")
-        return [Problem(CHECKPOINT, found, expected or "the newest note", commit=number)]
-    return []
+    found = covered(view)
+    number = len(view.commits) - 1 if view.commits else None
+    return [msgspec.structs.replace(found, commit=number)] if isinstance(found, Problem) else []

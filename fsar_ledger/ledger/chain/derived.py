@@ -40,8 +40,10 @@ def read_node(ledger: Path, place: int) -> bytes:
 def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:
     """Write these bytes, durably, to a derived file after the first so many, which are there.
 
-    What is there already beyond is replaced. Raises: OSError.
+    What is there already beyond is replaced. Of a new file the name is durable, too: a checkpoint must never be there
+    without it. Raises: OSError.
     """
+    is_new = not os.path.lexists(ledger / name)
     handle = os.open(ledger / name, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
         size = os.fstat(handle).st_size
@@ -52,6 +54,8 @@ def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:
         os.fdatasync(handle)
     finally:
         os.close(handle)
+    if is_new:
+        disk.sync_folder(ledger)
 
 
 def derived_sizes(chain: Chain) -> dict[str, int]:

@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.ledger.chain.links import Chain
-from fsar_ledger.ledger.chain.paths import JOURNAL
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.chain.record import Commit, parse_line
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
 from fsar_ledger.ledger.log.merkle import Frontier
@@ -36,7 +36,8 @@ class Journal(msgspec.Struct):
     """What a journal holds: its frames, the tree after them, and the bytes up to the end of the last one.
 
     `leaves` are the packed leaf hashes of all rows. `problem` says where it contradicts the chain or itself, if not
-    merely its last frame is torn.
+    merely its last frame is torn. One that `is_sealed` holds nothing any more; as long as it is there, its sealing may
+    not be finished.
     """
 
     frames: list[Frame]
@@ -45,6 +46,7 @@ class Journal(msgspec.Struct):
     end: int = 0
     torn: int = 0
     problem: Problem | None = None
+    is_sealed: bool = False
 
     @property
     def last(self) -> int:
@@ -77,7 +79,7 @@ def read_frames(data: bytes, chain: Chain) -> Journal:
     """
     text = data.rstrip(b"\0")
     if _is_sealed(text, chain):
-        return Journal([], chain.tree(), bytearray())
+        return Journal([], chain.tree(), bytearray(), is_sealed=True)
     lines = text.split(b"\n")
     rest = lines.pop()  # empty, unless the last line is torn
     frames: list[Frame] = []
@@ -94,6 +96,7 @@ def read_frames(data: bytes, chain: Chain) -> Journal:
         shas.append(chain.sha256)
         at += 1 + commit.rows
     leaves = [leaves_of(frame.rows) for frame in frames]
+    contradicts = problem is not None and problem.field is not None  # a record that can be read, which no crash leaves
     if frames and _tree(before, leaves).root().hex() != frames[-1].commit.tree_root:
         at -= 1 + frames[-1].commit.rows
         problem = _wrong_rows(frames.pop().commit)
@@ -101,10 +104,10 @@ def read_frames(data: bytes, chain: Chain) -> Journal:
         shas.pop()
         chain.forget(len(chain.commits) - 1, shas[-1])
         if frames and _tree(before, leaves).root().hex() != frames[-1].commit.tree_root:
-            return Journal([], before, bytearray(), problem=_wrong_rows(frames[-1].commit))
+            return Journal([], before, bytearray(), problem=_first_wrong(before, frames))
     for frame in frames:
         end += size_of(frame)
-    is_damage = problem is not None and _has_later_frame(lines[at:], len(chain.commits))
+    is_damage = contradicts or (problem is not None and _has_later_frame(lines[at:], len(chain.commits)))
     return Journal(
         frames,
         _tree(before, leaves),
@@ -125,7 +128,7 @@ def _is_sealed(text: bytes, chain: Chain) -> bool:
         first = parse_line(text.partition(b"\n")[0])
     except ValueError:
         return False
-    return isinstance(first, Commit) and first.number < len(chain.commits)
+    return isinstance(first, Commit) and first in chain.commits[first.number : first.number + 1]
 
 
 def _commit(line: bytes, chain: Chain) -> tuple[Commit | None, Problem | None]:
@@ -135,12 +138,21 @@ def _commit(line: bytes, chain: Chain) -> tuple[Commit | None, Problem | None]:
     except ValueError as error:
         return None, Problem(JOURNAL, f"no record ({error})", "one as it is written", commit=number)
     if not isinstance(record, Commit):
-        return None, Problem(JOURNAL, "a placement", "commits and their rows", commit=number)
+        return None, Problem(JOURNAL, "a placement", "commits and their rows", number, field="kind")
     doubt = next(chain.doubts(record), None)
     if doubt is None:
         return record, None
     name, found, expected = doubt
-    return None, Problem(JOURNAL, f"{found!r}", f"{expected}", commit=number, field=name)
+    return None, Problem(JOURNAL, f"{found!r}", f"{expected}, as {CHAIN} and the frames before say", number, field=name)
+
+
+def _first_wrong(before: Frontier, frames: Sequence[Frame]) -> Problem:
+    """Return which of these frames, of which the last has a wrong root, is the first with one."""
+    for frame in frames:
+        before = before.extend(leaves_of(frame.rows))
+        if before.root().hex() != frame.commit.tree_root:
+            break
+    return _wrong_rows(frame.commit)
 
 
 def _wrong_rows(commit: Commit) -> Problem:
@@ -150,15 +162,21 @@ def _wrong_rows(commit: Commit) -> Problem:
 
 
 def _has_later_frame(lines: Sequence[bytes], expected: int) -> bool:
-    """Return whether these lines hold the record of a commit after the expected one, so that not only it is torn."""
+    """Return whether these lines hold the record of a commit after the expected one, so that not only it is torn.
+
+    A record ends with its line, but may begin within it: the line feed before it may be what was damaged.
+    """
     for line in lines:
-        if line.startswith(b'{"') and b'"kind":"commit"' in line:
+        at = line.find(b'{"') if b'"kind":"commit"' in line else -1
+        while at >= 0:
             try:
-                record = parse_line(line)
+                record = parse_line(line[at:])
             except ValueError:
+                at = line.find(b'{"', at + 1)
                 continue
             if isinstance(record, Commit) and record.number > expected:
                 return True
+            break
     return False
 
 
@@ -182,7 +200,9 @@ class JournalFile:
         """
         if self._handle < 0:
             is_new = not os.path.lexists(self._path)
-            self._handle = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+            # What a sealed journal left, which could not be removed, goes first.
+            how = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | (0 if end else os.O_TRUNC)
+            self._handle = os.open(self._path, how, 0o666)
             self._room = os.fstat(self._handle).st_size
             if is_new:
                 disk.sync_folder(self._path.parent)

@@ -2,7 +2,8 @@
 
 `chain.jsonl` only grows, by whole appends, and each append ends with a placement: commits and the segment that holds
 their rows. So what follows the last placement is an append that was interrupted, torn anywhere, and nothing of it was
-acknowledged. More after a later placement is damage.
+acknowledged. More after a later placement is damage; so is a line that can be read and contradicts those before it,
+since no crash leaves one.
 """
 
 import hashlib
@@ -15,6 +16,7 @@ from fsar_ledger.ledger.chain.paths import CHAIN
 from fsar_ledger.ledger.chain.record import MAX_LINE_BYTES, Commit, Placement, Record, parse_line
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
+from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.problem import Problem
 
 Doubt = tuple[str, object, object]
@@ -117,7 +119,8 @@ class Chain:
                 else f"one of {', '.join(sorted(FINGERPRINTS))}",
             )
         if record.previous_sha256 != self.sha256:
-            yield "previous_sha256", record.previous_sha256, f"{self.sha256}, the SHA-256 of the line before"
+            before = "the line before" if self.commits else MANIFEST
+            yield "previous_sha256", record.previous_sha256, f"{self.sha256}, the SHA-256 of {before}"
         if isinstance(record, Commit):
             yield from self._of_commit(record)
         else:
@@ -197,7 +200,7 @@ def follow(data: bytes, chain: Chain) -> Followed:
             if isinstance(record, Placement):
                 last, end, commits, sha256 = end, at, len(chain.commits), chain.sha256
     chain.forget(commits, sha256)
-    if problem is not None and _has_later_append(data, at):
+    if problem is not None and (problem.field is not None or _has_later_append(data, at)):
         return Followed(end, problem=problem, last=last)
     return Followed(end, len(data) - end, last=last)
 

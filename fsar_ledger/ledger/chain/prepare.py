@@ -1,11 +1,10 @@
-"""What a writer of format 2 does before it appends: create the ledger, and finish what an interrupted one left."""
+"""What a writer of format 2 does before it appends: finish what an interrupted one left."""
 
 import os
 import stat
-from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger
+from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.checkpoint import behind
 from fsar_ledger.ledger.chain.derived import append_derived, derived_sizes
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, segment_of
@@ -13,34 +12,10 @@ from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk, growing
-from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING, is_unfinished, require_outside
+from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING
 from fsar_ledger.ledger.store.read import read_manifest
-from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest, sha256_hex
-
-
-def create(ledger: Path, origin: str) -> None:
-    """Create an empty ledger of format 2, or finish an interrupted creation; leave anything else there alone."""
-    if os.path.lexists(ledger / MANIFEST):
-        return
-    if os.path.lexists(ledger) and not os.path.isdir(ledger):
-        raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
-    require_outside(ledger.parent, str(ledger))
-    temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
-    with disk.refusals(ledger, "creating a ledger"):
-        if os.path.isdir(ledger) and not is_unfinished(ledger):
-            if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
-                return
-            raise NotALedger(
-                f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
-            )
-        for folder in (ledger, ledger / SEGMENTS, ledger / STAGING):
-            disk.make_folder(folder)
-        disk.write_temporary(temporary, canonical.document(Manifest(FORMAT, origin, CHAINED)))
-        with suppress(FileExistsError):  # another writer was quicker
-            disk.link_new(temporary, ledger / MANIFEST)
-        disk.sync_folder(ledger)
+from fsar_ledger.ledger.store.record import sha256_hex
 
 
 def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainView:
@@ -57,34 +32,22 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
     covered = behind(view)
     with disk.refusals(path, "finishing what an interrupted writer left"):
         disk.sync_folder(path)
-        _cut(path / CHAIN, view.followed.end, view.followed.torn)
-        growing.write_again(path / CHAIN, view.followed.last, view.followed.end)
+        growing.write_again(path / CHAIN, view.followed.last, view.followed.end, cuts=view.followed.torn > 0)
         if view.journal.frames:
-            _cut(path / JOURNAL, view.journal.end, view.journal.torn)
-            growing.write_again(path / JOURNAL, view.journal.last, view.journal.end)
-        elif os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
-            os.unlink(path / JOURNAL)
-            disk.sync_folder(path)
+            # What follows is torn, or room that was allotted, of which nobody knows whether it is on disk.
+            cuts = view.journal.torn > 0 or (settles and growing.size_of(path / JOURNAL) > view.journal.end)
+            growing.write_again(path / JOURNAL, view.journal.last, view.journal.end, cuts=cuts)
         _roll_forward(view)
         _clean(view, is_alone=is_alone)
-        is_settled = not covered or view.commits[-covered].tree_size > view.chain.placed_size
-        _derive(view, is_settled=is_settled)
-        if covered and (settles or not is_settled):
+        is_covered = not covered or view.commits[-covered].tree_size > view.chain.placed_size
+        _derive(view, is_settled=is_covered and not view.journal.is_sealed)
+        if covered and (settles or not is_covered):
             note = str(view.note())
             disk.write_files({path / CHECKPOINT: note.encode()}, path / STAGING)
+        if not view.journal.frames and os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
+            os.unlink(path / JOURNAL)
+            disk.sync_folder(path)
     return open_chain(path, read_manifest(path))
-
-
-def _cut(path: Path, end: int, torn: int) -> None:
-    """Take what is torn off the end of the file."""
-    if not torn:
-        return
-    handle = os.open(path, os.O_WRONLY | os.O_NOFOLLOW)
-    try:
-        os.ftruncate(handle, end)
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _roll_forward(view: ChainView) -> None:

@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.derived import read_node
+from fsar_ledger.ledger.chain.groups import groups_of
 from fsar_ledger.ledger.chain.index import Index, line_of
 from fsar_ledger.ledger.chain.journal import Journal, read_frames
 from fsar_ledger.ledger.chain.links import Chain, Followed, follow
@@ -93,14 +94,13 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def segment(self, number: int) -> Path:
         """Return this segment, after checking that it is the placed one and within the bounds.
 
-        The last may be outside the ledger: a file with the rows of the journal, which is removed when the process ends.
-
-        Raises: LedgerCorrupted if it is missing, is not as placed, or exceeds the bounds.
+        One of the journal, or compacted meanwhile, is a file elsewhere that is removed when the process ends. Raises:
+        LedgerCorrupted if it is missing, is not as placed, or exceeds the bounds.
         """
-        if number not in self.checked:
-            placed = self.chain.placed
+        if number not in self.checked or not self.checked[number].exists():
+            is_placed = number < len(self.chain.placed)
             self.checked[number] = (
-                self.placed_segment(placed[number]) if number < len(placed) else materialized(self.journal_table())
+                self._placed(self.chain.placed[number])[0] if is_placed else materialized(self.journal_table())
             )
         return self.checked[number]
 
@@ -118,6 +118,8 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         number = placement.number
         for _ in range(_TRIES):
             found = find_segment(self.path, number, placement, names)
+            if found.status is None and (elsewhere := self._compacted(placement)) is not None:
+                return elsewhere
             if found.problem is not None:
                 raise LedgerCorrupted(f"{self.path}/{found.problem}; restore the file")
             try:
@@ -128,6 +130,16 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
                 raise LedgerCorrupted(f"{self.path}/{problem}; restore the file")
             return self.path / found.file, data, check_layout(self.path / found.file, data)
         raise LedgerCorrupted(f"{self.path}/{names.place}: found no file to read, expected the segment; restore it")
+
+    def _compacted(self, placement: Placement) -> tuple[Path, bytes, Layout] | None:
+        """Return, as `_placed`, a file of this process with the rows of a segment that was compacted meanwhile."""
+        now = open_chain(self.path, canonical.document(self.manifest), is_damage_told=False)
+        if placement in now.chain.placed or placement not in now.chain.placements:
+            return None
+        number = bisect_right(now.chain.placed, placement.first, key=lambda one: one.first) - 1
+        path = materialized(now.table(number).slice(placement.first - now.first(number), placement.rows))
+        data = path.read_bytes()
+        return path, data, check_layout(path, data)
 
     def located(self, placement: Placement) -> Path:
         """Find the segment of this placement, in place or in staging, without reading it.
@@ -141,7 +153,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
 
     def leaves(self, number: int) -> bytes:
         """Return the packed leaf hashes of the rows of this segment. Raises: As `segment`."""
-        return canonical.leaves(segment.read_table(self.segment(number)))
+        return canonical.leaves(self.table(number))
 
     def is_current(self) -> bool:
         """Return whether nothing was appended since the ledger was opened.
@@ -175,13 +187,23 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
         """Yield the stored rows of each segment, in order, with these columns (None: all). Raises: As `segment`."""
         for number in range(len(self.releases)):
-            yield segment.read_table(self.segment(number), columns)
+            yield self.table(number, columns)
+
+    def table(self, number: int, columns: list[str] | None = None) -> pa.Table:
+        """Return the stored rows of this segment with these columns (None: all). Raises: As `segment`."""
+        path = self.segment(number)
+        try:
+            return segment.read_table(path, columns)
+        except LedgerCorrupted:
+            if path.exists():
+                raise
+            return segment.read_table(self.segment(number), columns)  # it was compacted meanwhile
 
     def tables_from(self, first: int, columns: list[str]) -> Iterator[pa.Table]:
         """Yield these columns of the events from this index on, a table for each segment. Raises: As `segment`."""
         for number, placement in enumerate(self.chain.placed):
             if placement.end > first:
-                table = segment.read_table(self.segment(number), columns)
+                table = self.table(number, columns)
                 yield table.slice(max(0, first - placement.first)).combine_chunks()
         if self.journal.frames:
             table = self.journal_table().select(columns)
@@ -267,7 +289,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def index_lines(self, number: int) -> list[bytes]:
         """Return the lines of the index for the events of this segment in force, by its rows. Raises: As `segment`."""
         start = self.chain.placed[number].first
-        table = segment.read_table(self.segment(number), BLOCK_COLUMNS).combine_chunks()
+        table = self.table(number, BLOCK_COLUMNS).combine_chunks()
         added = [self.chain.added[at] for at in self.chain.added_in(number)]
         return [line_of(one.first, table.slice(one.first - start, one.rows)) for one in added]
 
@@ -298,20 +320,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours."""
-        reach: dict[str, int] = {}
-        ends = list(range(len(self.releases)))
-        for number, names in enumerate(self.tables(["run_id"])):
-            for run in names.column("run_id").unique().to_pylist():
-                ends[reach.setdefault(run, number)] = number
-        groups: list[tuple[int, ...]] = []
-        first = 0
-        while first < len(ends):
-            last = at = first
-            while at <= last:
-                last, at = max(last, ends[at]), at + 1
-            groups.append(tuple(range(first, last + 1)))
-            first = last + 1
-        return groups
+        return groups_of(list(table.column("run_id").unique().to_pylist()) for table in self.tables(["run_id"]))
 
     def note(self) -> Note | None:
         """Return the note of the newest commit; None if there is none."""

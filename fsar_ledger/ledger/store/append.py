@@ -12,7 +12,6 @@ them.
 """
 
 import fcntl
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,10 +20,10 @@ from types import TracebackType
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, UsageError, WriteFailed, option
+from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, WriteFailed, option
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.log.note import Note, Signer, checkpoint_of, is_name
+from fsar_ledger.ledger.log.note import Note, Signer, checkpoint_of
 from fsar_ledger.ledger.log.tiles import Tile
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
@@ -53,7 +52,7 @@ from fsar_ledger.ledger.store.paths import (
     segment_path,
     staged_path,
 )
-from fsar_ledger.ledger.store.prepare import clean, confirm, create, lock, require_own, roll_forward
+from fsar_ledger.ledger.store.prepare import clean, confirm, create, lock, require_name, require_own, roll_forward
 from fsar_ledger.ledger.store.read import open_ledger, read_manifest
 from fsar_ledger.ledger.store.record import CommitRecord, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.view import Head
@@ -167,17 +166,8 @@ class Writer:
     """
 
     def __init__(self, ledger: Path, origin: str, signer: Signer | None = None, *, adopts: bool = False):
-        if signer is not None and signer.verifier.name != origin:
-            raise UsageError(
-                f"found a key named {signer.verifier.name}, expected {origin}, the ledger's origin; make one with "
-                f"fsar-ledger key new FILE --name {origin}"
-            )
-        if len(origin.encode(errors="replace")) > MAX_NAME_BYTES:
-            raise ValueError(f"found an origin of {len(origin)} characters, expected at most {MAX_NAME_BYTES} bytes")
-        if not is_name(origin):
-            raise ValueError(f"found origin {origin!r}, expected a printable name without spaces and plus signs")
-        if not os.path.lexists(ledger / MANIFEST):
-            create(ledger, origin)
+        require_name(origin, signer.verifier if signer is not None else None)
+        create(ledger, origin)
         manifest = parse_manifest(ledger / MANIFEST, read_manifest(ledger))
         if manifest.origin != origin:
             raise NotALedger(

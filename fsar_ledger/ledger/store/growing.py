@@ -59,21 +59,23 @@ def append_durably(path: Path, data: bytes, end: int) -> None:
         os.close(handle)
 
 
-def write_again(path: Path, start: int, end: int) -> None:
-    """Write these bytes of a file over themselves, and sync them.
+def write_again(path: Path, start: int, end: int, *, cuts: bool = False) -> None:
+    """Write these bytes of a file over themselves, cut off what follows if asked to, and sync the file, once.
 
     Its writer may have ended before it synced them, or after that had failed. Syncing alone would not do: the kernel
     may have dropped what it could not write, and would report success the second time.
 
     Raises: OSError.
     """
-    if start >= end:
+    if start >= end and not cuts:
         return
     handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     try:
         data = b""
         while len(data) < end - start and (part := os.pread(handle, end - start - len(data), start + len(data))):
             data += part
+        if cuts:
+            os.ftruncate(handle, end)
         write_at(handle, data, start)
         os.fdatasync(handle)
     finally:

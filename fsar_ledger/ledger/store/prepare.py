@@ -6,8 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import NotALedger, UsageError, option
-from fsar_ledger.ledger.log.note import VerifierKey, doubt
+from fsar_ledger.ledger.log.note import VerifierKey, doubt, is_name
 from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import (
     COMMITS,
@@ -89,12 +90,31 @@ def roll_forward(view: LedgerView) -> None:
                 disk.move(path, target)
 
 
-def create(ledger: Path, origin: str) -> None:
-    """Create an empty ledger, or finish an interrupted creation; leave anything else there alone."""
+def require_name(origin: str, key: VerifierKey | None) -> None:
+    """Require that this is an origin, and that of the key.
+
+    Raises: UsageError if it is another than the key's, ValueError if it is none.
+    """
+    if key is not None and key.name != origin:
+        raise UsageError(
+            f"found a key named {key.name}, expected {origin}, the ledger's origin; make one with "
+            f"fsar-ledger key new FILE --name {origin}"
+        )
+    if len(origin.encode(errors="replace")) > MAX_NAME_BYTES:
+        raise ValueError(f"found an origin of {len(origin)} characters, expected at most {MAX_NAME_BYTES} bytes")
+    if not is_name(origin):
+        raise ValueError(f"found origin {origin!r}, expected a printable name without spaces and plus signs")
+
+
+def create(ledger: Path, origin: str, version: int = VERSION) -> None:
+    """Create an empty ledger of this format, or finish an interrupted creation; leave anything else there alone."""
+    if os.path.lexists(ledger / MANIFEST):
+        return
     if os.path.lexists(ledger) and not os.path.isdir(ledger):
         raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
     require_outside(ledger.parent, str(ledger))
-    manifest = Manifest(FORMAT, origin, VERSION)
+    manifest = Manifest(FORMAT, origin, version)
+    folders = [ledger, *([ledger / COMMITS] if version == VERSION else []), ledger / SEGMENTS, ledger / STAGING]
     temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
     with disk.refusals(ledger, "creating a ledger"):
         if os.path.isdir(ledger) and not is_unfinished(ledger):
@@ -103,7 +123,7 @@ def create(ledger: Path, origin: str) -> None:
             raise NotALedger(
                 f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
             )
-        for folder in (ledger, ledger / COMMITS, ledger / SEGMENTS, ledger / STAGING):
+        for folder in folders:
             disk.make_folder(folder)
         disk.write_temporary(temporary, canonical.document(manifest))
         with suppress(FileExistsError):  # another writer was quicker

@@ -7,8 +7,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
-from fsar_ledger.ledger.chain.checkpoint import behind
+import msgspec
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.chain.checkpoint import behind, covered
 from fsar_ledger.ledger.chain.derived import derived_sizes
 from fsar_ledger.ledger.chain.index import index_line
 from fsar_ledger.ledger.chain.journal import Frame
@@ -25,7 +27,7 @@ from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem, refusal
-from fsar_ledger.ledger.store.record import CHAINED, VERSION, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.record import CHAINED, VERSION, sha256_hex
 from fsar_ledger.ledger.store.walk import MISSING, Names, check_manifest, names_in
 from fsar_ledger.ledger.verify.notes import Anchor, Signatures, check_anchor, check_signatures
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
@@ -38,18 +40,22 @@ BEHIND = (
     "fsar-ledger recover, goes on from there"
 )
 OPEN = "the checkpoint is behind the journal, as a writer that was not closed leaves it"
+SEALED = (
+    "the journal is there though it was sealed, and what follows from that may be missing, as a crash leaves it; the "
+    "next writer, or fsar-ledger recover, goes on from there"
+)
 TORN = "an append was interrupted, and what is left of it is no commit; the next writer removes it"
 SUPERSEDED = "segments are there that were compacted, as a crash leaves them; the next writer removes them"
 _SYMBOLIC = "a link or something else than a file"
 
 
 def is_chained(path: Path) -> bool:
-    """Return whether the ledger at this path says that it has format 2 or, if it says nothing, has a chain."""
-    try:
-        data = disk.read_document(path / MANIFEST)
-        return parse_manifest(path / MANIFEST, data, (VERSION, CHAINED)).version == CHAINED
-    except (OSError, FsarLedgerError):
-        return os.path.lexists(path / CHAIN) and not os.path.lexists(path / COMMITS)
+    """Return whether the ledger at this path says that it has format 2 or, if it says nothing, has a file of it."""
+    with suppress(OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        version = msgspec.json.decode(disk.read_document(path / MANIFEST), type=dict[str, object]).get("version")
+        if version in (VERSION, CHAINED):
+            return version == CHAINED
+    return any(os.path.lexists(path / name) for name in (CHAIN, JOURNAL)) and not os.path.lexists(path / COMMITS)
 
 
 def chain_moment(path: Path) -> tuple[int, ...]:
@@ -85,7 +91,7 @@ class ChainVerification:
         segments = [(one.number, one, Names(segment_of(one), CHAIN)) for one in chain.placed]
         facts = examine_all(self.path, segments, workers, self.asked.second_reader, is_quick=self.asked.is_quick)
         self.index = list(chain.index_lines(self._index_bytes()))
-        is_behind = self._is_behind(view)
+        is_behind = self._is_behind(view) or view.journal.is_sealed
         for number, found in enumerate(facts):
             self._add(view, number, found, is_behind=is_behind)
             if progress is not None:
@@ -101,15 +107,12 @@ class ChainVerification:
 
     def _is_behind(self, view: ChainView) -> bool:
         """Return whether the checkpoint is that of before the last append to the chain."""
-        try:
-            back = behind(view)
-        except LedgerCorrupted as error:
-            if not self.problems:
-                found, _, expected = refusal(CHECKPOINT, error)[1:-1].removeprefix("found ").partition(", expected ")
-                self.problems.append(Problem(CHECKPOINT, found, expected or "the newest note"))
+        back = covered(view)
+        if isinstance(back, Problem):
+            self.problems += [] if self.problems else [back]
             return False
-        covered = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
-        return back > 0 and covered < view.chain.placed_size
+        size = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
+        return back > 0 and size < view.chain.placed_size
 
     def _add(self, view: ChainView, number: int, facts: SegmentFacts, *, is_behind: bool) -> None:
         """Add one segment: its rows go into the tree, its blocks to the runs."""
@@ -188,23 +191,28 @@ class ChainVerification:
                 step = min(end, commit.tree_size) - at
                 at, seq = at + step, seq + step
                 index += at == commit.tree_size
+        said_by = JOURNAL if file == JOURNAL else CHAIN
         for commit in commits:
             continues = tuple(sorted(found.get(commit.number, ())))
             if continues != commit.continues:
                 self.problems.append(
-                    Problem(CHAIN, f"{commit.continues!r}", f"{continues!r}", commit.number, field="continues")
+                    Problem(said_by, f"{commit.continues!r}", f"{continues!r}", commit.number, field="continues")
                 )
                 return
             if absent := [run for run in commit.goes_on if (commit.number, run) not in seen]:
                 expected = "runs of which the commit holds events"
-                self.problems.append(Problem(CHAIN, f"{absent[0]!r}", expected, commit.number, field="goes_on"))
+                self.problems.append(Problem(said_by, f"{absent[0]!r}", expected, commit.number, field="goes_on"))
                 return
 
     def _add_frame(self, frame: Frame) -> None:
         """Add one commit of the journal."""
         commit = frame.commit
         if self.tree is not None:
-            self.tree = self.tree.extend(leaves_of(frame.rows))
+            leaves, first = leaves_of(frame.rows), self.tree.size
+            for size in self.asked.sizes():
+                if first < size < commit.tree_size:
+                    self.roots[size] = self.tree.extend(leaves[: (size - first) * HASH_BYTES]).root()
+            self.tree = self.tree.extend(leaves)
             self._compare_root(self.tree, commit, JOURNAL)
         if self.asked.is_quick or self.problems:
             return
@@ -282,7 +290,7 @@ class ChainVerification:
         placed = {segment_of(one) for one in view.chain.placed}
         left = any(f"{SEGMENTS}/{name}" not in placed for name in names_in(self.path / SEGMENTS))
         return (
-            *((BEHIND,) if is_behind else (OPEN,) if back else ()),
+            *((SEALED,) if view.journal.is_sealed else (BEHIND,) if is_behind else (OPEN,) if back else ()),
             *((TORN,) if view.followed.torn or view.journal.torn else ()),
             *((SUPERSEDED,) if left else ()),
         )
@@ -291,8 +299,11 @@ class ChainVerification:
         origin = view.manifest.origin
         signed = Signatures("signer not checked")
         if not self.problems:
+            sealed = len(view.commits) - len(view.journal.frames)
             doubts, signed = check_signatures(
-                [commit.note(origin) for commit in view.commits], lambda _: CHAIN, self.asked.trusted
+                [commit.note(origin) for commit in view.commits],
+                lambda number: CHAIN if number < sealed else JOURNAL,
+                self.asked.trusted,
             )
             self.problems += doubts
         anchored = self._check_anchors(view)
