@@ -1,5 +1,6 @@
 """Rows written in C and in Python are the same bytes, and arrays that do not fit one another are refused."""
 
+import gc
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from fsar_ledger.ledger.rows.arrow import Columns
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.schema import COLUMNS, SCHEMA
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.samples import append_all, contents, made_up_batches
+from tests.ledger.samples import append_all, contents, made_up_batches, made_up_run
 
 compiled = pytest.mark.skipif(not joining.IS_COMPILED, reason="no compiler was there")
 
@@ -104,3 +105,16 @@ def test_a_ledger_verifies_without_the_compiled_function(tmp_path: Path, monkeyp
     report = verify(tmp_path / "ledger")
     assert report.ok
     assert contents(tmp_path / "ledger") == before
+
+
+def test_no_cycle_holds_the_columns_of_a_table() -> None:
+    """A process that reads segment after segment would hold them until the collector comes by."""
+    table = encode([made_up_run("run", 40, 1)])
+    canonical.leaves(table)
+    gc.collect()
+    gc.disable()
+    try:
+        canonical.leaves(table)
+        assert gc.collect() == 0
+    finally:
+        gc.enable()

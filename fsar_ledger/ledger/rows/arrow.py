@@ -33,12 +33,12 @@ class Columns:
     """
 
     def __init__(self, table: pa.Table) -> None:
-        self.table = table
-        self.arrays: Derived[pa.Array] = Derived(lambda name: whole(table.column(name)))
-        self.valid: Derived[Mask] = Derived(lambda name: validity(self.arrays[name]))
-        self.coded: Derived[pa.DictionaryArray] = Derived(lambda name: coded(_strings(self.arrays[name])))
-        self.texts: Derived[list[str]] = Derived(lambda name: self.coded[name].dictionary.to_pylist())
-        self.places: Derived[Codes] = Derived(lambda name: places(self.coded[name]))
+        arrays: Derived[pa.Array] = Derived(lambda name: whole(table.column(name)))
+        codes: Derived[pa.DictionaryArray] = Derived(lambda name: coded(_strings(arrays[name])))
+        self.table, self.arrays, self.coded = table, arrays, codes  # no lambda holds self, so no cycle holds columns
+        self.valid: Derived[Mask] = Derived(lambda name: validity(arrays[name]))
+        self.texts: Derived[list[str]] = Derived(lambda name: codes[name].dictionary.to_pylist())
+        self.places: Derived[Codes] = Derived(lambda name: places(codes[name]))
 
 
 def taken(rows: pa.Table | Columns) -> Columns:
