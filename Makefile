@@ -152,7 +152,9 @@ fleets: reproduce
 	done
 	$(BIN)/fsar-ledger report $(OUT)/results --with $(OUT)/fleets --out $(OUT)/fleets.pdf --memory 16384
 
+bench: export FSAR_LEDGER_BENCH := $(OUT)/bench.jsonl
 bench: $(READY_TEST)
+	@mkdir -p $(OUT) && rm -f $(FSAR_LEDGER_BENCH)
 	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/simulate_and_append.py
 	$(BIN)/python benchmarks/kernel.py
@@ -166,6 +168,7 @@ bench: $(READY_TEST)
 	$(BIN)/python benchmarks/trust.py
 	$(BIN)/python benchmarks/growth.py --maps
 	$(BIN)/python benchmarks/every_command.py --events 200000
+	$(BIN)/python benchmarks/table.py $(FSAR_LEDGER_BENCH)
 
 docs: reproduce $(READY_TEST)
 	$(BIN)/python docs/write.py

@@ -18,6 +18,10 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.table import note
+
 EVENTS_A_RUN = 547
 ONE_SEED = "42"
 MODULE = [sys.executable, "-m", "fsar_ledger"]
@@ -135,6 +139,9 @@ def main() -> int:
             cost = cost_of(arguments(name, ledger, Path(folder)), errors)
             said = "" if cost.code in ANSWERS else f"   exit code {cost.code}: {errors.read_text()[-200:].strip()}"
         failed |= bool(said)
+        if name == "audit":
+            found = f"{cost.cpu_s:.1f} CPU s, {cost.memory_mib:.0f} MiB"
+            note(f"audit, ten invariants, {ledger.name}", found, "each command on the same ledger", "20 CPU s, 0.6 GB")
         print(f"{name:26}{cost.wall_s:>9.1f}{cost.cpu_s:>9.1f}{cost.memory_mib:>8.0f}{said}", flush=True)
     return int(failed)
 
