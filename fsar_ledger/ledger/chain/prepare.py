@@ -55,6 +55,7 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
     """
     path = view.path
     covered = behind(view)
+    is_torn = bool(view.followed.torn or view.journal.torn)
     with disk.refusals(path, "finishing what an interrupted writer left"):
         disk.sync_folder(path)
         _cut(path / CHAIN, view.followed.end, view.followed.torn)
@@ -72,7 +73,7 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
         if covered and (settles or not is_settled):
             note = str(view.note())
             disk.write_files({path / CHECKPOINT: note.encode()}, path / STAGING)
-    return open_chain(path, read_manifest(path))
+    return open_chain(path, read_manifest(path)) if is_torn else view
 
 
 def _cut(path: Path, end: int, torn: int) -> None:
@@ -89,8 +90,16 @@ def _cut(path: Path, end: int, torn: int) -> None:
 
 def _roll_forward(view: ChainView) -> None:
     """Move every placed segment into place. Raises: LedgerCorrupted if one is missing."""
+    there = {
+        entry.name: entry.stat(follow_symlinks=False)
+        for entry in os.scandir(view.path / SEGMENTS)  # which takes a third of the time of looking for each
+    }
     for placement in view.chain.placed:
-        target = view.path / segment_of(placement)
+        name = segment_of(placement)
+        known = there.get(name.removeprefix(f"{SEGMENTS}/"))
+        if known is not None and stat.S_ISREG(known.st_mode) and known.st_size == placement.segment_bytes:
+            continue
+        target = view.path / name
         found = view.located(placement)
         if found != target:
             disk.move(found, target)
@@ -98,11 +107,11 @@ def _roll_forward(view: ChainView) -> None:
 
 def _clean(view: ChainView, *, is_alone: bool) -> None:
     """Remove superseded segments and, for a writer that is alone, everything from staging."""
-    placed = set(map(segment_of, view.chain.placed))
-    superseded = set(map(segment_of, view.chain.placements)) - placed
-    for name in superseded:
-        if os.path.lexists(view.path / name):
-            os.unlink(view.path / name)
+    if len(view.chain.placed) < len(view.chain.placements):
+        superseded = set(map(segment_of, view.chain.placements)) - set(map(segment_of, view.chain.placed))
+        for name in superseded:
+            if os.path.lexists(view.path / name):
+                os.unlink(view.path / name)
     disk.make_folder(view.path / STAGING)
     if not is_alone:
         return
