@@ -154,6 +154,7 @@ bench: $(READY_TEST)
 	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/simulate_and_append.py
 	$(BIN)/python benchmarks/journal.py
+	$(BIN)/python benchmarks/small_commits.py
 	$(BIN)/python benchmarks/one_run.py
 	$(BIN)/python benchmarks/metrics.py
 	$(BIN)/python benchmarks/rows.py

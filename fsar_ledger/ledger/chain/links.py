@@ -7,7 +7,8 @@ acknowledged. More after a later placement is damage.
 
 import hashlib
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from operator import lt
 
 import msgspec
 
@@ -100,8 +101,8 @@ class Chain:
         self.placed_size = self.placed[-1].end
 
     def _go_on(self, commit: Commit) -> None:
-        if commit.continues or commit.goes_on:
-            ended = frozenset(run for run, _ in commit.continues) - frozenset(commit.goes_on)
+        ended = {run for run, _ in commit.continues}.difference(commit.goes_on)
+        if ended or not self.going_on.issuperset(commit.goes_on):
             self.going_on = self.going_on - ended | frozenset(commit.goes_on)
 
     def doubts(self, record: Record) -> Iterator[Doubt]:
@@ -129,11 +130,11 @@ class Chain:
         if not commit.continues and not commit.goes_on:
             return
         runs = [run for run, _ in commit.continues]
-        if sorted(set(runs)) != runs or not all(first for _, first in commit.continues):
+        if not _is_sorted(runs) or not all(first for _, first in commit.continues):
             yield "continues", f"{commit.continues!r:.200}", "each run once, sorted, each from a seq after 0"
         elif ended := [run for run in runs if run not in self.going_on]:
             yield "continues", f"{ended[0]!r:.200}", "runs that an earlier commit says go on"
-        if sorted(set(commit.goes_on)) != list(commit.goes_on):
+        if not _is_sorted(commit.goes_on):
             yield "goes_on", f"{commit.goes_on!r:.200}", "each run once, sorted"
 
     def _of_placement(self, placement: Placement) -> Iterator[Doubt]:
@@ -168,6 +169,11 @@ class Chain:
         if at == len(self.commits) or self.commits[at].tree_size != size:
             return None
         return bytes.fromhex(self.commits[at].tree_root)
+
+
+def _is_sorted(names: Sequence[str]) -> bool:
+    """Return whether these are sorted, each once."""
+    return len(names) < 2 or all(map(lt, names, names[1:]))
 
 
 class Followed(msgspec.Struct, frozen=True):

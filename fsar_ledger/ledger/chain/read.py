@@ -150,11 +150,16 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         journal writes where this one ends.
         """
         try:
-            if growing.size_of(self.path / CHAIN) != self.followed.end:
-                return False
-            return growing.read_at(self.path / JOURNAL, self.journal.end, 1) in (b"", b"\0")
+            chain, journal = self._growing
+            is_longer = growing.size_of(chain) != self.followed.end
+            return not is_longer and growing.read_at(journal, self.journal.end, 1) in (b"", b"\0")
         except OSError:
             return False
+
+    @cached_property
+    def _growing(self) -> tuple[str, str]:
+        """Return the paths of the chain and the journal."""
+        return str(self.path / CHAIN), str(self.path / JOURNAL)
 
     def grown(self, data: bytes, tree: Frontier) -> "ChainView":
         """Return the view after these bytes were appended to the chain, which begin with what the journal held."""

@@ -30,7 +30,13 @@ Line = TypeVar("Line", bound=msgspec.Struct)
 
 
 class Commit(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, tag="commit", tag_field="kind"
+    msgspec.Struct,
+    frozen=True,
+    gc=False,  # it refers to text alone, and a ledger may have a hundred thousand
+    forbid_unknown_fields=True,
+    omit_defaults=True,
+    tag="commit",
+    tag_field="kind",
 ):
     """What one commit added, and the tree after it.
 
@@ -66,7 +72,13 @@ class Commit(
 
 
 class Placement(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, tag="placement", tag_field="kind"
+    msgspec.Struct,
+    frozen=True,
+    gc=False,
+    forbid_unknown_fields=True,
+    omit_defaults=True,
+    tag="placement",
+    tag_field="kind",
 ):
     """Which segment holds the events from `first` on, and its columns: those of `release`.
 
