@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.library import Query
     from fsar_ledger.metrics.query_parameters import Parameter
 
+_RUN = "SELECT run_id FROM run_numbers WHERE run_id = $run"
 _RUNS = "SELECT run_id FROM run_numbers ORDER BY number"
 _NUMBERS = """
     SELECT run_id, number FROM run_numbers
@@ -73,6 +74,8 @@ def run_of(database: "Database", asked: object, ledger: Path | None = None) -> s
     Raises:
         UsageError: No run, or several, match, or it is neither text nor a whole number.
     """
+    if isinstance(asked, str) and database.rows(_RUN, {"run": asked}):
+        return asked
     runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (_RUNS, _PLANS))
     return run_named(asked, runs, plans) if ledger is None else run_named(asked, runs, plans, _way(ledger))
 
@@ -84,6 +87,8 @@ def _way(ledger: Path) -> str:
 
 def run_in(view: "View", asked: object) -> str:
     """Return the full name of a run that is given by name, number or unique part. Raises: As `run_of`."""
+    if isinstance(asked, str) and view.has_run(asked):
+        return asked
     names = view.run_names
     return run_named(asked, names.runs, names.plans, _way(view.path))
 
@@ -112,7 +117,7 @@ def about_run(view: "View", asked: object, demanded: str | None) -> Iterator[Abo
 
     run = chosen_in(view, asked)
     with connect_run(view, run, demanded) as database:
-        yield AboutRun(database, run, view.run_names.numbers().get(run))
+        yield AboutRun(database, run, view.run_names.number_of(run))
 
 
 def numbers_of(database: "Database") -> dict[str, int]:

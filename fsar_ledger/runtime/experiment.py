@@ -328,8 +328,8 @@ def carry_out(
 
     Raises:
         InvalidExperiment: a commit cannot hold this many runs of so large a fleet.
-        SequenceConflict: another process commits to the ledger meanwhile; the same call again makes what is missing
-            then.
+        InvalidRun: another process made some of these runs meanwhile, in other batches; the same call again makes what
+            is missing then.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
     constants, plan = experiment.constants, plan_record(experiment.plan())

@@ -51,13 +51,11 @@ class Order(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """The result: batches acknowledged by writer, processes killed, heads that readers saw, conflicts, and everything
-    that was wrong."""
+    """The result: batches acknowledged by writer, processes killed, heads that readers saw, and what was wrong."""
 
     acknowledged: dict[str, int]
     killed: int
     heads: int
-    conflicts: tuple[str, ...]
     wrong: tuple[str, ...]
 
 
@@ -109,12 +107,10 @@ def obey(order: Order) -> Outcome:
             acknowledged[name] = max(acknowledged[name], value)
     wrong = [f"{name}: {value}" for name, what, value in said if what == "wrong"]
     wrong += [f"a process ended by signal {end}" for end in ends if end not in (0, signal.SIGKILL)]
-    conflicts = tuple(value for _, what, value in said if what == "conflict")
     return Outcome(
         dict(acknowledged),
         ends.count(signal.SIGKILL),
         sum(what == "head" for _, what, _ in said),
-        conflicts,
         tuple(wrong),
     )
 

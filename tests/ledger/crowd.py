@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from fsar_ledger.errors import FsarLedgerError, NotALedger, SequenceConflict
+from fsar_ledger.errors import FsarLedgerError, NotALedger
 from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
@@ -28,21 +28,13 @@ def own_commits(view: LedgerView, name: str) -> int:
 
 
 def write(path: Path, name: str, batches: int, say: Callable[[str, object], None]) -> None:
-    """Append all batches of this writer.
-
-    Each is acknowledged at once. After a conflict the ledger is opened again.
-    """
-    while True:
-        try:
-            with Writer(path, ORIGIN) as writer:
-                done = own_commits(open_ledger(path), name)
-                say("acknowledged", done)
-                for number in range(done, batches):
-                    writer.append(stage(path, batch_of(name, number)))
-                    say("acknowledged", number + 1)
-                return
-        except SequenceConflict as conflict:
-            say("conflict", str(conflict))
+    """Append all batches of this writer, with one writer that takes turns with others. Each is acknowledged at once."""
+    with Writer(path, ORIGIN) as writer:
+        done = own_commits(open_ledger(path), name)
+        say("acknowledged", done)
+        for number in range(done, batches):
+            writer.append(stage(path, batch_of(name, number)))
+            say("acknowledged", number + 1)
 
 
 def watch(path: Path, stop: int, say: Callable[[str, object], None]) -> None:

@@ -13,7 +13,6 @@ from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, SCHEMA
 from fsar_ledger.ledger.store.append import Staged, Writer, stage, stage_rows
-from fsar_ledger.ledger.store.held import HeldRuns
 from fsar_ledger.ledger.store.record import CommitRecord
 from tests.ledger.samples import ORIGIN
 
@@ -195,7 +194,7 @@ def stage_anything(path: Path, runs: Sequence[LedgerRun]) -> Staged:
 class TrustingWriter(Writer):
     """Commits what 0.1.0 committed, including runs that the ledger already holds."""
 
-    def _new_runs(self, staged: Staged, held: HeldRuns) -> list[str] | None:
+    def _runs_of(self, staged: Staged) -> list[str] | None:
         return None
 
 

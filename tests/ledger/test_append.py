@@ -1,3 +1,6 @@
+import errno
+import fcntl
+import os
 import pickle
 import shutil
 from pathlib import Path
@@ -14,6 +17,7 @@ from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import encode_hashed
+from fsar_ledger.ledger.store import append
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.store.read import open_ledger
@@ -93,20 +97,67 @@ def test_appending_the_newest_batch_again_changes_nothing(path: Path) -> None:
     assert contents(path) == before
 
 
-def test_of_two_writers_one_wins_the_number_and_the_other_is_told(path: Path) -> None:
+def test_of_two_writers_one_wins_the_number_and_the_other_goes_on_from_it_with_what_it_staged(path: Path) -> None:
     with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
-        staged = stage(path, BATCHES[1])
-        one.append(stage(path, BATCHES[0]))
+        staged = [stage(path, batch) for batch in BATCHES]
+        for number, writer in enumerate((one, two, two, one)):
+            assert writer.append(staged[number]).commits == number + 1
+    assert list(open_ledger(path).runs()) == [run for batch in BATCHES for run in batch]
+    assert verify(path).ok
+
+
+def _without_locks(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(_handle: int, _operation: int) -> None:
+        raise OSError(errno.ENOLCK, "no locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refused)
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_without_locks_a_number_that_another_writer_takes_meanwhile_is_left_to_it(
+    path: Path, monkeypatch: pytest.MonkeyPatch, times: int
+) -> None:
+    _without_locks(monkeypatch)
+    link = os.link
+    taken = iter(BATCHES[:times])
+    with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
+
+        def link_late(source: Path, target: Path) -> None:
+            monkeypatch.setattr(os, "link", link)
+            if (batch := next(taken, None)) is not None:
+                two.append(stage(path, batch))
+                monkeypatch.setattr(os, "link", link_late)
+            link(source, target)
+
+        staged = stage(path, BATCHES[3])
+        monkeypatch.setattr(os, "link", link_late)
+        assert one.append(staged).commits == times + 1
+    assert list(open_ledger(path).runs()) == [run for batch in (*BATCHES[:times], BATCHES[3]) for run in batch]
+    assert verify(path).ok
+
+
+def test_without_locks_a_writer_that_is_never_quick_enough_is_told(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _without_locks(monkeypatch)
+    monkeypatch.setattr(append, "_TRIES", 2)
+    link = os.link
+    taken = iter(BATCHES)
+    with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
+        staged = stage(path, BATCHES[3])
+
+        def link_late(source: Path, target: Path) -> None:
+            monkeypatch.setattr(os, "link", link)
+            two.append(stage(path, next(taken)))
+            monkeypatch.setattr(os, "link", link_late)
+            link(source, target)
+
+        monkeypatch.setattr(os, "link", link_late)
         with pytest.raises(
             SequenceConflict,
-            match=r"000000000000\.json: found a commit of another writer, expected number 0 to be free",
+            match=r"000000000001\.json: found a commit of another writer, expected number 1 to be free",
         ):
-            two.append(staged)
-        with pytest.raises(WriteFailed, match="broken"):
-            two.append(staged)
-        assert open_ledger(path).head.commits == 1
-    append_all(path, BATCHES[1:2])
-    assert list(open_ledger(path).runs()) == [run for batch in BATCHES[:2] for run in batch]
+            one.append(staged)
+        monkeypatch.setattr(os, "link", link)
+        assert one.append(staged).commits == 3
     assert verify(path).ok
 
 
@@ -127,14 +178,7 @@ def test_a_writer_that_lags_behind_with_the_same_batches_takes_nothing_back(path
                 two.append(stage(path, batch))
                 behind -= 1
         before = contents(path)
-        lagging = stage(path, BATCHES[two.head.commits])
-        with pytest.raises(
-            SequenceConflict,
-            match=rf"found commits up to 3 of another writer, expected {two.head.commits} to be the newest",
-        ):
-            two.append(lagging)
-        with pytest.raises(WriteFailed, match="broken"):
-            two.append(lagging)
+        assert two.append(stage(path, BATCHES[two.head.commits])).commits == 4
     Writer(path, ORIGIN).close()
     assert contents(path) == before
     assert verify(path).ok

@@ -22,8 +22,8 @@ from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 BATCHES = made_up_batches(4)
 
 
-@pytest.mark.parametrize(("writers", "batches"), [(2, 3), pytest.param(8, 1, marks=pytest.mark.slow)])
-def test_what_several_writers_append_at_once_is_there_once_and_readers_see_whole_commits(
+@pytest.mark.parametrize(("writers", "batches"), [(2, 3), (8, 2)])
+def test_writers_at_once_all_finish_with_one_opening_and_readers_see_whole_commits(
     nursery: Nursery, tmp_path: Path, writers: int, batches: int
 ) -> None:
     path = tmp_path / "ledger"
@@ -33,10 +33,6 @@ def test_what_several_writers_append_at_once_is_there_once_and_readers_see_whole
     assert judge(path, outcome.acknowledged) == []
     assert open_ledger(path).head.commits == writers * batches
     assert outcome.heads >= 2
-    assert all(
-        "found a commit of another writer, expected number" in conflict and "to be free" in conflict
-        for conflict in outcome.conflicts
-    )
 
 
 @pytest.mark.slow

@@ -4,12 +4,15 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants, Outages, Range, Structure, WorldConstants
-from fsar_ledger.errors import InvalidExperiment, NotALedger, SequenceConflict
+from fsar_ledger.errors import InvalidExperiment, NotALedger
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.writing import VERSIONS
 from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, carry_out, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started
 
@@ -104,16 +107,37 @@ def test_an_interrupted_experiment_goes_on_at_the_first_missing_batch(tmp_path: 
 
 
 @pytest.mark.slow
-def test_an_experiment_that_another_process_finishes_meanwhile_stops_and_takes_nothing_back(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", VERSIONS)
+def test_an_experiment_that_another_process_finishes_meanwhile_finishes_too_and_nothing_is_there_twice(
+    tmp_path: Path, version: int
+) -> None:
+    path = tmp_path / "ledger"
+
     def finish_elsewhere(done: int, _total: int) -> None:
         if done == 0:
-            simulate(tmp_path / "ledger", SMALL, 1)
+            simulate(path, SMALL, 1, version=version)
 
-    with pytest.raises(SequenceConflict, match="run the same command again"):
-        simulate(tmp_path / "ledger", SMALL, 1, finish_elsewhere)
-    assert verify(tmp_path / "ledger").ok
-    assert simulate(tmp_path / "ledger", SMALL, 1).commits == 3
-    assert verify(tmp_path / "ledger").ok
+    head = simulate(path, SMALL, 1, finish_elsewhere, version=version)
+    assert head == simulate(tmp_path / "alone", SMALL, 1, version=version)
+    assert verify(path).ok
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", VERSIONS)
+def test_two_experiments_at_once_in_one_ledger_both_finish(tmp_path: Path, version: int) -> None:
+    path = tmp_path / "ledger"
+    other = msgspec.structs.replace(SMALL, seed=SMALL.seed + 1)
+
+    def begin_elsewhere(done: int, _total: int) -> None:
+        if done == 1:
+            simulate(path, other, 1, version=version)
+
+    simulate(path, SMALL, 1, begin_elsewhere, version=version)
+    held = {run.run_id for run in open_for_answers(path).runs()}
+    alone = [simulate(tmp_path / name, one, 1) for name, one in (("one", SMALL), ("two", other))]
+    assert open_for_answers(path).head.size == sum(head.size for head in alone)
+    assert len(held) == SMALL.size + other.size + 2
+    assert verify(path).ok
 
 
 def test_another_experiment_can_join_a_ledger_if_it_shares_no_run(tmp_path: Path) -> None:

@@ -75,12 +75,13 @@ class ChainWriter:
         require_name(origin, signer.verifier if signer is not None else None)
         create(ledger, origin, CHAINED)
         self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
+        self._segments = ledger / SEGMENTS
         self._is_broken = False
         self._pieces: list[LedgerRun] = []  # what this writer added to the journal that is there
         self._journal = JournalFile(ledger / paths.JOURNAL)
         self._lock, is_alone = lock(ledger)
         try:
-            with disk.turn(ledger / SEGMENTS):
+            with disk.turn(self._segments):
                 self._view = self._opened(is_alone=is_alone)
             with suppress(OSError):  # the file system has no locks
                 fcntl.flock(self._lock, fcntl.LOCK_SH)
@@ -128,7 +129,7 @@ class ChainWriter:
             return
         try:
             if self._journal.is_open and not self._is_broken:
-                with disk.turn(self._path / SEGMENTS):
+                with disk.turn(self._segments):
                     if self._view.is_current():
                         self._journal.trim(self._view.journal.end)
                         self._write_checkpoint()
@@ -167,7 +168,7 @@ class ChainWriter:
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
         self._require_usable()
-        with disk.turn(self._path / SEGMENTS):
+        with disk.turn(self._segments):
             self._catch_up()
             if any(one.segment_sha256 == staged.segment_sha256 for one in self._view.chain.placements):
                 disk.remove(staged_path(self._path, staged.segment_sha256))
@@ -194,7 +195,7 @@ class ChainWriter:
         rows, blocks = rows_of(runs)
         leaves = leaves_of(rows)
         goes_on = tuple(sorted(run.run_id for run in runs if run.goes_on))
-        with disk.turn(self._path / SEGMENTS):
+        with disk.turn(self._segments):
             self._catch_up()
             if (flaw := self._runs().refused(blocks, self._view)) is not None:
                 raise refusal(flaw)
@@ -207,7 +208,7 @@ class ChainWriter:
             commit = self._commit(len(rows), tree, continued(blocks), goes_on)
             line = canonical.document(commit)
             self._is_broken = True  # unless everything below succeeds
-            with disk.refusals(self._path / paths.JOURNAL, "writing to the journal"):
+            with disk.refusals(self._journal.path, "writing to the journal"):
                 written = self._journal.write(b"\n".join((line, *rows, b"")), journal.end)
             self._view.chain.add(line, commit)
             journal.add(Frame(line, commit, rows), tree, leaves, written)
@@ -225,7 +226,7 @@ class ChainWriter:
         """
         self._require_usable()
         merged = 0
-        with disk.turn(self._path / SEGMENTS):
+        with disk.turn(self._segments):
             self._catch_up()
             if self._view.journal.frames:
                 self._seal()
@@ -243,7 +244,7 @@ class ChainWriter:
         with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
             growing.append_durably(self._path / paths.CHAIN, data, self._view.followed.end)
         self._view = self._view.grown(data, self._view.tree())
-        with disk.refusals(self._path / SEGMENTS, "moving a compacted segment into place"):
+        with disk.refusals(self._segments, "moving a compacted segment into place"):
             disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
         for one in old:
             disk.remove(self._path / paths.segment_of(one))
@@ -252,7 +253,7 @@ class ChainWriter:
     def seal(self) -> Head:
         """Put what is in the journal into a segment. Raises: As `append`."""
         self._require_usable()
-        with disk.turn(self._path / SEGMENTS):
+        with disk.turn(self._segments):
             self._catch_up()
             if self._view.journal.frames:
                 self._seal()

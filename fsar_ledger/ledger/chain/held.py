@@ -2,20 +2,28 @@
 
 from collections.abc import Iterable, Sequence
 
+from fsar_ledger.ledger.chain.index import Index
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.store.held import Held
 from fsar_ledger.ledger.store.places import event_at, place_of
 
+_MOST_SOUGHT = 64
+"""How many runs are sought in the index by name before all of it is read, which takes about as long."""
+
 
 class HeldRuns:
-    """The runs of a ledger. Raises: LedgerCorrupted if rows must be read and cannot be."""
+    """The runs of a ledger, sought in its index as they are asked about.
+
+    Raises: LedgerCorrupted if rows must be read and cannot be.
+    """
 
     def __init__(self, view: ChainView) -> None:
         self._runs = Runs()
-        self.add(view.index.blocks())
-        self._indexed = set(self._runs.known)  # what these observe is not known: the index does not say it
+        self._index: Index | None = view.index  # None once all of it is read
+        self._sought: set[str] = set()
+        self._indexed: set[str] = set()  # what these observe is not known: the index does not say it
 
     def add_from(self, view: ChainView, first: int) -> None:
         """Add the events of this view from that index on. Raises: LedgerCorrupted if they cannot be read."""
@@ -25,15 +33,39 @@ class HeldRuns:
     def add(self, blocks: Iterable[Block]) -> None:
         """Add what was committed."""
         for block in blocks:
+            self._seek(block.run)
             self._runs.add(block)
+
+    def _seek(self, run: str) -> None:
+        """Take over what the index says of this run."""
+        if self._index is None or run in self._sought:
+            return
+        if len(self._sought) == _MOST_SOUGHT:
+            self._read_all()
+            return
+        self._sought.add(run)
+        self._take_over(block for _, block in self._index.of_run(run))
+
+    def _read_all(self) -> None:
+        """Take over what the index says of all runs."""
+        if self._index is not None:
+            self._take_over(block for block in self._index.blocks() if block.run not in self._sought)
+            self._index = None
+
+    def _take_over(self, blocks: Iterable[Block]) -> None:
+        for block in blocks:
+            self._runs.add(block)
+            self._indexed.add(block.run)
 
     def told(self) -> Held:
         """Return the names of these runs, and of the plans."""
+        self._read_all()
         plans = frozenset(run for run, known in self._runs.known.items() if known.is_alone)
         return Held(frozenset(self._runs.known.keys() - plans), plans)
 
     def events(self, run: str) -> int:
         """Return how many events of this run the ledger holds."""
+        self._seek(run)
         known = self._runs.known.get(run)
         return 0 if known is None else known.next
 
@@ -47,15 +79,16 @@ class HeldRuns:
             if block.run in seen:
                 return Flaw(-1, block.run, block.first, "run_id", "the run twice in one commit", "each run once")
             seen.add(block.run)
+            self._seek(block.run)
             if block.first and block.run in self._indexed:
-                self._read(block.run, view)
+                self._read_beginning(block.run, view)
             if (flaw := self._runs.flaw(block) or self._runs.backwards(block)) is not None:
                 return flaw
             if block.first and block.run not in view.chain.going_on:
                 return Flaw(-1, block.run, block.first, "seq", f"{block.first}", "no more of a run that has ended")
         return None
 
-    def _read(self, run: str, view: ChainView) -> None:
+    def _read_beginning(self, run: str, view: ChainView) -> None:
         """Read what the run observes. Raises: LedgerCorrupted."""
         observes = event_at(view, place_of(view, run, 0)).get("observes")
         told = tuple(map(str, observes)) if isinstance(observes, list) else None

@@ -22,6 +22,8 @@ from fsar_ledger.ledger.store.problem import Problem
 
 ALLOTTED = 1 << 20
 """Bytes by which the file grows: writing over what is there, a disk syncs only the data."""
+_LARGE = 1 << 17
+"""Bytes from which a frame brings no room: to write as many bytes again takes longer than to sync the file's size."""
 
 
 class Frame(msgspec.Struct, frozen=True):
@@ -184,7 +186,7 @@ class JournalFile:
     """The file of a journal, for its writer; opened when something is written."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         self._handle = -1
         self._room = 0  # the size of the file, with what is allotted
 
@@ -199,15 +201,16 @@ class JournalFile:
         When that fails, the file is cut off there, if the disk allows it. Raises: OSError.
         """
         if self._handle < 0:
-            is_new = not os.path.lexists(self._path)
+            is_new = not os.path.lexists(self.path)
             # What a sealed journal left, which could not be removed, goes first.
             how = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | (0 if end else os.O_TRUNC)
-            self._handle = os.open(self._path, how, 0o666)
+            self._handle = os.open(self.path, how, 0o666)
             self._room = os.fstat(self._handle).st_size
             if is_new:
-                disk.sync_folder(self._path.parent)
+                disk.sync_folder(self.path.parent)
         after = end + len(data)
-        room = b"\0" * (after // ALLOTTED * ALLOTTED + ALLOTTED - after) if after > self._room else b""
+        allots = after > self._room and len(data) < _LARGE
+        room = b"\0" * (after // ALLOTTED * ALLOTTED + ALLOTTED - after) if allots else b""
         try:
             growing.write_at(self._handle, data + room, end)
             os.fdatasync(self._handle)
@@ -227,8 +230,8 @@ class JournalFile:
         """Remove the file, whose frames are elsewhere now; if the disk refuses, the next writer does it."""
         self.close()
         with suppress(OSError):
-            os.unlink(self._path)
-            disk.sync_folder(self._path.parent)
+            os.unlink(self.path)
+            disk.sync_folder(self.path.parent)
 
     def close(self) -> None:
         """Close the file."""

@@ -8,12 +8,13 @@ since no crash leaves one.
 
 import hashlib
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from operator import lt
 
 import msgspec
 
 from fsar_ledger.ledger.chain.paths import CHAIN
-from fsar_ledger.ledger.chain.record import MAX_LINE_BYTES, Commit, Placement, Record, parse_line
+from fsar_ledger.ledger.chain.record import MAX_LINE_BYTES, Commit, Placement, Record, parse_line, parse_lines
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
 from fsar_ledger.ledger.store.paths import MANIFEST
@@ -27,7 +28,8 @@ class Chain:
     """What the lines of a chain say so far, each after the one before.
 
     `placed` are the placements in force, which hold all events from 0 on without a gap; `added` are those that added
-    events, in force or not, each with a line of the index, which has `index_bytes`. `sha256` is the hash of the newest
+    events, in force or not, each with a line of the index, which has `index_bytes`. Segments hold the first
+    `placed_size` events. `sha256` is the hash of the newest
     line; `going_on` are the runs of which later commits may hold more. The last append began when segments held the
     first `settled` events, and so when all that is derived from these was on disk.
     """
@@ -38,6 +40,7 @@ class Chain:
         self.placements: list[Placement] = []
         self.placed: list[Placement] = []
         self.added: list[Placement] = []
+        self.placed_size = 0
         self.index_bytes = 0
         self.settled = 0
         self.going_on: frozenset[str] = frozenset()
@@ -46,11 +49,6 @@ class Chain:
     def size(self) -> int:
         """Return the number of events."""
         return self.commits[-1].tree_size if self.commits else 0
-
-    @property
-    def placed_size(self) -> int:
-        """Return the number of events that segments hold."""
-        return self.placed[-1].end if self.placed else 0
 
     def tree(self) -> Frontier:
         """Return the tree of the events that segments hold."""
@@ -98,14 +96,15 @@ class Chain:
             self.placed.append(record)
             self.added.append(record)
             self.index_bytes += record.index_bytes
-            return
-        start = bisect_left(self.placed, record.first, key=lambda one: one.first)
-        end = bisect_left(self.placed, record.end, key=lambda one: one.first)
-        self.placed[start:end] = [record]
+        else:
+            start = bisect_left(self.placed, record.first, key=lambda one: one.first)
+            end = bisect_left(self.placed, record.end, key=lambda one: one.first)
+            self.placed[start:end] = [record]
+        self.placed_size = self.placed[-1].end
 
     def _go_on(self, commit: Commit) -> None:
-        if commit.continues or commit.goes_on:
-            ended = frozenset(run for run, _ in commit.continues) - frozenset(commit.goes_on)
+        ended = {run for run, _ in commit.continues}.difference(commit.goes_on)
+        if ended or not self.going_on.issuperset(commit.goes_on):
             self.going_on = self.going_on - ended | frozenset(commit.goes_on)
 
     def doubts(self, record: Record) -> Iterator[Doubt]:
@@ -129,14 +128,16 @@ class Chain:
     def _of_commit(self, commit: Commit) -> Iterator[Doubt]:
         if commit.number != len(self.commits):
             yield "number", commit.number, len(self.commits)
-        if commit.rows != commit.tree_size - self.size:
-            yield "rows", commit.rows, commit.tree_size - self.size
+        if (rows := commit.tree_size - self.size) != commit.rows:
+            yield "rows", commit.rows, rows
+        if not commit.continues and not commit.goes_on:
+            return
         runs = [run for run, _ in commit.continues]
-        if sorted(set(runs)) != runs or not all(first for _, first in commit.continues):
+        if not _is_sorted(runs) or not all(first for _, first in commit.continues):
             yield "continues", f"{commit.continues!r:.200}", "each run once, sorted, each from a seq after 0"
         elif ended := [run for run in runs if run not in self.going_on]:
             yield "continues", f"{ended[0]!r:.200}", "runs that an earlier commit says go on"
-        if sorted(set(commit.goes_on)) != list(commit.goes_on):
+        if not _is_sorted(commit.goes_on):
             yield "goes_on", f"{commit.goes_on!r:.200}", "each run once, sorted"
 
     def _of_placement(self, placement: Placement) -> Iterator[Doubt]:
@@ -144,14 +145,14 @@ class Chain:
             yield "number", placement.number, len(self.placements)
         if (known := FINGERPRINTS.get(placement.release)) not in (None, placement.schema_sha256):
             yield "schema_sha256", placement.schema_sha256, known
-        is_added = placement.first == self.placed_size
+        is_added, end = placement.first == self.placed_size, placement.end
         if not is_added and not self._starts(placement.first):
             yield "first", placement.first, f"{self.placed_size}, or the first event of a segment"
-        root = self.root_at(placement.end)
-        if root is None or (placement.end < self.placed_size and not self._starts(placement.end)):
+        root = self.root_at(end)
+        if root is None or (end < self.placed_size and not self._starts(end)):
             yield "rows", placement.rows, "events up to the end of a commit, and of the segments that it supersedes"
-        elif placement.tree().root() != root:
-            yield "frontier", placement.tree().root().hex(), f"one of root {root.hex()}, as committed"
+        elif (found := placement.tree().root()) != root:
+            yield "frontier", found.hex(), f"one of root {root.hex()}, as committed"
         if is_added != bool(placement.index_bytes):
             expected = "those of the events' line of the index" if is_added else "none, as no events are added"
             yield "index_bytes", placement.index_bytes, expected
@@ -173,6 +174,11 @@ class Chain:
         return bytes.fromhex(self.commits[at].tree_root)
 
 
+def _is_sorted(names: Sequence[str]) -> bool:
+    """Return whether these are sorted, each once."""
+    return len(names) < 2 or all(map(lt, names, names[1:]))
+
+
 class Followed(msgspec.Struct, frozen=True):
     """How far the bytes of a chain were followed: the bytes up to the last whole append, and why no further.
 
@@ -191,11 +197,13 @@ def follow(data: bytes, chain: Chain) -> Followed:
     at = last = end = commits = 0
     sha256 = chain.sha256
     problem: Problem | None = None
+    parsed = iter(_at_once(data))
     while at < len(data) and problem is None:
         stop = data.find(b"\n", at, at + MAX_LINE_BYTES)
-        record, problem = _read(data[at:stop] if stop >= 0 else None, chain)
+        line = data[at:stop]
+        record, problem = _read(line if stop >= 0 else None, chain, next(parsed, None))
         if record is not None:
-            chain.add(data[at:stop], record)
+            chain.add(line, record)
             at = stop + 1
             if isinstance(record, Placement):
                 last, end, commits, sha256 = end, at, len(chain.commits), chain.sha256
@@ -205,12 +213,20 @@ def follow(data: bytes, chain: Chain) -> Followed:
     return Followed(end, len(data) - end, last=last)
 
 
-def _read(line: bytes | None, chain: Chain) -> tuple[Record | None, Problem | None]:
+def _at_once(data: bytes) -> list[Record]:
+    """Parse all whole lines; return none where they must be parsed one by one to see which is no record."""
+    try:
+        return parse_lines(data[: data.rfind(b"\n") + 1])
+    except ValueError:
+        return []
+
+
+def _read(line: bytes | None, chain: Chain, parsed: Record | None) -> tuple[Record | None, Problem | None]:
     number = len(chain.commits)
     if line is None:
         return None, Problem(CHAIN, "a line without end", "whole lines", commit=number)
     try:
-        record = parse_line(line)
+        record = parsed or parse_line(line)
     except ValueError as error:
         return None, Problem(CHAIN, f"no record ({error})", "one as it is written", commit=number)
     doubt = next(chain.doubts(record), None)

@@ -13,7 +13,7 @@ from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.store import disk, growing
-from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING
+from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.read import read_manifest
 from fsar_ledger.ledger.store.record import sha256_hex
 
@@ -30,6 +30,7 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
     """
     path = view.path
     covered = behind(view)
+    is_changed = bool(view.followed.torn or view.journal.torn or view.journal.is_sealed)
     with disk.refusals(path, "finishing what an interrupted writer left"):
         disk.sync_folder(path)
         growing.write_again(path / CHAIN, view.followed.last, view.followed.end, cuts=view.followed.torn > 0)
@@ -47,13 +48,21 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
         if not view.journal.frames and os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
             os.unlink(path / JOURNAL)
             disk.sync_folder(path)
-    return open_chain(path, read_manifest(path))
+    return open_chain(path, read_manifest(path)) if is_changed else view
 
 
 def _roll_forward(view: ChainView) -> None:
     """Move every placed segment into place. Raises: LedgerCorrupted if one is missing."""
+    there = {
+        entry.name: entry.stat(follow_symlinks=False)
+        for entry in os.scandir(view.path / SEGMENTS)  # which takes a third of the time of looking for each
+    }
     for placement in view.chain.placed:
-        target = view.path / segment_of(placement)
+        name = segment_of(placement)
+        known = there.get(name.removeprefix(f"{SEGMENTS}/"))
+        if known is not None and stat.S_ISREG(known.st_mode) and known.st_size == placement.segment_bytes:
+            continue
+        target = view.path / name
         found = view.located(placement)
         if found != target:
             disk.move(found, target)
@@ -61,11 +70,11 @@ def _roll_forward(view: ChainView) -> None:
 
 def _clean(view: ChainView, *, is_alone: bool) -> None:
     """Remove superseded segments and, for a writer that is alone, everything from staging."""
-    placed = set(map(segment_of, view.chain.placed))
-    superseded = set(map(segment_of, view.chain.placements)) - placed
-    for name in superseded:
-        if os.path.lexists(view.path / name):
-            os.unlink(view.path / name)
+    if len(view.chain.placed) < len(view.chain.placements):
+        superseded = set(map(segment_of, view.chain.placements)) - set(map(segment_of, view.chain.placed))
+        for name in superseded:
+            if os.path.lexists(view.path / name):
+                os.unlink(view.path / name)
     disk.make_folder(view.path / STAGING)
     if not is_alone:
         return

@@ -162,11 +162,16 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         journal writes where this one ends.
         """
         try:
-            if growing.size_of(self.path / CHAIN) != self.followed.end:
-                return False
-            return growing.read_at(self.path / JOURNAL, self.journal.end, 1) in (b"", b"\0")
+            chain, journal = self._growing
+            is_longer = growing.size_of(chain) != self.followed.end
+            return not is_longer and growing.read_at(journal, self.journal.end, 1) in (b"", b"\0")
         except OSError:
             return False
+
+    @cached_property
+    def _growing(self) -> tuple[str, str]:
+        """Return the paths of the chain and the journal."""
+        return str(self.path / CHAIN), str(self.path / JOURNAL)
 
     def grown(self, data: bytes, tree: Frontier) -> "ChainView":
         """Return the view after these bytes were appended to the chain, which begin with what the journal held."""
@@ -298,12 +303,15 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         """Return the names of the runs and plans, in the order of their first events. Raises: As `index`."""
         return self.index.run_names()
 
+    def has_run(self, run: str) -> bool:
+        """Return whether a run or a plan has this name. Raises: As `index`."""
+        return any(True for _ in self.index.of_run(run))
+
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in the order of their first events. Raises: As `index`."""
         found: dict[str, Extent] = {}
-        ends = self._line_ends()
         for number, block in self.index.by_line():
-            first, end = ends[number]
+            first, end = self._extent_of_line(number)
             known = found.get(block.run)
             rows = block.rows + (known.rows if known else 0)
             found[block.run] = Extent(block.run, rows, known.first if known else first, end)
@@ -311,12 +319,13 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
 
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is. Raises: As `segment`."""
-        ends = self._line_ends()
-        return [Part(*ends[number], block) for number, block in self.index.of_run(run)]
+        return [Part(*self._extent_of_line(number), block) for number, block in self.index.of_run(run)]
 
-    def _line_ends(self) -> list[tuple[int, int]]:
-        """Return the indexes in the ledger between which the events of each line of the index are."""
-        return [(one.first, one.end) for one in self.chain.added] + [(self.chain.placed_size, self.chain.size)]
+    def _extent_of_line(self, number: int) -> tuple[int, int]:
+        """Return the indexes in the ledger between which the events of this line of the index are."""
+        if number == len(self.chain.added):
+            return self.chain.placed_size, self.chain.size
+        return self.chain.added[number].first, self.chain.added[number].end
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours."""

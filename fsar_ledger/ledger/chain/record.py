@@ -11,6 +11,7 @@ placement   events FIRST to FIRST + ROWS are in this segment; a later one of the
 
 import base64
 import binascii
+from itertools import chain
 from typing import Annotated, TypeAlias, TypeVar
 
 import msgspec
@@ -29,7 +30,13 @@ Line = TypeVar("Line", bound=msgspec.Struct)
 
 
 class Commit(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, tag="commit", tag_field="kind"
+    msgspec.Struct,
+    frozen=True,
+    gc=False,  # it refers to text alone, and a ledger may have a hundred thousand
+    forbid_unknown_fields=True,
+    omit_defaults=True,
+    tag="commit",
+    tag_field="kind",
 ):
     """What one commit added, and the tree after it.
 
@@ -65,7 +72,13 @@ class Commit(
 
 
 class Placement(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True, tag="placement", tag_field="kind"
+    msgspec.Struct,
+    frozen=True,
+    gc=False,
+    forbid_unknown_fields=True,
+    omit_defaults=True,
+    tag="placement",
+    tag_field="kind",
 ):
     """Which segment holds the events from `first` on, and its columns: those of `release`.
 
@@ -107,28 +120,47 @@ def parse_line(line: bytes) -> Record:
 
     Raises: ValueError, with the reason, if it is not the canonical JSON of a record with fields in range.
     """
+    (record,) = _parsed(line + b"\n")
+    return record
+
+
+def parse_lines(data: bytes) -> list[Record]:
+    """Parse whole lines of a chain, each with its line feed, at once; as `parse_line`, and three times as quick.
+
+    Raises: ValueError if one of them is not as it must be.
+    """
+    if any(len(line) >= MAX_LINE_BYTES for line in data.split(b"\n")):
+        raise ValueError(f"a line of {MAX_LINE_BYTES} bytes or more")
+    return _parsed(data)
+
+
+def _parsed(data: bytes) -> list[Record]:
+    """Parse these lines. Raises: ValueError, with the reason, if one is not as it must be."""
     try:
-        record: Record = _DECODER.decode(line)
+        records: list[Record] = _DECODER.decode_lines(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"other JSON than expected ({error})") from error
-    if line != canonical.document(record):
+    if data != canonical.documents(records):
         raise ValueError("JSON that is not canonical")
-    if isinstance(record, Commit):
-        hashes: tuple[str, ...] = (record.previous_sha256, record.tree_root)
-        if record.signature and not _is_signature(record.signature):
-            raise ValueError(f"signature {record.signature!r:.80}, which is not 68 bytes in base64")
-    else:
-        hashes = (record.previous_sha256, record.schema_sha256, record.segment_sha256, *record.frontier)
-        if len(record.frontier) != record.end.bit_count():
-            raise ValueError(f"{len(record.frontier)} hashes of a tree of {record.end} events")
-        if record.index_bytes:
-            hashes += (record.index_sha256,)
-        elif record.index_sha256:
-            raise ValueError("the SHA-256 of a line of the index that has no bytes")
-    if set(map(len, hashes)) != {2 * HASH_BYTES} or "".join(hashes).encode().translate(None, b"0123456789abcdef"):
+    hashes = list(chain.from_iterable(map(_hashes, records)))
+    if set(map(len, hashes)) - {2 * HASH_BYTES} or "".join(hashes).encode().translate(None, b"0123456789abcdef"):
         value = next(one for one in hashes if len(one) != 2 * HASH_BYTES or one.strip("0123456789abcdef"))
         raise ValueError(f"{value!r:.80}, which is no SHA-256 in lower-case hex")
-    return record
+    return records
+
+
+def _hashes(record: Record) -> tuple[str, ...]:
+    """Return what must be hashes in this record. Raises: ValueError, with the reason, if it contradicts itself."""
+    if isinstance(record, Commit):
+        if record.signature and not _is_signature(record.signature):
+            raise ValueError(f"signature {record.signature!r:.80}, which is not 68 bytes in base64")
+        return record.previous_sha256, record.tree_root
+    if len(record.frontier) != record.end.bit_count():
+        raise ValueError(f"{len(record.frontier)} hashes of a tree of {record.end} events")
+    if record.index_sha256 and not record.index_bytes:
+        raise ValueError("the SHA-256 of a line of the index that has no bytes")
+    of_line = (record.index_sha256,) if record.index_bytes else ()
+    return record.previous_sha256, record.schema_sha256, record.segment_sha256, *record.frontier, *of_line
 
 
 def _is_signature(text: str) -> bool:

@@ -35,6 +35,11 @@ def document(value: object) -> bytes:
     return _SORTING_ENCODER.encode(value)
 
 
+def documents(values: Sequence[object]) -> bytes:
+    """Return the RFC 8785 JSON of each of these, as `document`, with a line feed after it."""
+    return _SORTING_ENCODER.encode_lines(values)
+
+
 def _row_type(layout: StoredType) -> tuple[type[msgspec.Struct], tuple[str, ...]]:
     """Return a struct of all columns of this event type in sorted order; its JSON leaves out those that are None."""
     names = tuple(sorted([field.name for field in (*ENVELOPE, *layout.fields)]))

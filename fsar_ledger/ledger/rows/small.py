@@ -22,8 +22,7 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[list[bytes], tuple[Block, ...]]:
     if not runs:
         raise InvalidRun("found no runs to commit, expected at least 1")
     lines = encode_lines(runs)
-    text = b"".join(lines).decode()
-    if "\\" in text or not text.isprintable() or not all(map(_is_in_order, runs)):
+    if not _is_printable(b"".join(lines)) or not all(map(_is_in_order, runs)):
         table = encode_coded(runs)
         if flaw := unprintable(table):
             raise InvalidRun(f"{flaw}; give it another name")
@@ -32,6 +31,14 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[list[bytes], tuple[Block, ...]]:
     if flaw := unreadable(runs):
         raise refusal(flaw)
     return lines, tuple(_blocks(runs))
+
+
+def _is_printable(rows: bytes) -> bool:
+    """Return whether it is plain that all text in these rows, canonical JSON, is printable.
+
+    JSON escapes other ASCII than DEL by a backslash. Looking at bytes takes a tenth of the time of looking at text.
+    """
+    return b"\\" not in rows and b"\x7f" not in rows and (rows.isascii() or rows.decode().isprintable())
 
 
 def _is_in_order(run: LedgerRun) -> bool:

@@ -6,12 +6,14 @@ The steps, each durable before the next. A reader, or a crash between any two, s
 3. The segment moves to `segments/`. After a crash, the next Writer moves it; until then readers look in `staging/`.
 4. The tiles and the checkpoint follow (see `derived.py`); after a crash, the next Writer writes them.
 
-Writers take turns: 2 to 4 happen under an exclusive lock on `commits/`. A Writer also holds a shared lock on the
-ledger's folder. Leftovers in `staging/` that no record names are harmless; a Writer that is alone when it opens removes
-them.
+Writers take turns: 2 to 4 happen under an exclusive lock on `commits/`. Each begins its turn with what others have
+committed meanwhile, so no work is done again: a segment does not depend on its number. A Writer also holds a shared
+lock on the ledger's folder. Leftovers in `staging/` that no record names are harmless; a Writer that is alone when it
+opens removes them.
 """
 
 import fcntl
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -57,6 +59,9 @@ from fsar_ledger.ledger.store.read import open_ledger, read_manifest
 from fsar_ledger.ledger.store.record import CommitRecord, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.store.walk import commit_names
+
+_TRIES = 100
+"""How often a writer goes on from the commit of another, where the file system has no locks."""
 
 
 class Staged(msgspec.Struct, frozen=True):
@@ -174,6 +179,9 @@ class Writer:
                 f"{ledger / MANIFEST}: found a ledger of origin {manifest.origin!r}, expected {origin!r}; give "
                 f"another path, or that origin with {option('origin')}"
             )
+        self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
+        self._held: HeldRuns | None = None  # read when the first batch is appended
+        self._is_broken = False
         self._lock, is_alone = lock(ledger)
         try:
             if is_alone:
@@ -181,21 +189,32 @@ class Writer:
             with suppress(OSError):  # the file system has no locks
                 fcntl.flock(self._lock, fcntl.LOCK_SH)
             with disk.turn(ledger / COMMITS):
-                view = open_ledger(ledger)
-                if signer is not None and not adopts:
-                    require_own(view, signer.verifier)
-                confirm(view)
-                roll_forward(view)
-                self._edge = catch_up(view)
+                self._open()
         except BaseException:
             self.close()
             raise
-        self._path, self._origin, self._signer, self._head = ledger, origin, signer, view.head
-        self._last = view.records[-1] if view.records else None
-        self._previous = sha256_hex(canonical.document(self._last)) if self._last else view.manifest_sha256
-        self._opened = view
-        self._held: HeldRuns | None = None  # read when the first batch is appended
-        self._is_broken = False
+
+    def _open(self) -> None:
+        """Open the ledger, finish what an interrupted writer left, and go on from the newest commit."""
+        view = open_ledger(self._path)
+        if self._signer is not None and not self._adopts:
+            require_own(view, self._signer.verifier)
+        confirm(view)
+        roll_forward(view)
+        self._edge = catch_up(view)
+        self._opened, self._head = view, view.head
+        self._previous = view.record_sha256
+        self._segments = {record.segment_sha256 for record in view.records}
+
+    def _catch_up(self) -> None:
+        """Take over what other writers have committed since the last turn."""
+        known = self._head.commits
+        if not os.path.lexists(commit_path(self._path, known)):
+            return
+        self._open()
+        if self._held is not None:
+            for record in self._opened.records[known:]:
+                self._held.add(record.number, segment_path(self._path, record.number), record.rows)
 
     @property
     def head(self) -> Head:
@@ -226,13 +245,13 @@ class Writer:
         return self._held.told()
 
     def append(self, staged: Staged) -> Head:
-        """Commit the staged segment, durably. Appending the newest segment again changes nothing.
+        """Commit the staged segment, durably. Appending a segment that is there already changes nothing.
 
         Raises:
             InvalidRun: The ledger already holds one of the runs. The staged file is removed; the ledger is unchanged.
-            SequenceConflict: Another writer took the number, or has continued from the same commit; open the ledger
+            SequenceConflict: The file system has no locks, and others took the number again and again; open the ledger
                 again and append what it lacks.
-            LedgerCorrupted: A folder of the tiles is a link.
+            LedgerCorrupted: A folder of the tiles is a link; or another writer made the ledger contradict itself.
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
         if self._is_broken or self._lock < 0:
@@ -240,9 +259,23 @@ class Writer:
                 f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and "
                 "append what it lacks"
             )
-        if self._last and self._last.segment_sha256 == staged.segment_sha256:
-            disk.remove(staged_path(self._path, staged.segment_sha256))
-            return self._head
+        runs = self._runs_of(staged)
+        tries = 0
+        while True:
+            with disk.turn(self._path / COMMITS):
+                self._catch_up()
+                if staged.segment_sha256 in self._segments:
+                    disk.remove(staged_path(self._path, staged.segment_sha256))
+                    return self._head
+                try:
+                    return self._append(staged, runs)
+                except SequenceConflict:  # without locks another writer may be quicker: go on from its commit
+                    self._is_broken, tries = False, tries + 1
+                    if tries == _TRIES:
+                        raise
+
+    def _append(self, staged: Staged, runs: list[str] | None) -> Head:
+        """Commit the staged segment with these runs next; the writer has its turn. Raises: As `append`."""
         number = self._head.commits
         if number >= disk.MAX_NAMES:
             raise WriteFailed(
@@ -250,31 +283,27 @@ class Writer:
             )
         if self._held is None:
             self._held = HeldRuns(self._opened)
-        held = self._held
-        runs = self._new_runs(staged, held)
+        if (again := self._held.first_of(runs or [])) is not None:
+            disk.remove(staged_path(self._path, staged.segment_sha256))
+            run, holder = again
+            raise refusal(Flaw(-1, run, 0, "run_id", f"a run that commit {holder} holds", "each run in one commit"))
         edge, tiles = self._edge.extend(staged.leaves)
         check_folders(self._path, tiles)
         record = self._record(staged, number, edge.frontier())
         data = canonical.document(record)
         self._is_broken = True  # unless everything below succeeds
-        with disk.turn(self._path / COMMITS):
-            self._publish(staged, number, data)
-            self._settle(staged, number)
-            self._derive(record, tiles)
+        self._publish(staged, number, data)
+        self._settle(staged, number)
+        self._derive(record, tiles)
         self._is_broken = False
-        self._last, self._edge, self._previous = record, edge, sha256_hex(data)
+        self._edge, self._previous = edge, sha256_hex(data)
         self._head = Head(number + 1, edge.size, record.tree_root, record.last_run)
-        held.add(number, segment_path(self._path, number), staged.rows, runs)
+        self._segments.add(staged.segment_sha256)
+        self._held.add(number, segment_path(self._path, number), staged.rows, runs)
         return self._head
 
-    def _new_runs(self, staged: Staged, held: HeldRuns) -> list[str] | None:
-        """Return the runs of the staged segment, after checking that the ledger holds none of them.
-
-        None if the file is gone, as after another writer made this same commit.
-
-        Raises:
-            InvalidRun, LedgerCorrupted, WriteFailed: As `append`.
-        """
+    def _runs_of(self, staged: Staged) -> list[str] | None:
+        """Return the runs that were staged; None if another writer has committed the same. Raises: As `append`."""
         path = staged_path(self._path, staged.segment_sha256)
         with disk.refusals(path, "reading what was staged"):
             try:
@@ -290,12 +319,7 @@ class Writer:
                 f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; "
                 "stage it again"
             )
-        runs = runs_of(path, staged.rows, data)
-        if (again := held.first_of(runs)) is not None:
-            disk.remove(path)
-            run, number = again
-            raise refusal(Flaw(-1, run, 0, "run_id", f"a run that commit {number} holds", "each run in one commit"))
-        return runs
+        return runs_of(path, staged.rows, data)
 
     def _record(self, staged: Staged, number: int, tree: Frontier) -> CommitRecord:
         checkpoint = checkpoint_of(self._origin, tree)

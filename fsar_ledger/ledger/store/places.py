@@ -1,6 +1,8 @@
 """Where in a ledger the events of a run are."""
 
+from bisect import bisect_right
 from collections.abc import Sequence
+from itertools import takewhile
 
 import msgspec
 import pyarrow.compute as pc
@@ -12,17 +14,17 @@ from fsar_ledger.ledger.store.view import Part, View
 
 def segments_of(view: View, parts: Sequence[Part]) -> list[int]:
     """Return the numbers of the segments that hold these parts of a run, in order."""
-    numbers = range(len(view.releases))
-    return [
-        number
-        for number in numbers
-        if any(one.first < view.end(number) and one.end > view.first(number) for one in parts)
-    ]
+    found: set[int] = set()
+    for one in parts:
+        found.update(segments_between(view, one.first, one.end))
+    return sorted(found)
 
 
 def segments_between(view: View, first: int, end: int) -> list[int]:
     """Return the numbers of the segments that hold events from this index of the ledger up to that, in order."""
-    return [number for number in range(len(view.releases)) if view.first(number) < end and view.end(number) > first]
+    count = len(view.releases)
+    start = bisect_right(range(count), first, key=view.end)
+    return list(takewhile(lambda number: view.first(number) < end, range(start, count)))
 
 
 def place_of(view: View, run: str, seq: int) -> int:

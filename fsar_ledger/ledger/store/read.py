@@ -193,6 +193,10 @@ class LedgerView(msgspec.Struct, frozen=True, dict=True):
                 names += begins.column("run_id").filter(is_one).to_pylist()
         return RunNames(*map(tuple, found))
 
+    def has_run(self, run: str) -> bool:
+        """Return whether a run or a plan has this name. Raises: As `table`."""
+        return run in self.run_names.runs or run in self.run_names.plans
+
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in order: in one commit. Raises: As `table`."""
         found: list[Extent] = []

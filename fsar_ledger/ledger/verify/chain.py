@@ -300,9 +300,10 @@ class ChainVerification:
         signed = Signatures("signer not checked")
         if not self.problems:
             sealed = len(view.commits) - len(view.journal.frames)
+            judged = self._to_judge(view.commits)
             doubts, signed = check_signatures(
-                [commit.note(origin) for commit in view.commits],
-                lambda number: CHAIN if number < sealed else JOURNAL,
+                [commit.note(origin) for commit in judged],
+                lambda at: CHAIN if judged[at].number < sealed else JOURNAL,
                 self.asked.trusted,
             )
             self.problems += doubts
@@ -327,6 +328,12 @@ class ChainVerification:
             remarks=remarks,
             record_sha256=view.record_sha256 if ok else None,
         )
+
+    def _to_judge(self, commits: Sequence[Commit]) -> list[Commit]:
+        """Return the commits whose notes tell something: without a key, those that are signed, and the newest."""
+        if self.asked.trusted is not None:
+            return list(commits)
+        return [*(commit for commit in commits[:-1] if commit.signature), *commits[-1:]]
 
     def _check_anchors(self, view: ChainView) -> int | None:
         """Check the anchors; return the events that the user's one vouches for."""
