@@ -52,6 +52,8 @@ def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:
         os.fdatasync(handle)
     finally:
         os.close(handle)
+    if not start:
+        disk.sync_folder(ledger)  # the file may be new, and the checkpoint must not be there without it
 
 
 def derived_sizes(chain: Chain) -> dict[str, int]:
