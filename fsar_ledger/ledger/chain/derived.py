@@ -4,13 +4,16 @@
 """
 
 import os
+from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.links import Chain
 from fsar_ledger.ledger.chain.paths import INDEX, NODES
-from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log import merkle, pack
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.store import disk, growing
 
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
@@ -35,6 +38,33 @@ def read_node(ledger: Path, place: int) -> bytes:
             "it again"
         )
     return found
+
+
+def node_reader(ledger: Path, tree: Frontier, journaled: bytes, rows: Callable[[int, int], list[bytes]]) -> merkle.Node:
+    """Return a function that gives the complete subtrees of a ledger's tree, and so of each smaller one.
+
+    `tree` is that of the events that segments hold, `journaled` the packed leaves of the others, and `rows` gives the
+    canonical bytes of the events between two indexes. It raises LedgerCorrupted where the pack is too short.
+    """
+    start, size = pack.count(tree.size), tree.size + len(journaled) // HASH_BYTES
+    _, more = pack.grow(tree, journaled)
+
+    def read(place: int) -> bytes:
+        at = (place - start) * HASH_BYTES
+        return more[at : at + HASH_BYTES] if at >= 0 else read_node(ledger, place)
+
+    @lru_cache(maxsize=4)
+    def leaf_hashes(first: int, end: int) -> bytes:
+        return leaves_of(rows(first, end))
+
+    def some(first: int, end: int) -> bytes:
+        block = first >> pack.BASE << pack.BASE  # read and hash a block once
+        found = leaf_hashes(block, min(block + (1 << pack.BASE), size))
+        return found[(first - block) * HASH_BYTES : (end - block) * HASH_BYTES]
+
+    edge = tree.nodes()
+    stored = pack.node_of(read, some)
+    return lambda height, number: edge.get((height, number)) or stored(height, number)
 
 
 def append_derived(ledger: Path, name: str, data: bytes, start: int) -> None:

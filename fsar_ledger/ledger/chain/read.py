@@ -6,14 +6,14 @@ both are read again.
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.derived import read_node
+from fsar_ledger.ledger.chain.derived import node_reader
 from fsar_ledger.ledger.chain.groups import groups_of
 from fsar_ledger.ledger.chain.index import Index, line_of
 from fsar_ledger.ledger.chain.journal import Journal, read_frames
@@ -21,8 +21,7 @@ from fsar_ledger.ledger.chain.links import Chain, Followed, follow
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, segment_of
 from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
 from fsar_ledger.ledger.chain.tables import materialized, table_of
-from fsar_ledger.ledger.log import merkle, pack
-from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
+from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note
 from fsar_ledger.ledger.rows import canonical, codec, segment
@@ -344,27 +343,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
 
         It raises LedgerCorrupted where the pack is too short.
         """
-        start = pack.count(self.chain.placed_size)
-        _, more = pack.grow(self.chain.tree(), bytes(self.journal.leaves))
-
-        def read(place: int) -> bytes:
-            if place < start:
-                return read_node(self.path, place)
-            at = (place - start) * HASH_BYTES
-            return more[at : at + HASH_BYTES]
-
-        @lru_cache(maxsize=4)
-        def leaf_hashes(first: int, end: int) -> bytes:
-            return leaves_of(self.rows(first, end))
-
-        def some(first: int, end: int) -> bytes:
-            block = first >> pack.BASE << pack.BASE  # read and hash a block once
-            found = leaf_hashes(block, min(block + (1 << pack.BASE), self.head.size))
-            return found[(first - block) * HASH_BYTES : (end - block) * HASH_BYTES]
-
-        edge = self.chain.tree().nodes()
-        stored = pack.node_of(read, some)
-        return lambda height, number: edge.get((height, number)) or stored(height, number)
+        return node_reader(self.path, self.chain.tree(), bytes(self.journal.leaves), self.rows)
 
     def tree(self) -> Frontier:
         """Return the tree of all events."""
