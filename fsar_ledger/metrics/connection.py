@@ -126,6 +126,11 @@ class Database:
         """Close the connection; DuckDB complains at exit about an open one."""
         self._connection.close()
 
+    def spill(self, folder: Path) -> None:
+        """Let DuckDB put into this folder what does not fit into memory: for our own queries alone."""
+        quoted = str(folder).replace("'", "''")
+        self._connection.execute(f"SET temp_directory = '{quoted}'")
+
     def hold(self, name: str, table: Any) -> None:
         """Make an Arrow table or dataset the relation of this name, in place of any packaged query."""
         if self._file is None:

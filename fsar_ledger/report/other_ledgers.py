@@ -5,6 +5,7 @@ Workflows, ablation, scaling and mechanisms each come from whichever ledger hold
 
 from collections.abc import Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import msgspec
 
@@ -56,7 +57,9 @@ def read_ledgers(
         if ledger == workflows:
             found = found.or_else(OtherSections(workflows=grades.workflows(ledger, demanded)))
             continue
-        with connect(ledger, demanded=demanded) as database:
+        # A ledger of large fleets may have a run of tens of millions of events, which cannot be judged in parts.
+        with TemporaryDirectory(prefix="fsar-ledger-") as spilled, connect(ledger, demanded=demanded) as database:
+            database.spill(Path(spilled))
             here = read_database(database, pools_seeds=pools_seeds)
             has_workflows = database.rows(WORKFLOWS_SQL, {"names": list(grades.WORKFLOWS)})[0]["runs"] > 0
         if has_workflows:
