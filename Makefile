@@ -39,7 +39,7 @@ help:
 	@echo "make soak-sensitivity   measure how much each number depends on each constant, most of an hour;"
 	@echo "                 resumes where it was interrupted"
 	@echo "make fleets      measure what coordination costs in fleets of 4 to 4,096 robots, into $(OUT)/fleets.pdf;"
-	@echo "                 an hour and 16 GiB; resumes where it was interrupted"
+	@echo "                 an hour and 10 GiB; resumes where it was interrupted"
 	@echo "make bench       run the benchmarks and print ratios"
 	@echo "make docs        rewrite the pages that show real output"
 	@echo "make page        build the script of the page that view writes from fsar_ledger/view/src; needs Node"
@@ -145,12 +145,12 @@ soak-swaps: $(READY_TEST)
 soak-sensitivity: $(READY)
 	$(BIN)/fsar-ledger sensitivity --out $(OUT)/sensitivity.parquet --svg $(OUT)/sensitivity.svg
 
-# Which size breaks which architecture, and what does a request cost there? Not a test; 62 million events, 16 GiB.
+# Which size breaks which architecture, and what does a request cost there? Not a test; 62 million events, 10 GiB.
 fleets: reproduce
 	for size in 4 16 64 256 1024 4096; do \
 		$(BIN)/fsar-ledger simulate $(OUT)/fleets --runs 1 --scenario door-relay --fleet-size $$size --format 2 || exit; \
 	done
-	$(BIN)/fsar-ledger report $(OUT)/results --with $(OUT)/fleets --out $(OUT)/fleets.pdf --memory 16384
+	$(BIN)/fsar-ledger report $(OUT)/results --with $(OUT)/fleets --out $(OUT)/fleets.pdf --memory 10240
 
 bench: export FSAR_LEDGER_BENCH := $(OUT)/bench.jsonl
 bench: $(READY_TEST)
