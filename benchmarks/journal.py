@@ -23,6 +23,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import encode_lines
+from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
@@ -44,17 +45,7 @@ def spent(work: Callable[[], object]) -> Spent:
 
 def pieces_of(run: LedgerRun, group: int, groups: int) -> list[LedgerRun]:
     """Cut the beginning of the run into groups of events."""
-    return [
-        LedgerRun(
-            run.run_id,
-            run.times_us[at : at + group],
-            run.caused_by[at : at + group],
-            run.events[at : at + group],
-            at,
-            True,
-        )
-        for at in range(0, group * groups, group)
-    ]
+    return [piece(run, at, at + group) for at in range(0, group * groups, group)]
 
 
 def stored(path: Path) -> sqlite3.Connection:
@@ -79,9 +70,9 @@ def paired(run: LedgerRun, rows: list[bytes], group: int, groups: int) -> tuple[
         connection = stored(Path(name) / "events.db")
         with ChainWriter(path, "example.org/journal") as writer:
             writer.add([LedgerRun("begun", [0], [None], run.events[:1])])
-            for number, piece in enumerate(pieces_of(run, group, groups)):
+            for number, part_of_run in enumerate(pieces_of(run, group, groups)):
                 part = [(row,) for row in rows[number * group : (number + 1) * group]]
-                ours.append(spent(partial(writer.add, [piece])))
+                ours.append(spent(partial(writer.add, [part_of_run])))
                 theirs.append(spent(partial(insert, connection, part)))
         connection.close()
         if open_ledger(path).head.size != group * groups + 1:

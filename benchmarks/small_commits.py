@@ -22,6 +22,7 @@ from typing import NamedTuple
 from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.chain.append import SEAL_ROWS, ChainWriter
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.verify.verify import verify
@@ -66,23 +67,13 @@ def some_runs(commits: int) -> list[LedgerRun]:
 def cut(run: LedgerRun) -> list[LedgerRun]:
     """Cut the run into parts of a few events."""
     size = len(run.events)
-    return [
-        LedgerRun(
-            run.run_id,
-            run.times_us[at : at + EVENTS],
-            run.caused_by[at : at + EVENTS],
-            run.events[at : at + EVENTS],
-            at,
-            at + EVENTS < size,
-        )
-        for at in range(0, size, EVENTS)
-    ]
+    return [piece(run, at, min(at + EVENTS, size)) for at in range(0, size, EVENTS)]
 
 
 def in_small(path: Path, runs: Sequence[LedgerRun]) -> list[Spent]:
     """Add the runs in small commits, and compact the ledger. Returns what each commit took."""
     with ChainWriter(path, ORIGIN) as writer:
-        taken = [spent(partial(writer.add, [piece])) for run in runs for piece in cut(run)]
+        taken = [spent(partial(writer.add, [part])) for run in runs for part in cut(run)]
         print(f"compacting: {spent(writer.compact)}")
     return taken
 
@@ -100,8 +91,8 @@ def restart(path: Path, runs: Sequence[LedgerRun], repeats: int) -> None:
         for run in runs:
             if (rows := rows + len(run.events)) > SEAL_ROWS:
                 break
-            for piece in cut(run):
-                writer.add([piece])
+            for part in cut(run):
+                writer.add([part])
     view = open_for_answers(path)
     print(f"restart with {view.head.size:,} events in a journal, which is sealed before {SEAL_ROWS:,}:")
     reader = median([spent(lambda: open_for_answers(path)) for _ in range(repeats)])

@@ -13,7 +13,7 @@ import msgspec
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment, InvalidRun
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.rows.pieces import joined
+from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.store.append import Staged, stage
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run, simulate_slices
 from fsar_ledger.workers import WorkerPool
@@ -84,7 +84,7 @@ class Staging(msgspec.Struct, frozen=True):
                 at, end = max(0, self.held.get(run.run_id, 0) - run.first), len(run.events)
                 while at < end:
                     stop = min(end, at + room)
-                    part.append(_piece(run, at, stop))
+                    part.append(piece(run, at, stop))
                     room -= stop - at
                     at = stop
                     if not room:
@@ -107,21 +107,7 @@ class Staging(msgspec.Struct, frozen=True):
 
 def joined_parts(part: Sequence[LedgerRun]) -> list[LedgerRun]:
     """Return the runs of a part, each in one piece."""
-    return [joined(list(pieces)) for _, pieces in groupby(part, key=lambda piece: piece.run_id)]
-
-
-def _piece(run: LedgerRun, at: int, end: int) -> LedgerRun:
-    """Return the events of a run between these indexes; it goes on unless they are its last."""
-    if (at, end) == (0, len(run.events)):
-        return run
-    return LedgerRun(
-        run.run_id,
-        run.times_us[at:end],
-        run.caused_by[at:end],
-        run.events[at:end],
-        run.first + at,
-        end < len(run.events) or run.goes_on,
-    )
+    return [joined(list(pieces)) for _, pieces in groupby(part, key=lambda one: one.run_id)]
 
 
 def _halves(part: Sequence[LedgerRun], events: int) -> tuple[list[LedgerRun], list[LedgerRun]]:
@@ -131,8 +117,8 @@ def _halves(part: Sequence[LedgerRun], events: int) -> tuple[list[LedgerRun], li
     for run in part:
         size = len(run.events)
         if events > 0:
-            first.append(_piece(run, 0, min(size, events)))
+            first.append(piece(run, 0, min(size, events)))
         if size > events:
-            second.append(_piece(run, max(0, events), size))
+            second.append(piece(run, max(0, events), size))
         events -= size
     return first, second
