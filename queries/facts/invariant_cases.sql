@@ -7,70 +7,71 @@
 -- NULL: never; without a row there was nothing to judge, which is no pass
 -- Example: fsar-ledger query facts/invariant_cases LEDGER
 -- Stored: audit reads it for each invariant
-WITH counted AS (
+-- What depends on the type only is judged once a type.
+WITH of_types AS (
     SELECT
-        run_id,
+        run_id, type,
+        count(*) AS events,
+        count(*) FILTER (robot = on_behalf_of) AS own,
+        count(*) FILTER (type = 'ExecutionHeld.v1' AND len(path) > 0) AS held_on_path,
         count(*) FILTER (
-            type = 'RobotJoined.v1' OR len(path) > 0
-            OR coalesce(decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver) IS NOT NULL
-        ) AS i1,
-        count(*) FILTER (type = 'ExecutionStarted.v1' AND NOT coalesce(robot = on_behalf_of, FALSE)) AS i2,
-        count(*) FILTER (
-            type IN ('OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1')
-            OR (type = 'ExecutionStarted.v1' AND robot = on_behalf_of)
-        ) AS a1,
-        count(*) FILTER (
-            executed_by IS NOT NULL OR robot = 'coordinator' OR starts_with(robot, 'service/')
-            OR (robot IS NOT NULL AND regexp_matches(type, '^(Execution|Assistance|RoutinePerformed)'))
-        ) AS a2,
-        count(*) FILTER (type = 'RequestAdmitted.v1') AS a3,
-        count(*) FILTER (
-            type IN (
-                'OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1', 'RequestAdmitted.v1',
-                'AssistanceAdmitted.v1', 'RequestAccepted.v1', 'ReplanOrdered.v1'
-            )
-            OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
-        ) AS a4,
-        count(*) FILTER (type = 'AssistanceAdmitted.v1') AS a5
+            decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
+            OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR len(path) > 0
+        ) AS naming,
+        count(*) FILTER (executed_by IS NOT NULL OR robot IS NOT NULL) AS placed,
+        count(*) FILTER (executed_by IS NOT NULL OR robot = 'coordinator' OR starts_with(robot, 'service/')) AS central
     FROM event_principals
-    GROUP BY run_id
+    GROUP BY run_id, type
+),
+
+counted AS (
+    SELECT
+        of_types.run_id,
+        sum(if(of_types.type = 'RobotJoined.v1', events, naming)) AS i1,
+        sum(events - own) FILTER (of_types.type = 'ExecutionStarted.v1') AS i2,
+        sum(events) FILTER (classes.record_kind IS NOT NULL) AS i5, -- each is a row of coordination_events
+        sum(if(of_types.type = 'ExecutionStarted.v1', own, events)) FILTER (
+            of_types.type IN ('OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1', 'ExecutionStarted.v1')
+        ) AS a1,
+        sum(if(regexp_matches(of_types.type, '^(Execution|Assistance|RoutinePerformed)'), placed, central)) AS a2,
+        sum(events) FILTER (of_types.type = 'RequestAdmitted.v1') AS a3,
+        sum(if(of_types.type = 'ExecutionHeld.v1', held_on_path, events)) FILTER (
+            of_types.type IN (
+                'OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1', 'RequestAdmitted.v1',
+                'AssistanceAdmitted.v1', 'RequestAccepted.v1', 'ReplanOrdered.v1', 'ExecutionHeld.v1'
+            )
+        ) AS a4,
+        sum(events) FILTER (of_types.type = 'AssistanceAdmitted.v1') AS a5
+    FROM of_types
+    LEFT JOIN event_classes AS classes ON of_types.type = classes.type
+    GROUP BY of_types.run_id
 ),
 
 judged AS (
     SELECT
         run_id,
         unnest([
-            'i1_local_agent_coherence', 'i2_local_execution_ownership', 'a1_local_runtime_self_sufficiency',
-            'a2_coordination_only_federation', 'a3_no_silent_policy_override', 'a4_thin_federation_interface',
-            'a5_audit_completeness'
+            'i1_local_agent_coherence', 'i2_local_execution_ownership', 'i5_audit_attributability',
+            'a1_local_runtime_self_sufficiency', 'a2_coordination_only_federation', 'a3_no_silent_policy_override',
+            'a4_thin_federation_interface', 'a5_audit_completeness'
         ]) AS invariant,
-        unnest([i1, i2, a1, a2, a3, a4, a5]) AS cases
+        unnest([i1, i2, i5, a1, a2, a3, a4, a5]) AS cases
     FROM counted
     UNION ALL
-    SELECT run_id, 'a4_thin_federation_interface' AS invariant, 1 AS cases
-    FROM recovery_attempted
+    SELECT run_id, 'a4_thin_federation_interface' AS invariant, 1 AS cases FROM recovery_attempted
     WHERE level = 'local'
     UNION ALL
-    SELECT run_id, 'i2_local_execution_ownership' AS invariant, 1 AS cases
-    FROM rights_at_evaluations
+    SELECT run_id, 'i2_local_execution_ownership' AS invariant, 1 AS cases FROM rights_at_evaluations
     WHERE verdict = 'admitted'
     UNION ALL
     SELECT run_id, unnest(['i3_jointly_composed_policy', 'a3_no_silent_policy_override']) AS invariant, 1 AS cases
     FROM known_policy
     UNION ALL
-    SELECT run_id, 'a3_no_silent_policy_override' AS invariant, 1 AS cases
-    FROM mandate_conflicts
+    SELECT run_id, 'a3_no_silent_policy_override' AS invariant, 1 AS cases FROM mandate_conflicts
     UNION ALL
-    SELECT run_id, 'i4_outward_recovery' AS invariant, 1 AS cases
-    FROM recovery_acts
+    SELECT run_id, 'i4_outward_recovery' AS invariant, 1 AS cases FROM recovery_acts
     UNION ALL
-    SELECT events.run_id, 'i5_audit_attributability' AS invariant, 1 AS cases
-    FROM event_principals AS events
-    INNER JOIN event_classes AS classes ON events.type = classes.type
-    WHERE classes.record_kind IS NOT NULL -- each is a row of coordination_events
-    UNION ALL
-    SELECT run_id, 'a5_audit_completeness' AS invariant, 1 AS cases
-    FROM cross_robot_records
+    SELECT run_id, 'a5_audit_completeness' AS invariant, 1 AS cases FROM cross_robot_records
 )
 
 SELECT run_id, invariant, sum(cases)::BIGINT AS cases
