@@ -1,11 +1,11 @@
 """Mappings that never change: with one more entry, or without one, there is a new mapping.
 
-A small one is a dict, which is copied. A large one shares all but a few entries with the one that it came from, so an
+A small one is a dict, which is copied. The versions of a large one share one dict, which is that of the newest, so an
 event costs as much in a fleet of thousands as in one of four. Entries are in the order in which a dict has them, so
 what iterates over a mapping does the same in every process.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, KeysView, Mapping
 from typing import Generic, TypeVar
 
 K = TypeVar("K")
@@ -14,75 +14,97 @@ V = TypeVar("V")
 _LARGE = 192  # entries: from here on, copying a dict takes longer than a change of a `Large`
 
 
+class _Line(Generic[K, V]):
+    """Versions of one mapping, each a change of the one before: number n is `first` after n of the `changes`.
+
+    A change is a key and its value; without a value, the key was taken out. `newest` is the last version.
+    """
+
+    __slots__ = ("changes", "first", "most", "newest")
+
+    def __init__(self, first: dict[K, V]) -> None:
+        self.first = first
+        self.changes: list[tuple[K] | tuple[K, V]] = []
+        self.newest = {**first}
+        self.most = max(_LARGE, len(first))  # changes, until there is another line: an old version holds no more
+
+
 class Large(Mapping[K, V], Generic[K, V]):
-    """A mapping in parts, of which a change copies one. Entries hold the serial of their key."""
+    """One version of a mapping with many. The newest is as quick as a dict; another is put together when it is read.
 
-    __slots__ = ("_next", "_parts", "_size")
+    Not for threads that share versions of one mapping.
+    """
 
-    def __init__(self, parts: tuple[dict[K, tuple[int, V]], ...], size: int, after: int) -> None:
-        self._parts = parts
-        self._size = size
-        self._next = after
+    __slots__ = ("_line", "_number")
+
+    def __init__(self, line: _Line[K, V], number: int = 0) -> None:
+        self._line = line
+        self._number = number
 
     @classmethod
-    def of(cls, entries: Mapping[K, V]) -> "Large[K, V]":
-        """Return a mapping of these entries, in their order, in about as many parts as each has entries."""
-        count = 1 << len(entries).bit_length() // 2
-        parts: tuple[dict[K, tuple[int, V]], ...] = tuple({} for _ in range(count))
-        for serial, (key, value) in enumerate(entries.items()):
-            parts[hash(key) & count - 1][key] = serial, value
-        return cls(parts, len(entries), len(entries))
+    def of(cls, entries: dict[K, V]) -> "Large[K, V]":
+        """Return a mapping of these entries; the dict must not change any more."""
+        return cls(_Line(entries))
 
     def __len__(self) -> int:
-        return self._size
+        return len(self._entries())
 
     def __iter__(self) -> Iterator[K]:
-        found = [(serial, key) for part in self._parts for key, (serial, _) in part.items()]
-        found.sort(key=lambda one: one[0])
-        return iter([key for _, key in found])
+        return iter([*self._entries()])  # while it goes on, there may be another version
 
     def __getitem__(self, key: K) -> V:
-        parts = self._parts
-        return parts[hash(key) & len(parts) - 1][key][1]
+        return self._entries()[key]
 
     def __contains__(self, key: object) -> bool:
-        parts = self._parts
-        return key in parts[hash(key) & len(parts) - 1]
+        return key in self._entries()
 
     def get(self, key: K, default: V | None = None) -> V | None:  # type: ignore[override]  # `Mapping` has overloads
         """Return the value of the key, or the default."""
-        parts = self._parts
-        found = parts[hash(key) & len(parts) - 1].get(key)
-        return default if found is None else found[1]
+        line = self._line
+        if self._number == len(line.changes):
+            return line.newest.get(key, default)
+        return self._entries().get(key, default)
 
-    def among(self, keys: Iterable[K]) -> set[K]:
+    def among(self, keys: KeysView[K]) -> set[K]:
         """Return those of these keys that it has."""
-        parts, mask = self._parts, len(self._parts) - 1
-        return {key for key in keys if key in parts[hash(key) & mask]}
+        return keys & self._entries().keys()
 
     def put(self, key: K, value: V) -> "Large[K, V]":
         """Return the mapping with this value of the key."""
-        parts = self._parts
-        at = hash(key) & len(parts) - 1
-        known = parts[at].get(key)
-        part = {**parts[at], key: (self._next if known is None else known[0], value)}
-        if known is not None:
-            return Large((*parts[:at], part, *parts[at + 1 :]), self._size, self._next)
-        grown = Large((*parts[:at], part, *parts[at + 1 :]), self._size + 1, self._next + 1)
-        return Large.of(grown) if grown._size > 8 * len(parts) ** 2 else grown
+        self._entries()[key] = value
+        return self._changed((key, value))
 
     def without(self, key: K) -> "Large[K, V]":
         """Return the mapping without this key, which it has."""
-        parts = self._parts
-        at = hash(key) & len(parts) - 1
-        part = {**parts[at]}
-        del part[key]
-        return Large((*parts[:at], part, *parts[at + 1 :]), self._size - 1, self._next)
+        del self._entries()[key]
+        return self._changed((key,))
+
+    def _changed(self, change: tuple[K] | tuple[K, V]) -> "Large[K, V]":
+        """Return the next version, whose entries are those of `newest` by now."""
+        line = self._line
+        line.changes.append(change)
+        if len(line.changes) > line.most:
+            return Large(_Line({**line.newest}))
+        return Large(line, len(line.changes))
+
+    def _entries(self) -> dict[K, V]:
+        """Return the entries of this version. It is the newest of its line then; if need be, of one of its own."""
+        line = self._line
+        if self._number != len(line.changes):
+            entries = {**line.first}
+            for key, *value in line.changes[: self._number]:
+                if value:
+                    entries[key] = value[0]
+                else:
+                    del entries[key]
+            line = self._line = _Line(entries)
+            self._number = 0
+        return line.newest
 
 
-def among(entries: Mapping[K, V], keys: Iterable[K]) -> set[K]:
-    """Return those of these keys that the mapping has."""
-    return entries.among(keys) if isinstance(entries, Large) else {key for key in keys if key in entries}
+def among(entries: Mapping[K, V], keys: KeysView[K]) -> set[K]:
+    """Return those of these keys of a dict that the mapping has; the smaller of both is looked through."""
+    return entries.among(keys) if isinstance(entries, Large) else keys & entries.keys()
 
 
 def put(entries: Mapping[K, V], key: K, value: V) -> Mapping[K, V]:

@@ -1,5 +1,8 @@
 """Mappings that never change are as dicts, of any size."""
 
+import random
+import weakref
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -37,9 +40,57 @@ def test_a_large_mapping_is_the_dict_with_the_same_changes(
     for key in range(13):
         assert (key in found) == (key in expected)
         assert found.get(key, -1) == expected.get(key, -1)
-    assert among(found, range(13)) == among(expected, range(13)) == expected.keys()
+    keys = dict.fromkeys(range(13)).keys()
+    assert among(found, keys) == among(expected, keys) == expected.keys()
     with pytest.raises(KeyError):
         found[99]
+
+
+@settings(max_examples=300)
+@given(st.dictionaries(st.integers(0, 12), st.integers()), CHANGES, st.randoms(use_true_random=False))
+def test_every_version_stays_what_it_was_whichever_is_changed_or_read(
+    begin: dict[int, int], changes: list[tuple[int, int | None]], chance: random.Random
+) -> None:
+    versions: list[tuple[Large[int, int], dict[int, int]]] = [(Large.of(begin), begin)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(maps, "_LARGE", 7)
+        for key, value in changes:
+            found, expected = versions[-1] if chance.random() < 0.8 else chance.choice(versions)
+            if value is not None:
+                versions.append((found.put(key, value), {**expected, key: value}))
+            elif key in expected:
+                versions.append((found.without(key), {one: expected[one] for one in expected if one != key}))
+            if chance.random() < 0.3:
+                found, expected = chance.choice(versions)
+                assert list(found.items()) == list(expected.items())
+    chance.shuffle(versions)
+    for found, expected in versions:
+        assert found.get(3) == expected.get(3)
+        assert list(found.items()) == list(expected.items())
+        assert len(found) == len(expected)
+
+
+def test_a_mapping_may_be_changed_while_another_version_is_gone_through() -> None:
+    first = found = Large.of({number: number for number in range(10)})
+    for key in found:
+        found = found.without(key) if key % 2 else found.put(-key, key)
+    assert list(first) == list(range(10))
+    assert list(found) == [0, 2, 4, 6, 8, -2, -4, -6, -8]
+
+
+def test_what_an_old_version_holds_does_not_grow_with_the_changes_after_it() -> None:
+    alive: weakref.WeakSet[Value] = weakref.WeakSet()
+    first = found = Large.of({number: Value() for number in range(300)})
+    for number in range(20_000):
+        value = Value()
+        alive.add(value)
+        found = found.put(number % 300, value)
+    assert len(first) == len(found) == 300
+    assert len(alive) < 4 * 300
+
+
+class Value:
+    """Something that a weak reference can be made to."""
 
 
 def test_a_mapping_grows_and_shrinks_by_one_entry_at_a_time() -> None:

@@ -1,6 +1,7 @@
 """Which supervisor a record can name, and small readings of the state that several handlers need."""
 
 from collections.abc import Iterable
+from itertools import filterfalse
 
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principal, Robot, Supervisor
 from fsar_ledger.projections.execution import Action, Execution
@@ -64,8 +65,8 @@ def nearest_first(fleet: Fleet, robots: Iterable[Robot], near: Robot) -> tuple[R
         return tuple(by_name)
     team, place = fleet.teams[fleet.robots[near].team], fleet.places[fleet.robots[near].place]
     nearby = team | place
-    first = sorted([name for name in by_name if name in nearby], key=lambda name: (name not in team, name not in place))
-    return (*first, *[name for name in by_name if name not in nearby])
+    first = sorted(filter(nearby.__contains__, by_name), key=lambda name: (name not in team, name not in place))
+    return (*first, *filterfalse(nearby.__contains__, by_name))
 
 
 def capable(fleet: Fleet, registry: Registry, capability: str, requester: Robot) -> tuple[Robot, ...]:

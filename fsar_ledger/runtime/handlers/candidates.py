@@ -4,6 +4,7 @@ Paper: sec:architecture:registry.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from itertools import filterfalse
 from typing import Literal, get_args
 
 import msgspec
@@ -133,7 +134,8 @@ class _Search:
     def _put(self, by: Filter | None, record: Advertisement, robots: tuple[Robot, ...]) -> None:
         if by is None:
             self._kinds.append(record)
-            self.found.update(dict.fromkeys(robots, record))
+            admitted = dict.fromkeys(robots, record)
+            self.found = {**self.found, **admitted} if self.found else admitted
         else:
             self.left_out.update(dict.fromkeys(robots, by))
 
@@ -165,10 +167,10 @@ class _Search:
         robots = nearest_first(self._state.fleet, self.found, self._query.requester)
         if any(kind.availability in _RANKS or kind.is_deprecated for kind in self._kinds):
             return tuple(sorted(robots, key=lambda robot: (self._rank(robot), self.found[robot].is_deprecated)))
-        busy = set() if self._execution is None else among(self._execution.current, robots)
+        busy = set() if self._execution is None else among(self._execution.current, self.found.keys())
         if not busy:
             return robots
-        return (*[robot for robot in robots if robot not in busy], *[robot for robot in robots if robot in busy])
+        return (*filterfalse(busy.__contains__, robots), *filter(busy.__contains__, robots))
 
     def capabilities(self, robots: tuple[Robot, ...]) -> tuple[str, ...]:
         """Return by which capability each of these robots was found."""
