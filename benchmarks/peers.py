@@ -12,7 +12,8 @@ import resource
 import sqlite3
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -84,8 +85,8 @@ class Stored(msgspec.Struct, frozen=True, gc=False):
     event: Event
 
 
-def eventsourcing_saves(runs: Sequence[LedgerRun], database: Path) -> int:
-    """Store finished events with `eventsourcing`. Raises: AssertionError if it does not hold them all afterwards."""
+def eventsourcing_saves(runs: Iterable[LedgerRun], database: Path) -> int:
+    """Store the events of these runs with `eventsourcing`. Raises: AssertionError if some are missing afterwards."""
     from eventsourcing.persistence import EventStore, JSONTranscoder, Mapper, StoredEvent
     from eventsourcing.sqlite import SQLiteApplicationRecorder, SQLiteDatastore
 
@@ -101,31 +102,34 @@ def eventsourcing_saves(runs: Sequence[LedgerRun], database: Path) -> int:
     recorder.create_table()
     store: EventStore[str] = EventStore(MsgspecMapper(JSONTranscoder()), recorder)
     waiting: list[Any] = []
+    events = 0
     for run in runs:
+        events += len(run.events)
         rows = zip(run.times_us, run.caused_by, run.events, strict=True)
         waiting += [Stored(run.run_id, version, *row) for version, row in enumerate(rows, start=1)]
         while len(waiting) >= EVENTS_PER_SAVE:
             store.put(waiting[:EVENTS_PER_SAVE])
             del waiting[:EVENTS_PER_SAVE]
     store.put(waiting)
-    events = sum(len(run.events) for run in runs)
     if recorder.max_notification_id() != events:
         raise AssertionError(f"eventsourcing holds {recorder.max_notification_id()} events, expected {events}")
     return events
 
 
-def sqlite_saves(rows: Sequence[bytes], database: Path, per_save: int = EVENTS_PER_SAVE) -> int:
-    """Store these bytes with SQLite. Raises: AssertionError if it does not hold them all afterwards."""
+def sqlite_saves(rows: Iterable[bytes], database: Path, per_save: int = EVENTS_PER_SAVE) -> int:
+    """Store these bytes with SQLite. Raises: AssertionError if some are missing afterwards."""
     connection = sqlite3.connect(database, isolation_level=None)
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
     connection.execute("CREATE TABLE events (id INTEGER PRIMARY KEY, row BLOB)")
-    for at in range(0, len(rows), per_save):
+    given, events = iter(rows), 0
+    while some := [(row,) for row in islice(given, per_save)]:
         connection.execute("BEGIN")
-        connection.executemany("INSERT INTO events (row) VALUES (?)", [(row,) for row in rows[at : at + per_save]])
+        connection.executemany("INSERT INTO events (row) VALUES (?)", some)
         connection.execute("COMMIT")
+        events += len(some)
     (held,) = connection.execute("SELECT count(*) FROM events").fetchone()
     connection.close()
-    if held != len(rows):
-        raise AssertionError(f"SQLite holds {held} rows, expected {len(rows)}")
-    return len(rows)
+    if held != events:
+        raise AssertionError(f"SQLite holds {held} rows, expected {events}")
+    return events
