@@ -3,6 +3,7 @@
 import multiprocessing
 import shutil
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -363,6 +364,21 @@ def test_a_changed_byte_anywhere_is_found(path: Path, name: str) -> None:
         assert not report.ok, (name, at)
     (path / name).write_bytes(data)
     assert verify(path).ok
+
+
+def test_a_reader_proves_every_event_while_the_pack_lacks_what_an_interrupted_append_leaves_out(path: Path) -> None:
+    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+        writer.seal()
+        before = (path / NODES).read_bytes()
+        writer.append(stage(path, RUNS[3:]))
+        writer.add([made_up_run("run-4", 10, 4)])
+    (path / NODES).write_bytes(before)
+    view = open_ledger(path)
+    for index in range(view.head.size):
+        assert check_proof("a proof", prove(view, index), SIGNER.verifier).index == index
+    (path / NODES).write_bytes(before[:-HASH_BYTES])
+    with pytest.raises(LedgerCorrupted, match="recover, which derives it again"):
+        list(map(partial(prove, open_ledger(path)), range(view.head.size)))
 
 
 def test_a_reader_refuses_a_ledger_whose_chain_was_cut(path: Path) -> None:

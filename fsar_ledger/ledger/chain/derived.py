@@ -40,14 +40,22 @@ def read_node(ledger: Path, place: int) -> bytes:
     return found
 
 
-def node_reader(ledger: Path, tree: Frontier, journaled: bytes, rows: Callable[[int, int], list[bytes]]) -> merkle.Node:
+def holds_nodes(ledger: Path, leaves: int) -> bool:
+    """Return whether the pack is as long as that of the tree of this many leaves."""
+    try:
+        return (ledger / NODES).stat().st_size >= pack.count(leaves) * HASH_BYTES
+    except OSError:
+        return False
+
+
+def node_reader(ledger: Path, tree: Frontier, others: bytes, rows: Callable[[int, int], list[bytes]]) -> merkle.Node:
     """Return a function that gives the complete subtrees of a ledger's tree, and so of each smaller one.
 
-    `tree` is that of the events that segments hold, `journaled` the packed leaves of the others, and `rows` gives the
-    canonical bytes of the events between two indexes. It raises LedgerCorrupted where the pack is too short.
+    `tree` is that of the events whose nodes the pack holds, `others` the packed leaves of those after them, and `rows`
+    gives the canonical bytes of the events between two indexes. It raises LedgerCorrupted where the pack is too short.
     """
-    start, size = pack.count(tree.size), tree.size + len(journaled) // HASH_BYTES
-    _, more = pack.grow(tree, journaled)
+    start, size = pack.count(tree.size), tree.size + len(others) // HASH_BYTES
+    _, more = pack.grow(tree, others)
 
     def read(place: int) -> bytes:
         at = (place - start) * HASH_BYTES

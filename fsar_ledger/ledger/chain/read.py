@@ -13,7 +13,7 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.derived import node_reader
+from fsar_ledger.ledger.chain.derived import holds_nodes, node_reader
 from fsar_ledger.ledger.chain.groups import groups_of
 from fsar_ledger.ledger.chain.index import Index, line_of
 from fsar_ledger.ledger.chain.journal import Journal, read_frames
@@ -22,6 +22,7 @@ from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, segment_of
 from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
 from fsar_ledger.ledger.chain.tables import materialized, table_of
 from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.log.hashing import leaves_of
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note
 from fsar_ledger.ledger.rows import canonical, codec, segment
@@ -341,9 +342,14 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def node(self, size: int) -> merkle.Node:  # noqa: ARG002  complete subtrees are those of every later tree
         """Return a function that gives the complete subtrees of the tree of this many events.
 
-        It raises LedgerCorrupted where the pack is too short.
+        What an interrupted append left out of the pack is hashed from its rows. The function raises LedgerCorrupted
+        where more is missing. Raises: As `segment`.
         """
-        return node_reader(self.path, self.chain.tree(), bytes(self.journal.leaves), self.rows)
+        tree, leaves = self.chain.tree(), bytes(self.journal.leaves)
+        if not holds_nodes(self.path, tree.size):
+            tree = self.chain.tree_at(self.chain.settled)
+            leaves = leaves_of(self.rows(tree.size, self.chain.placed_size)) + leaves
+        return node_reader(self.path, tree, leaves, self.rows)
 
     def tree(self) -> Frontier:
         """Return the tree of all events."""
