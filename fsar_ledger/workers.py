@@ -174,7 +174,10 @@ class WorkerPool(Executor):
             return False
         future, worker.running = worker.running, None
         assert future is not None  # a worker sends nothing but answers
-        is_result, value = pickle.loads(answer)
+        try:
+            is_result, value = pickle.loads(answer)
+        except Exception as error:  # noqa: BLE001  whatever its class does when it is made again
+            is_result, value = False, error
         (future.set_result if is_result else future.set_exception)(value)
         return True
 

@@ -24,6 +24,15 @@ class Untransportable(Exception):
         super().__init__(f"{one} and {other}")
 
 
+def unmade() -> None:
+    raise ValueError("it cannot be made again")
+
+
+class Unreadable:
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (unmade, ())
+
+
 def squared(number: int) -> int:
     time.sleep(0.01 * (number % 3))
     return number * number
@@ -72,6 +81,8 @@ def test_answers_come_in_order_from_as_many_processes_as_were_asked_for() -> Non
             pool.submit(failing, "other").result()
         with pytest.raises(TypeError, match="pickle"):
             pool.submit(os.scandir).result()
+        with pytest.raises(ValueError, match="it cannot be made again"):
+            pool.submit(Unreadable).result()
         assert pool.submit(squared, 5).result() == 25
 
 
