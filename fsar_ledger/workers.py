@@ -176,7 +176,7 @@ class WorkerPool(Executor):
         assert future is not None  # a worker sends nothing but answers
         try:
             is_result, value = pickle.loads(answer)
-        except Exception as error:  # noqa: BLE001  whatever its class does when it is made again
+        except Exception as error:  # its class may do anything while it is made again
             is_result, value = False, error
         (future.set_result if is_result else future.set_exception)(value)
         return True
