@@ -3,13 +3,18 @@
 import shutil
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES
 from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.record import Placement, parse_line
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.store.record import sha256_hex
 from fsar_ledger.ledger.verify.chain import SEALED
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
@@ -154,3 +159,31 @@ def test_a_segment_that_no_compaction_took_is_missed(path: Path) -> None:
         segment.unlink()
     with pytest.raises(LedgerCorrupted, match="found no segment"):
         list(view.runs())
+
+
+@pytest.mark.parametrize("is_last", [False, True])
+def test_a_forged_frontier_is_found_by_verify_and_by_whoever_would_go_on_from_it(path: Path, is_last: bool) -> None:
+    with ChainWriter(path, ORIGIN) as writer:
+        writer.seal()
+        writer.append(stage(path, RUNS[3:]))
+    (path / JOURNAL).unlink(missing_ok=True)
+    lines = (path / CHAIN).read_bytes().splitlines()
+    placements = [number for number, line in enumerate(lines) if b'"kind":"placement"' in line]
+    at = placements[-1 if is_last else 0]
+    for number in range(at, len(lines)):
+        record = parse_line(lines[number])
+        if number == at:
+            assert isinstance(record, Placement)
+            record = msgspec.structs.replace(record, frontier=("0" * 64, *record.frontier[1:]))
+        else:
+            record = msgspec.structs.replace(record, previous_sha256=sha256_hex(lines[number - 1]))
+        lines[number] = canonical.document(record)
+    (path / CHAIN).write_bytes(b"\n".join((*lines, b"")))
+    found = verify(path).problems[0]
+    assert (found.where, found.field) == (CHAIN, "frontier")
+    assert judged(Case("forged", path, False)).difference == ""
+    if is_last:
+        with pytest.raises(LedgerCorrupted, match="frontier"):
+            open_for_answers(path)
+        with pytest.raises(LedgerCorrupted, match="frontier"):
+            ChainWriter(path, ORIGIN)

@@ -236,6 +236,29 @@ def test_a_kept_ledger_is_continued_in_each_format_and_both_verifiers_agree(
             assert judged(Case("compacted", ledger, True, anchor=path / "checkpoint")).difference == ""
 
 
+@pytest.mark.parametrize("version", [version for version in VERSIONS if (LEDGERS / version / "chain").exists()])
+def test_a_kept_ledger_of_format_2_has_the_root_of_its_twin_and_is_continued_sealed_and_compacted(
+    path: Path, kept: Kept, tmp_path: Path
+) -> None:
+    key, twin = read_verifier(kept.key), path.with_name("chain")
+    assert judged(Case("kept", twin, True, key)).difference == ""
+    report = verify(twin, asked=Asked(trusted=key))
+    assert (report.problems, report.root, report.events) == ((), kept.root, kept.events)
+    assert list(open_for_answers(twin).runs()) == list(open_ledger(path).runs())
+    copy = Path(shutil.copytree(twin, tmp_path / "copy"))
+    [runs] = made_up_batches(1)
+    with ChainWriter(copy, open_ledger(path).manifest.origin) as writer:
+        writer.add(runs)
+    compact(copy)
+    report = verify(copy, asked=Asked(anchor=read_anchor(twin / "checkpoint")))
+    assert (report.problems, report.events, report.anchored) == ((), kept.events + 24, kept.events)
+
+
+def test_there_is_a_kept_ledger_of_format_2_of_each_release_since_it_was_one() -> None:
+    of_format_2 = [version for version in VERSIONS if (LEDGERS / version / "chain").exists()]
+    assert of_format_2 == [version for version in VERSIONS if number(version) >= (0, 8, 0)]
+
+
 def test_a_kept_release_is_never_written_again(tmp_path: Path) -> None:
     version = fsar_ledger.__version__
     (tmp_path / version).mkdir()

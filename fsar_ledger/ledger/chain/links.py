@@ -32,10 +32,14 @@ class Chain:
     `placed_size` events. `sha256` is the hash of the newest
     line; `going_on` are the runs of which later commits may hold more. The last append began when segments held the
     first `settled` events, and so when all that is derived from these was on disk.
+
+    Each frontier is compared with the root of its commit, unless it `trusts_frontiers`; then `has_right_tree` looks at
+    the last one, which is what everything goes on from.
     """
 
-    def __init__(self, manifest_sha256: str) -> None:
+    def __init__(self, manifest_sha256: str, *, trusts_frontiers: bool = False) -> None:
         self.sha256 = manifest_sha256
+        self._trusts_frontiers = trusts_frontiers
         self.commits: list[Commit] = []
         self.placements: list[Placement] = []
         self.placed: list[Placement] = []
@@ -53,6 +57,10 @@ class Chain:
     def tree(self) -> Frontier:
         """Return the tree of the events that segments hold."""
         return self.placed[-1].tree() if self.placed else Frontier()
+
+    def has_right_tree(self) -> bool:
+        """Return whether the tree of the events that segments hold has the root that was committed."""
+        return self.tree().root() == self.root_at(self.placed_size)
 
     def tree_at(self, end: int) -> Frontier:
         """Return the tree of the events up to the end of this segment in force; 0 is the empty one."""
@@ -103,6 +111,8 @@ class Chain:
         self.placed_size = self.placed[-1].end
 
     def _go_on(self, commit: Commit) -> None:
+        if not commit.continues and not commit.goes_on:
+            return
         ended = {run for run, _ in commit.continues}.difference(commit.goes_on)
         if ended or not self.going_on.issuperset(commit.goes_on):
             self.going_on = self.going_on - ended | frozenset(commit.goes_on)
@@ -151,7 +161,7 @@ class Chain:
         root = self.root_at(end)
         if root is None or (end < self.placed_size and not self._starts(end)):
             yield "rows", placement.rows, "events up to the end of a commit, and of the segments that it supersedes"
-        elif (found := placement.tree().root()) != root:
+        elif not self._trusts_frontiers and (found := placement.tree().root()) != root:
             yield "frontier", found.hex(), f"one of root {root.hex()}, as committed"
         if is_added != bool(placement.index_bytes):
             expected = "those of the events' line of the index" if is_added else "none, as no events are added"

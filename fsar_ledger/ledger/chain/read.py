@@ -370,9 +370,12 @@ def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True
     manifest = parse_manifest(path / MANIFEST, manifest_bytes, (CHAINED,))
     sha256 = sha256_hex(manifest_bytes)
     for last in (*[False] * _TRIES, True):
-        chain = Chain(sha256)
+        chain = Chain(sha256, trusts_frontiers=is_damage_told)
         chain_bytes = _read(path / CHAIN, MAX_CHAIN_BYTES)
         followed = follow(chain_bytes, chain)
+        if not chain.has_right_tree():  # which line is wrong?
+            chain = Chain(sha256)
+            followed = follow(chain_bytes, chain)
         journal = read_frames(_read(path / JOURNAL, MAX_JOURNAL_BYTES), chain)
         problem = followed.problem or journal.problem
         if last or _read(path / CHAIN, MAX_CHAIN_BYTES) == chain_bytes:
