@@ -5,6 +5,7 @@ wait for memory. So what is due later lies unsorted, by the span of time in whic
 its span begins: a calendar queue. Source: R. Brown, "Calendar Queues", Communications of the ACM 31 (1988).
 """
 
+import sys
 from collections.abc import Iterable, Iterator
 from heapq import heapify, heappop, heappush
 from itertools import chain
@@ -19,7 +20,8 @@ _ROBOT_US = 1 << 23  # of one robot, a span of this length has a handful of comm
 class Agenda:
     """What is pending, in the order (due time, serial).
 
-    `soon` is a heap of all that is due before `until_us`; `turn` makes it the next span's once it is empty.
+    `soon` is a heap of all that is due before `until_us`; `turn` makes it the next span's once it is empty. Done early,
+    that would put everything until then into one heap.
     """
 
     __slots__ = ("_later", "_span_us", "_spans", "soon", "until_us")
@@ -32,13 +34,16 @@ class Agenda:
         self._later: dict[int, list[Pending]] = {}  # by span
         self._spans: list[int] = []  # a heap
 
+    def __bool__(self) -> bool:
+        return bool(self.soon or self._spans)
+
     def __iter__(self) -> Iterator[Pending]:
         """Yield everything, in no order."""
         return chain(self.soon, *self._later.values())
 
-    def turn(self) -> bool:
-        """Return whether anything is pending; then the first of it is `soon[0]`."""
-        if not self.soon and self._spans:
+    def turn(self, next_us: int = sys.maxsize) -> bool:
+        """Return whether anything is pending that may be due by `next_us`; then the first of it is `soon[0]`."""
+        if not self.soon and self._spans and self._spans[0] * self._span_us <= next_us:
             span = heappop(self._spans)
             self.soon += self._later.pop(span)
             heapify(self.soon)
@@ -59,7 +64,7 @@ class Agenda:
 
     def pop_before(self, time_us: int) -> Pending | None:
         """Take out the first command if it is due before this time, else None."""
-        return heappop(self.soon) if self.turn() and self.soon[0][0] < time_us else None
+        return heappop(self.soon) if self.turn(time_us) and self.soon[0][0] < time_us else None
 
     def replace(self, pending: Iterable[Pending]) -> None:
         """Hold just these commands from now on."""

@@ -141,7 +141,7 @@ class Kernel:
     @property
     def has_ended(self) -> bool:
         """Return whether nothing is left to happen."""
-        return not self._pending.turn() and self._next_fact == len(self._facts)
+        return not self._pending and self._next_fact == len(self._facts)
 
     def run(self, until_us: int = NEVER_US, most: int = sys.maxsize) -> None:
         """Run until nothing is left to happen, all that is due by then has happened, or so many events are held."""
@@ -149,7 +149,7 @@ class Kernel:
         position, events_held, pending, turn = self._next_fact, self.events, self._pending.soon, self._pending.turn
         while len(events_held) < most:
             if not pending:
-                turn()
+                turn(facts[position][0] if position < count else NEVER_US)
             if position < count and (not pending or facts[position][0] <= pending[0][0]):
                 time_us, fact = facts[position]
                 if time_us > until_us:
@@ -216,7 +216,7 @@ class Kernel:
 
     def _discard_before(self, time_us: int, cause: int | None) -> None:
         soon = self._pending.soon
-        while self._pending.turn() and (
+        while self._pending.turn(time_us) and (
             soon[0][0] < time_us or (cause != 0 and soon[0][0] == time_us and soon[0][2] != cause)
         ):
             self._keep(heappop(soon))
@@ -242,7 +242,7 @@ class Kernel:
         """Schedule what these reactions to the event want done; no two of it at the same instant."""
         state, answer, world, pending = self.state, self._answer, self.state.world, self._pending
         is_whole = not world.off and not world.unlinked  # nothing can be kept
-        taken: list[int] = []
+        taken: set[int] = set()  # an event may schedule thousands
         for react in reacts:
             for scheduled in react(state, event, time_us):
                 due_us = time_us + scheduled.after_us
@@ -252,7 +252,7 @@ class Kernel:
                     due_us = time_us + 1
                 while due_us in taken:
                     due_us += 1
-                taken.append(due_us)
+                taken.add(due_us)
                 self._serial += 1
                 one = (due_us, self._serial, seq, scheduled)
                 if not is_whole and self._keep(one, due_us - time_us):  # a message departs

@@ -31,6 +31,18 @@ def test_commands_come_in_the_order_of_one_heap(taken: list[int | None], robots:
         assert agenda.pop_before(heap[0][0]) is None
         assert agenda.pop_before(heap[0][0] + 1) == heappop(heap)
     assert not agenda.turn()
+    assert not agenda
+
+
+@given(some.lists(some.integers(0, 1 << 25), min_size=1), some.integers(0, 1 << 25))
+def test_what_is_due_in_a_later_span_waits_until_then(due: list[int], next_us: int) -> None:
+    agenda = Agenda(4_096)
+    for serial, due_us in enumerate(due):
+        agenda.put((due_us, serial, 0, NOTHING))
+    assert agenda.turn(next_us) or next_us < min(due), "all that is due by then is soon"
+    assert agenda.until_us <= next_us + (1 << 23) // 4_096, "what comes up until then has spans of its own"
+    assert len(list(agenda)) == len(due)
+    assert agenda
 
 
 @given(some.lists(some.integers(0, 1 << 25)), some.lists(some.integers(0, 1 << 25)))

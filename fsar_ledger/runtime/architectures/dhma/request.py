@@ -193,7 +193,7 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
     ):
         return ()
     received = request.bids
-    if any(robot not in received for robot in request.bidders):
+    if any(robot not in received for robot in reversed(request.bidders)):  # the last ones are on their way
         return ()
     if not command.is_last and any(
         is_linked(state.world, robot) for robot in request.candidates if robot not in received
