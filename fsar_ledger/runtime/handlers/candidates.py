@@ -195,7 +195,8 @@ def alike(state: State, offered: Offered, requester: Robot) -> Iterator[tuple[Ad
         alone = {requester}
         if entries or named:
             alone.update(robot for robot in robots if robot in named or (robot, requester) in entries)
-        others = tuple([robot for robot in robots if robot not in alone]) if not alone.isdisjoint(robots) else robots
+        is_whole = len(alone) == 1 and requester not in offered.of
+        others = robots if is_whole else tuple([robot for robot in robots if robot not in alone])
         if others:
             yield (record if record.robot == others[0] else offered.of[others[0]]), others
         for robot in robots if len(alone) > 1 else ():
