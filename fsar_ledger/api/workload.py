@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import UsageError, option
@@ -41,17 +40,6 @@ def readers_of(asked: int | None, *ledgers: Path | None) -> int:
 
 def stored(*ledgers: Path | None) -> int:
     """Return the bytes of the segments of these ledgers, including staged ones."""
-    from fsar_ledger.ledger.store.paths import SEGMENTS, STAGING
+    from fsar_ledger.ledger.store.paths import segment_bytes
 
-    return sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
-
-
-def _stored(folder: Path) -> int:
-    """Return the bytes that the files in the folder take; of a sparse file, only those allocated."""
-    size = 0
-    with suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            with suppress(OSError):
-                status = entry.stat(follow_symlinks=False)
-                size += min(status.st_size, status.st_blocks * 512)
-    return size
+    return sum(segment_bytes(ledger) for ledger in ledgers if ledger is not None)

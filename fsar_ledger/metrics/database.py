@@ -1,6 +1,5 @@
 """Open databases over the rows of a ledger, or over rows in memory."""
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store.paths import SEGMENTS
+from fsar_ledger.ledger.store.paths import segment_bytes
 from fsar_ledger.ledger.store.places import segments_between, segments_of
 from fsar_ledger.ledger.store.view import Extent, View
 
@@ -116,7 +115,7 @@ class Slices:
         self._demanded = demanded
         self._most = most
         # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
-        is_long = view.head.size > most and _stored(view) > LEAST_BYTES * view.head.size
+        is_long = view.head.size > most and segment_bytes(view.path) > LEAST_BYTES * view.head.size
         self._extents = view.extents() if is_long else []
         self._slices = list(_sliced(self._extents, most))
 
@@ -145,11 +144,6 @@ class Slices:
         chosen = relation.Chosen(relation.OF_NUMBERED, _numbers(names), whole)
         _fill(database, [*held.values()], [releases[number] for number in held], chosen)
         return database
-
-
-def _stored(view: View) -> int:
-    """Return the bytes of all segments."""
-    return sum(entry.stat().st_size for entry in os.scandir(view.path / SEGMENTS))
 
 
 def _sliced(extents: Sequence[Extent], most: int) -> Iterator[list[Extent]]:

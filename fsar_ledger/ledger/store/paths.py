@@ -32,6 +32,18 @@ def staged_file(sha256: str) -> str:
     return f"{STAGING}/{sha256}.parquet"
 
 
+def segment_bytes(ledger: Path) -> int:
+    """Return the bytes that segments take, in place and staged; of a sparse file, only those allocated."""
+    size = 0
+    for folder in (SEGMENTS, STAGING):
+        with suppress(OSError), os.scandir(ledger / folder) as entries:
+            for entry in entries:
+                with suppress(OSError):
+                    status = entry.stat(follow_symlinks=False)
+                    size += min(status.st_size, status.st_blocks * 512)
+    return size
+
+
 def commit_path(ledger: Path, number: int) -> Path:
     """Return the path of the record of this commit."""
     return ledger / commit_file(number)
