@@ -102,6 +102,22 @@ def sqlite_store(folder: Path, runs: int, begins: str) -> Measurement:
         return measured(lambda: sqlite_saves(given[begins](), Path(place) / "events.db"))
 
 
+def compare(found: dict[str, list[Measurement]]) -> None:
+    """Print how ours stand to the best peer: from the world, and the stores alone."""
+    ours, store = wall_rate(found["ours"]), wall_rate(found["store"])
+    whole = ours / max(wall_rate(found[key]) for key in ("eventsourcing", "SQLite"))
+    alone = store / max(wall_rate(found[f"{key}'s store"]) for key in ("eventsourcing", "SQLite"))
+    print(f"world to durable / the best peer        {whole:>11.2f} (wanted: more than 1.5)")
+    print(f"our store / the best store              {alone:>11.2f}")
+    peers = ", ".join(f"{key} {cpu_rate(found[key]):,.0f}" for key in ("eventsourcing", "SQLite"))
+    note(
+        "world to durable, hashed ledger, one core",
+        f"{cpu_rate(found['ours']):,.0f} events/CPU s, {ours:,.0f}/s; our store alone {cpu_rate(found['store']):,.0f}",
+        f"{peers} from the world, no hashes; ours / the best, wall time {whole:.2f}; of the stores alone {alone:.2f}",
+        "250,000/s; 1.5 times the best peer",
+    )
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--runs", type=int, default=20, help="runs per scenario and architecture")
@@ -143,18 +159,7 @@ def main() -> int:
         ("bytes", "SQLite WAL FULL, finished bytes"),
     ):
         print(f"{what:<38}  {wall_rate(found[key]):>10,.0f}/s        {cpu_rate(found[key]):>10,.0f}/s")
-    ours, store = wall_rate(found["ours"]), wall_rate(found["store"])
-    whole = ours / max(wall_rate(found[key]) for key in ("eventsourcing", "SQLite"))
-    alone = store / max(wall_rate(found[f"{key}'s store"]) for key in ("eventsourcing", "SQLite"))
-    print(f"world to durable / the best peer        {whole:>11.2f} (wanted: more than 1.5)")
-    print(f"our store / the best store              {alone:>11.2f}")
-    peers = ", ".join(f"{key} {cpu_rate(found[key]):,.0f}" for key in ("eventsourcing", "SQLite"))
-    note(
-        "world to durable, hashed ledger, one core",
-        f"{cpu_rate(found['ours']):,.0f} events/CPU s, {ours:,.0f}/s; our store alone {cpu_rate(found['store']):,.0f}",
-        f"{peers} from the world, no hashes; ours / the best, wall time {whole:.2f}; of the stores alone {alone:.2f}",
-        "250,000/s; 1.5 times the best peer",
-    )
+    compare(found)
     one, two = wall_rate(found["one"]), wall_rate(found["two"])
     note("two workers / one", f"{two / one:.2f}", "one worker", "1.9")
     print(
