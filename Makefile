@@ -39,7 +39,7 @@ help:
 	@echo "make soak-sensitivity   measure how much each number depends on each constant, most of an hour;"
 	@echo "                 resumes where it was interrupted"
 	@echo "make fleets      measure what coordination costs in fleets of 4 to 4,096 robots, into $(OUT)/fleets.pdf;"
-	@echo "                 an hour and 10 GiB; resumes where it was interrupted"
+	@echo "                 40 minutes and 9 GiB; resumes where it was interrupted"
 	@echo "make bench       run the benchmarks and print ratios"
 	@echo "make docs        rewrite the pages that show real output"
 	@echo "make page        build the script of the page that view writes from fsar_ledger/view/src; needs Node"

@@ -50,7 +50,7 @@ COMMANDS: dict[str, str] = {
     "audit": "{ledger}",
     "statistics": "{ledger}",
     "compare": "{ledger} --first fsar --second cfc",
-    "multiverse": "{ledger}",
+    "multiverse": "{ledger} --memory 10240",
     "query": "metrics/run_metrics {ledger} --limit 20",
     "query failures": "{ledger} --limit 20",
     "query coordination_cost": "{ledger}",
@@ -70,8 +70,8 @@ COMMANDS: dict[str, str] = {
     "prove": "{ledger} 1:12 --out {out}.tlog-proof",
     "export": "{ledger} --out {out}.parquet",
     "export --tiles": "{ledger} --out {out}",
-    "open": "{ledger} --out {out}.duckdb",
-    "report": "{ledger} --out {out}.pdf",
+    "open": "{ledger} --memory 10240 --out {out}.duckdb",
+    "report": "{ledger} --memory 10240 --out {out}.pdf",
     "compact": "{copy}",
 }
 """The commands by name with first option, and what follows; a space within an argument is written as |."""
