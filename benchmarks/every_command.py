@@ -5,7 +5,8 @@ python benchmarks/every_command.py --events 200000          a small one
 python benchmarks/every_command.py --ledger out/ledger      a ledger of yours, which is only read
 python benchmarks/every_command.py --only audit --only log  some commands
 
-Commands run one after the other, with the memory that they may have by default. An exit code of 0 or 1 is an answer;
+Commands run one after the other, with the memory that they may have by default, or with what stands beside them, if
+they need more. An exit code of 0 or 1 is an answer;
 any other one is shown. Peak memory is that of the largest process of a command.
 """
 

@@ -81,7 +81,7 @@ def our_store(folder: Path, runs: int, version: int) -> Measurement:
 
 def eventsourcing_store(folder: Path, runs: int, plays: bool) -> Measurement:
     """Measure `eventsourcing` from finished events or, as ours, from the world."""
-    found = made(2 if plays else runs)
+    found = made(1 if plays else runs)
     with tempfile.TemporaryDirectory(dir=folder) as place:
         eventsourcing_saves(found[:2], Path(place) / "warm.db")
         gc.disable()  # as ours while it simulates
@@ -90,8 +90,8 @@ def eventsourcing_store(folder: Path, runs: int, plays: bool) -> Measurement:
 
 def sqlite_store(folder: Path, runs: int, begins: str) -> Measurement:
     """Measure SQLite from finished `bytes`; from finished `events`, which we encode for it; or from the `world`."""
-    found = made(2 if begins == "world" else runs)
-    rows = encode_lines(found)
+    found = made(1 if begins == "world" else runs)
+    rows = encode_lines(found if begins == "bytes" else found[:2])  # else to be warm
     with tempfile.TemporaryDirectory(dir=folder) as place:
         gc.disable()
         given: dict[str, Callable[[], Iterable[bytes]]] = {

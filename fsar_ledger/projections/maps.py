@@ -84,7 +84,7 @@ class Large(Mapping[K, V], Generic[K, V]):
         line = self._line
         line.changes.append(change)
         if len(line.changes) > line.most:
-            return Large(_Line({**line.newest}))
+            return Large.of(line.newest)  # which no version of this line is any more
         return Large(line, len(line.changes))
 
     def _entries(self) -> dict[K, V]:

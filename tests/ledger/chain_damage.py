@@ -21,6 +21,7 @@ from fsar_ledger.ledger.chain.journal import size_of
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, segment_of
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST
@@ -36,9 +37,7 @@ ROOM = 64
 
 def piece(number: int, first: int, end: int) -> LedgerRun:
     """Return these events of a run, which goes on unless they are its last."""
-    run = RUNS[number]
-    parts = run.times_us[first:end], run.caused_by[first:end], run.events[first:end]
-    return LedgerRun(run.run_id, *parts, first, end < len(run.events))
+    return pieces.piece(RUNS[number], first, end)
 
 
 def keep(path: Path, snapshots: Path | None) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from fsar_ledger.errors import FsarLedgerError
 from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import stage
@@ -21,15 +22,7 @@ RUNS = [made_up_run(f"run-{number}", 40, number) for number in range(4)]
 
 def piece(run: int, first: int, end: int) -> LedgerRun:
     """Return these events of a run; it goes on unless they are its last."""
-    one = RUNS[run]
-    return LedgerRun(
-        one.run_id,
-        one.times_us[first:end],
-        one.caused_by[first:end],
-        one.events[first:end],
-        first,
-        end < len(one.events),
-    )
+    return pieces.piece(RUNS[run], first, end)
 
 
 Step = tuple[str, Sequence[LedgerRun]]

@@ -86,7 +86,7 @@ def write_chain(path: Path) -> None:
         writer.add([piece(cut, half + 20, len(cut.events))])
         writer.seal()
         for at in range(0, len(last.events), 50):
-            writer.add([piece(last, at, min(at + 50, len(last.events)))])
+            writer.add([piece(last, at, at + 50)])
 
 
 def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None:

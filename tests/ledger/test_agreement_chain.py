@@ -14,13 +14,14 @@ from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.held import HeldRuns
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.upgrading import upgrade
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import ROOT
 from tests.ledger.samples import ORIGIN, contents, made_up_run
-from tests.ledger.test_chain import KEPT, RUNS, piece
+from tests.ledger.test_chain import KEPT, RUNS
 from tests.quick import few
 
 SIGNER = Signer(ORIGIN, b"k" * 32)

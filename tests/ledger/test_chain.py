@@ -22,7 +22,7 @@ from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, 
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.pieces import joined
+from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.places import place_of
@@ -39,18 +39,6 @@ from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 RUNS = [made_up_run(f"run-{number}", 30, number) for number in range(4)]
 KEPT = sorted((Path(__file__).parent.parent / "ledgers").glob("*/ledger"))
 SIGNER = Signer(ORIGIN, b"k" * 32)
-
-
-def piece(run: LedgerRun, first: int, end: int) -> LedgerRun:
-    """Return these events of a run, which goes on unless they are its last."""
-    return LedgerRun(
-        run.run_id,
-        run.times_us[first:end],
-        run.caused_by[first:end],
-        run.events[first:end],
-        first,
-        end < len(run.events),
-    )
 
 
 def events_of(view: View) -> list[bytes]:

@@ -3,21 +3,18 @@
 import shutil
 from pathlib import Path
 
-import msgspec
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES
 from fsar_ledger.ledger.chain.read import ChainView
-from fsar_ledger.ledger.chain.record import Placement, parse_line
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store.append import stage
-from fsar_ledger.ledger.store.record import sha256_hex
 from fsar_ledger.ledger.verify.chain import SEALED
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
+from tests.ledger.agreement_chain import records_of, relink
 from tests.ledger.chain_damage import RUNS, piece, write_open
 from tests.ledger.chain_trials import ChainLaboratory, write_with
 from tests.ledger.faults import Fault, FaultyOs, calls_of, in_place_of_os
@@ -166,19 +163,10 @@ def test_a_forged_frontier_is_found_by_verify_and_by_whoever_would_go_on_from_it
     with ChainWriter(path, ORIGIN) as writer:
         writer.seal()
         writer.append(stage(path, RUNS[3:]))
-    (path / JOURNAL).unlink(missing_ok=True)
-    lines = (path / CHAIN).read_bytes().splitlines()
-    placements = [number for number, line in enumerate(lines) if b'"kind":"placement"' in line]
-    at = placements[-1 if is_last else 0]
-    for number in range(at, len(lines)):
-        record = parse_line(lines[number])
-        if number == at:
-            assert isinstance(record, Placement)
-            record = msgspec.structs.replace(record, frontier=("0" * 64, *record.frontier[1:]))
-        else:
-            record = msgspec.structs.replace(record, previous_sha256=sha256_hex(lines[number - 1]))
-        lines[number] = canonical.document(record)
-    (path / CHAIN).write_bytes(b"\n".join((*lines, b"")))
+    records, frames = records_of(path)
+    placement = [record for record in records if record["kind"] == "placement"][-1 if is_last else 0]
+    placement["frontier"] = ["0" * 64, *placement["frontier"][1:]]
+    relink(path, records, frames)
     found = verify(path).problems[0]
     assert (found.where, found.field) == (CHAIN, "frontier")
     assert judged(Case("forged", path, False)).difference == ""

@@ -134,8 +134,7 @@ class _Search:
     def _put(self, by: Filter | None, record: Advertisement, robots: tuple[Robot, ...]) -> None:
         if by is None:
             self._kinds.append(record)
-            admitted = dict.fromkeys(robots, record)
-            self.found = {**self.found, **admitted} if self.found else admitted
+            self.found.update(dict.fromkeys(robots, record))
         else:
             self.left_out.update(dict.fromkeys(robots, by))
 
