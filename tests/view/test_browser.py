@@ -322,6 +322,19 @@ def test_a_double_click_zooms(one: Page) -> None:
     assert view(one) != before
 
 
+def test_a_double_click_zooms_though_its_first_click_is_drawn_during_its_second(one: Page) -> None:
+    before = view(one)
+    box = one.locator("#runs").bounding_box()
+    one.mouse.move(box["x"] + 500, box["y"] + 3)
+    one.mouse.down(click_count=1)
+    one.mouse.up(click_count=1)
+    one.mouse.down(click_count=2)
+    settle(one)
+    one.mouse.up(click_count=2)
+    settle(one)
+    assert view(one) != before
+
+
 def test_words_follow_the_mouse_over_a_bar(one: Page) -> None:
     one.locator(f"{SPAN}.work.running").first.hover()
     assert "running" in one.inner_text("#tip")

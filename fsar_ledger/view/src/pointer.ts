@@ -71,10 +71,14 @@ function onRuns({ state, drawings, redraw, choose, scale }: Surface): void {
     }
   });
   runs.addEventListener("pointerleave", hide);
-  runs.addEventListener("dblclick", (event) => {
-    const box = runs.getBoundingClientRect();
-    zoom(state, 3, scale().time(event.clientX - box.left));
-    redraw();
+  // Not dblclick: the picture that was pressed may be drawn anew before the button is up, and then nothing was clicked.
+  runs.addEventListener("mousedown", (event) => {
+    if (event.button === 0 && event.detail === 2) {
+      held = null;
+      const box = runs.getBoundingClientRect();
+      zoom(state, 3, scale().time(event.clientX - box.left));
+      redraw();
+    }
   });
 }
 
