@@ -9,6 +9,7 @@ time and of processor time, and how often the group of ours was the quicker one.
 """
 
 import argparse
+import gc
 import os
 import sqlite3
 import sys
@@ -86,6 +87,8 @@ def main() -> int:
     options = parser.parse_args()
     run = simulate_run(RunSpec(42, "fsar", "full", "fleet-contention", 512, 0), Constants())
     rows = encode_lines([run])
+    gc.collect()
+    gc.freeze()  # else what was made here is gone through again and again, in the time of whoever happens to allocate
     print(
         f"load {os.getloadavg()[0]:.1f}, {len(run.events):,} events, {sum(map(len, rows)) / len(rows):.0f} bytes each"
     )

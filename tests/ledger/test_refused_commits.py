@@ -1,6 +1,7 @@
 """Runs that a writer refuses for what the ledger already holds, or for what they claim to observe."""
 
 import pickle
+import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
@@ -11,9 +12,10 @@ import pytest
 
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, WriteFailed
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.envelope import Robot, with_columns
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import CONCERNED, OPENINGS, STORED
 from fsar_ledger.ledger.store import disk
@@ -25,6 +27,7 @@ from tests.ledger.agreement import Case, judged
 from tests.ledger.hostile import append_again, stage_anything
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_refused_runs import BATCHES, RUN, refused
+from tests.ledger.test_writer_property import with_event
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +40,27 @@ def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def path(intact: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(intact, tmp_path / "ledger"))
+
+
+def too_large() -> dict[str, LedgerRun]:
+    run = made_up_run("run-9", 4, 3)
+    long = with_columns(run.events[0], parameters=f'{{"a":"{"x" * 2**23}"}}')
+    times, causes, events = [0] * 20_000, [None, *[0] * 19_999], [run.events[0], *[run.events[1]] * 19_999]
+    return {
+        "found a name of 4097 bytes, expected at most 4096": msgspec.structs.replace(run, run_id="x" * 4097),
+        "found 20000 events of": LedgerRun("run-9", times, causes, events),
+        "expected at most 16384 events and 8388608 bytes in one commit of a journal": with_event(run, 0, long),
+    }
+
+
+@pytest.mark.parametrize("found", too_large())
+def test_what_no_segment_could_hold_is_not_put_into_a_journal(tmp_path: Path, found: str) -> None:
+    with ChainWriter(tmp_path / "ledger", ORIGIN) as writer:
+        writer.add([RUN])
+        before = contents(tmp_path / "ledger")
+        with pytest.raises(InvalidRun, match=re.escape(found)):
+            writer.add([too_large()[found]])
+        assert contents(tmp_path / "ledger") == before
 
 
 # --- a run is in one commit ---

@@ -20,7 +20,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from fsar_ledger.errors import NotALedger, UsageError, WriteFailed, option
+from fsar_ledger.errors import InvalidRun, NotALedger, UsageError, WriteFailed, option
 from fsar_ledger.ledger.chain import paths
 from fsar_ledger.ledger.chain.compact import mergeable, merged_segment
 from fsar_ledger.ledger.chain.derived import append_derived
@@ -51,7 +51,8 @@ from fsar_ledger.ledger.store.record import CHAINED, sha256_hex
 from fsar_ledger.ledger.store.view import Head
 
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
-"""A journal is sealed before it holds more events or bytes; so many fit into a segment, whatever they are."""
+"""A journal is sealed before it holds more events or bytes; so many fit into a segment, whatever they are. No commit in
+a journal is larger."""
 
 
 class ChainWriter:
@@ -76,12 +77,14 @@ class ChainWriter:
         create(ledger, origin, CHAINED)
         self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
         self._segments = ledger / SEGMENTS
+        self._turn = disk.Turns(self._segments)
         self._is_broken = False
         self._pieces: list[LedgerRun] = []  # what this writer added to the journal that is there
         self._journal = JournalFile(ledger / paths.JOURNAL)
-        self._lock, is_alone = lock(ledger)
+        self._lock = -1
         try:
-            with disk.turn(self._segments):
+            self._lock, is_alone = lock(ledger)
+            with self._turn:
                 self._view = self._opened(is_alone=is_alone)
             with suppress(OSError):  # the file system has no locks
                 fcntl.flock(self._lock, fcntl.LOCK_SH)
@@ -126,10 +129,11 @@ class ChainWriter:
     def close(self) -> None:
         """Release the lock, after the checkpoint covers what is in the journal. What was appended stays."""
         if self._lock < 0:
+            self._turn.close()
             return
         try:
             if self._journal.is_open and not self._is_broken:
-                with disk.turn(self._segments):
+                with self._turn:
                     if self._view.is_current():
                         self._journal.trim(self._view.journal.end)
                         self._write_checkpoint()
@@ -140,6 +144,7 @@ class ChainWriter:
             ) from error
         finally:
             self._journal.close()
+            self._turn.close()
             disk.close(self._lock)
             self._lock = -1
 
@@ -168,7 +173,7 @@ class ChainWriter:
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
         self._require_usable()
-        with disk.turn(self._segments):
+        with self._turn:
             self._catch_up()
             if any(one.segment_sha256 == staged.segment_sha256 for one in self._view.chain.placements):
                 disk.remove(staged_path(self._path, staged.segment_sha256))
@@ -187,19 +192,25 @@ class ChainWriter:
         """Commit these runs, or parts of runs, to the journal, durably: for a few events at a time.
 
         Raises:
-            InvalidRun: As `store.append.stage`, or as `append`. The ledger is unchanged.
+            InvalidRun: As `store.append.stage`, or as `append`; or they are more than a journal holds, 16,384 events or
+                8 MiB. The ledger is unchanged.
             LedgerCorrupted: Another writer made the ledger contradict itself.
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.
         """
         self._require_usable()
         rows, blocks = rows_of(runs)
+        size = sum(map(len, rows)) + len(rows)
+        if len(rows) > SEAL_ROWS or size > SEAL_BYTES:
+            raise InvalidRun(
+                f"found {len(rows)} events of {size} bytes, expected at most {SEAL_ROWS} events and {SEAL_BYTES} bytes "
+                "in one commit of a journal; stage them and append them as a segment"
+            )
         leaves = leaves_of(rows)
         goes_on = tuple(sorted(run.run_id for run in runs if run.goes_on))
-        with disk.turn(self._segments):
+        with self._turn:
             self._catch_up()
             if (flaw := self._runs().refused(blocks, self._view)) is not None:
                 raise refusal(flaw)
-            size = sum(map(len, rows)) + len(rows)
             journal = self._view.journal
             if journal.frames and (journal.rows + len(rows) > SEAL_ROWS or journal.end + size > SEAL_BYTES):
                 self._seal()
@@ -226,7 +237,7 @@ class ChainWriter:
         """
         self._require_usable()
         merged = 0
-        with disk.turn(self._segments):
+        with self._turn:
             self._catch_up()
             if self._view.journal.frames:
                 self._seal()
@@ -253,7 +264,7 @@ class ChainWriter:
     def seal(self) -> Head:
         """Put what is in the journal into a segment. Raises: As `append`."""
         self._require_usable()
-        with disk.turn(self._segments):
+        with self._turn:
             self._catch_up()
             if self._view.journal.frames:
                 self._seal()
@@ -279,7 +290,7 @@ class ChainWriter:
 
     def _catch_up(self) -> None:
         """Take over what other writers have added since the last turn."""
-        if self._view.is_current():
+        if self._view.is_current(self._journal.handle):
             return
         known = self._view.head.size
         self._journal.close()

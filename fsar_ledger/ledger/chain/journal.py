@@ -183,48 +183,48 @@ def _has_later_frame(lines: Sequence[bytes], expected: int) -> bool:
 
 
 class JournalFile:
-    """The file of a journal, for its writer; opened when something is written."""
+    """The file of a journal, for its writer; opened when something is written. `handle` is -1 until then."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._handle = -1
+        self.handle = -1
         self._room = 0  # the size of the file, with what is allotted
 
     @property
     def is_open(self) -> bool:
         """Return whether something was written since it was opened or closed."""
-        return self._handle >= 0
+        return self.handle >= 0
 
     def write(self, data: bytes, end: int) -> int:
         """Write these bytes where the last frame ends, sync them, once, and return how many they are.
 
         When that fails, the file is cut off there, if the disk allows it. Raises: OSError.
         """
-        if self._handle < 0:
+        if self.handle < 0:
             is_new = not os.path.lexists(self.path)
             # What a sealed journal left, which could not be removed, goes first.
-            how = os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW | (0 if end else os.O_TRUNC)
-            self._handle = os.open(self.path, how, 0o666)
-            self._room = os.fstat(self._handle).st_size
+            how = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | (0 if end else os.O_TRUNC)
+            self.handle = os.open(self.path, how, 0o666)
+            self._room = os.fstat(self.handle).st_size
             if is_new:
                 disk.sync_folder(self.path.parent)
         after = end + len(data)
         allots = after > self._room and len(data) < _LARGE
         room = b"\0" * (after // ALLOTTED * ALLOTTED + ALLOTTED - after) if allots else b""
         try:
-            growing.write_at(self._handle, data + room, end)
-            os.fdatasync(self._handle)
+            growing.write_at(self.handle, data + room, end)
+            os.fdatasync(self.handle)
         except BaseException:
             with suppress(OSError):
-                os.ftruncate(self._handle, end)
+                os.ftruncate(self.handle, end)
             raise
         self._room = max(self._room, after + len(room))
         return len(data)
 
     def trim(self, end: int) -> None:
         """Give back what is allotted beyond the last frame. Raises: OSError."""
-        os.ftruncate(self._handle, end)
-        os.fsync(self._handle)
+        os.ftruncate(self.handle, end)
+        os.fsync(self.handle)
 
     def remove(self) -> None:
         """Remove the file, whose frames are elsewhere now; if the disk refuses, the next writer does it."""
@@ -235,6 +235,6 @@ class JournalFile:
 
     def close(self) -> None:
         """Close the file."""
-        if self._handle >= 0:
-            disk.close(self._handle)
-            self._handle = -1
+        if self.handle >= 0:
+            disk.close(self.handle)
+            self.handle = -1

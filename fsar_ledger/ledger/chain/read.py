@@ -4,6 +4,7 @@ Readers never write. They read the chain, then the journal; a writer that seals 
 both are read again.
 """
 
+import os
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -155,16 +156,18 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         """Return the packed leaf hashes of the rows of this segment. Raises: As `segment`."""
         return canonical.leaves(self.table(number))
 
-    def is_current(self) -> bool:
-        """Return whether nothing was appended since the ledger was opened.
+    def is_current(self, journal: int = -1) -> bool:
+        """Return whether nothing was appended since the ledger was opened. `journal` is the journal, if it is open.
 
         Only two places are looked at: whoever seals the journal appends to the chain, and whoever appends to the
         journal writes where this one ends.
         """
         try:
-            chain, journal = self._growing
-            is_longer = growing.size_of(chain) != self.followed.end
-            return not is_longer and growing.read_at(journal, self.journal.end, 1) in (b"", b"\0")
+            chain, path = self._growing
+            if growing.size_of(chain) != self.followed.end:
+                return False
+            end = self.journal.end
+            return (growing.read_at(path, end, 1) if journal < 0 else os.pread(journal, 1, end)) in (b"", b"\0")
         except OSError:
             return False
 

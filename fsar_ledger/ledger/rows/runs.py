@@ -14,6 +14,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import InvalidRun
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
+from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, Field, Kind
 from fsar_ledger.parameters import BadParameters, read_parameters
 
@@ -155,6 +156,14 @@ def unreadable(runs: Sequence[LedgerRun]) -> Flaw | None:
                 read_parameters(text)
         except BadParameters:
             return Flaw(-1, run.run_id, 0, "parameters", f"{text!r:.80}", "constants as a JSON object, or None")
+    return None
+
+
+def overlong(runs: Sequence[LedgerRun]) -> Flaw | None:
+    """Find the first run whose name is longer than readers take."""
+    for run in runs:
+        if (size := len(run.run_id.encode())) > MAX_NAME_BYTES:
+            return Flaw(-1, run.run_id, 0, "run_id", f"a name of {size} bytes", f"at most {MAX_NAME_BYTES}")
     return None
 
 

@@ -1,6 +1,6 @@
 """Check and encode a few events at once, without columns: what goes into a journal."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from operator import le
 
 from fsar_ledger.errors import InvalidRun
@@ -8,7 +8,8 @@ from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import encode_coded, encode_lines
-from fsar_ledger.ledger.rows.runs import LedgerRun, refusal, unreadable
+from fsar_ledger.ledger.rows.encoding import plain_lines
+from fsar_ledger.ledger.rows.runs import LedgerRun, overlong, refusal, require_runs, unreadable
 from fsar_ledger.ledger.rows.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE
 
 _TAG_OF: dict[type, str] = {layout.cls: tag for tag, layout in LAYOUTS.items()}
@@ -17,20 +18,33 @@ _TAG_OF: dict[type, str] = {layout.cls: tag for tag, layout in LAYOUTS.items()}
 def rows_of(runs: Sequence[LedgerRun]) -> tuple[list[bytes], tuple[Block, ...]]:
     """Return the canonical bytes of the rows of these runs, and their blocks.
 
-    Raises: InvalidRun for whatever `store.append.stage` refuses.
+    Raises: InvalidRun for whatever `store.append.stage` refuses, but for its bounds on a segment.
     """
     if not runs:
         raise InvalidRun("found no runs to commit, expected at least 1")
-    lines = encode_lines(runs)
-    if not _is_printable(b"".join(lines)) or not all(map(_is_in_order, runs)):
+    require_runs(runs)
+    lines = _lines(runs)
+    tags = list(map(_tags, runs))
+    if not _is_printable(b"".join(lines)) or not all(map(_is_in_order, runs, tags)):
         table = encode_coded(runs)
         if flaw := unprintable(table):
             raise InvalidRun(f"{flaw}; give it another name")
         if flaw := disordered(table):
             raise refusal(flaw)
-    if flaw := unreadable(runs):
+    if flaw := unreadable(runs) or overlong(runs):
         raise refusal(flaw)
-    return lines, tuple(_blocks(runs))
+    return lines, tuple(map(_block, runs, tags))
+
+
+def _lines(runs: Sequence[LedgerRun]) -> list[bytes]:
+    """Return the canonical bytes of the rows. Raises: InvalidRun."""
+    lines: list[bytes] = []
+    for run in runs:
+        if (found := plain_lines(run)) is None:
+            return encode_lines(runs)
+        lines += found.split(b"\n")
+        lines.pop()  # what is after the last line feed
+    return lines
 
 
 def _is_printable(rows: bytes) -> bool:
@@ -41,32 +55,31 @@ def _is_printable(rows: bytes) -> bool:
     return b"\\" not in rows and b"\x7f" not in rows and (rows.isascii() or rows.decode().isprintable())
 
 
-def _is_in_order(run: LedgerRun) -> bool:
+def _is_in_order(run: LedgerRun, tags: Sequence[str]) -> bool:
     """Return whether it is plain that nothing is wrong with the order of these events and the run's beginning."""
     begins = run.first == 0
-    first, *others = _tags(run)
+    first, *others = tags
     if begins != (first in OPENINGS) or any(tag in OPENINGS or tag in STANDS_ALONE for tag in others):
         return False
     if begins and len(run.events) > 1 and (first in STANDS_ALONE or type(run.events[0]) in map(type, run.events[1:])):
         return False
     observes = _observes(run)
     return all(map(le, run.times_us, run.times_us[1:])) and (
-        observes is None or (set(observes) <= set(CONCERNS) and set(_concerns(run)) <= set(observes))
+        observes is None or (set(observes) <= set(CONCERNS) and set(_concerns(tags)) <= set(observes))
     )
 
 
-def _blocks(runs: Sequence[LedgerRun]) -> Iterator[Block]:
-    for run in runs:
-        yield Block(
-            run.run_id,
-            run.first,
-            len(run.events),
-            run.times_us[0],
-            run.times_us[-1],
-            _observes(run),
-            _concerns(run) if run.first else (),
-            _tags(run)[0] in STANDS_ALONE,
-        )
+def _block(run: LedgerRun, tags: Sequence[str]) -> Block:
+    return Block(
+        run.run_id,
+        run.first,
+        len(run.events),
+        run.times_us[0],
+        run.times_us[-1],
+        _observes(run),
+        _concerns(tags) if run.first else (),
+        tags[0] in STANDS_ALONE,
+    )
 
 
 def _tags(run: LedgerRun) -> list[str]:
@@ -80,5 +93,5 @@ def _observes(run: LedgerRun) -> tuple[str, ...] | None:
     return found
 
 
-def _concerns(run: LedgerRun) -> tuple[str, ...]:
-    return tuple(sorted({CONCERNED[tag] for tag in _tags(run) if tag in CONCERNED}))
+def _concerns(tags: Sequence[str]) -> tuple[str, ...]:
+    return tuple(sorted({CONCERNED[tag] for tag in tags if tag in CONCERNED}))

@@ -30,7 +30,6 @@ from fsar_ledger.ledger.log.tiles import Tile
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
 from fsar_ledger.ledger.rows.bounds import (
-    MAX_NAME_BYTES,
     MAX_ROWS,
     MAX_SEGMENT_BYTES,
     MAX_TEXT_BYTES,
@@ -41,7 +40,7 @@ from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
 from fsar_ledger.ledger.rows.layout import read_file, read_layout
 from fsar_ledger.ledger.rows.releases import RELEASE
-from fsar_ledger.ledger.rows.runs import Flaw, refusal, unreadable
+from fsar_ledger.ledger.rows.runs import Flaw, overlong, refusal, unreadable
 from fsar_ledger.ledger.rows.schema import FINGERPRINT
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import catch_up, check_folders, write_derived
@@ -118,18 +117,8 @@ def stage_rows(ledger: Path, runs: Sequence[LedgerRun], table: pa.Table, leaves:
                 f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs "
                 "at once"
             )
-    for run in runs:
-        if len(run.run_id.encode()) > MAX_NAME_BYTES:
-            raise refusal(
-                Flaw(
-                    -1,
-                    run.run_id,
-                    0,
-                    "run_id",
-                    f"a name of {len(run.run_id.encode())} bytes",
-                    f"at most {MAX_NAME_BYTES}",
-                )
-            )
+    if flaw := overlong(runs):
+        raise refusal(flaw)
     try:
         read_layout(data.to_pybytes())
     except ValueError as error:

@@ -347,3 +347,28 @@ def turn(folder: Path, is_shared: bool = False) -> Iterator[None]:
         yield
     finally:
         close(handle)
+
+
+class Turns:
+    """Turns on this folder, each as `turn` that excludes all others, for who takes many: the folder is opened once.
+
+    Use it as a context manager, again and again. Raises: WriteFailed if the folder cannot be opened.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        with refusals(folder, "locking"):
+            self._handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+
+    def __enter__(self) -> None:
+        with suppress(OSError):
+            fcntl.flock(self._handle, fcntl.LOCK_EX)
+
+    def __exit__(self, *error: object) -> None:
+        with suppress(OSError):
+            fcntl.flock(self._handle, fcntl.LOCK_UN)
+
+    def close(self) -> None:
+        """Close the folder, if it is open."""
+        if self._handle >= 0:
+            close(self._handle)
+            self._handle = -1

@@ -1,0 +1,140 @@
+"""Events are written as the same rows in C and in Python, or not in C at all."""
+
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsar_ledger.errors import InvalidRun
+from fsar_ledger.events.envelope import with_columns
+from fsar_ledger.ledger.rows import encoding
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode_lines
+from fsar_ledger.ledger.rows.encoding import plain_lines
+from fsar_ledger.ledger.rows.pieces import piece
+from fsar_ledger.ledger.rows.schema import LAYOUTS
+from fsar_ledger.ledger.rows.small import rows_of
+from tests.ledger.samples import IN_RUNS, any_runs, made_up_batches, made_up_run, run_of_every_type
+from tests.ledger.test_writer_property import batches, with_event
+
+compiled = pytest.mark.skipif(not encoding.IS_COMPILED, reason="no compiler was there")
+
+
+def plain(run: LedgerRun) -> LedgerRun:
+    """Return the run without its parameters, JSON that JSON escapes."""
+    return with_event(run, 0, with_columns(run.events[0], parameters=None))
+
+
+def in_python(run: LedgerRun) -> bytes:
+    return b"\n".join((*encode_lines([run]), b""))
+
+
+@compiled
+@pytest.mark.parametrize("seed", range(5))
+def test_plain_events_of_every_type_are_written_in_c_as_in_python(seed: int) -> None:
+    run = plain(run_of_every_type("run-1", seed))
+    assert {type(event) for event in run.events} == {layout.cls for layout in IN_RUNS.values()}
+    assert plain_lines(run) == in_python(run)
+
+
+@compiled
+def test_a_part_of_a_run_is_written_in_c_as_in_python() -> None:
+    run = plain(made_up_run("run-1", 200, 1))
+    for first in (0, 1, 7, 199):
+        part = piece(run, first, first + 40)
+        assert plain_lines(part) == in_python(part)
+
+
+@compiled
+@given(any_runs())
+def test_any_events_are_written_in_c_as_in_python_or_not_at_all(runs: list[LedgerRun]) -> None:
+    for run in runs:
+        rows = in_python(run)
+        is_plain = rows.isascii() and b"\\" not in rows and b"\x7f" not in rows
+        assert plain_lines(run) == (rows if is_plain else None)
+
+
+@compiled
+@given(batches())
+def test_what_no_row_can_hold_is_not_written_in_c(runs: list[LedgerRun]) -> None:
+    for run in runs:
+        try:
+            expected = in_python(run)
+        except InvalidRun:
+            assert not run.events or plain_lines(run) is None
+        else:
+            assert plain_lines(run) in (None, expected)
+
+
+@compiled
+@pytest.mark.parametrize("text", ['"', "\\", "\x1f", "\x7f", "é", "東", "\u2028", "\ud800"])
+def test_text_that_is_not_plain_is_left_to_python(text: str) -> None:
+    run = plain(made_up_run("run-1", 8, 1))
+    seq, name = next(
+        (seq, field.name)
+        for seq, event in enumerate(run.events)
+        for field in LAYOUTS[str(event.__struct_config__.tag)].fields
+        if field.kind == "string" and field.values is None
+    )
+    assert plain_lines(run) is not None
+    assert plain_lines(with_event(run, seq, with_columns(run.events[seq], **{name: text}))) is None
+    assert plain_lines(LedgerRun(text, run.times_us, run.caused_by, run.events)) is None
+
+
+@compiled
+@pytest.mark.parametrize(
+    "changed", [{"times_us": [0]}, {"caused_by": [None]}, {"events": []}, {"first": 3}, {"events": [None] * 8}]
+)
+def test_a_run_that_does_not_hold_together_is_left_to_python(changed: dict[str, Any]) -> None:
+    run = plain(made_up_run("run-1", 8, 1))
+    parts: dict[str, Any] = {
+        "times_us": run.times_us,
+        "caused_by": run.caused_by,
+        "events": run.events,
+        "first": 0,
+    } | changed
+    assert plain_lines(LedgerRun("run-1", **parts)) is None
+
+
+@compiled
+def test_a_call_with_other_things_is_an_error() -> None:
+    from fsar_ledger.ledger.rows._encoding import lines
+
+    run = made_up_run("run-1", 2, 1)
+    given_lists = (list(run.times_us), list(run.caused_by), list(run.events))
+    kind = type(run.events[0])
+    assert lines({}, "run-1", 0, *given_lists) is None
+    made: tuple[Any, ...] = (
+        {kind: []},
+        {kind: (1,)},
+        {kind: ((1, 2),)},
+        {kind: ((0, "name", None, None, "x", False, None),)},
+    )
+    for wrong in made:
+        with pytest.raises(TypeError):
+            lines(wrong, "run-1", 0, *given_lists)
+    with pytest.raises(TypeError):
+        lines({}, "run-1", 0, tuple(run.times_us), *given_lists[1:])  # type: ignore[arg-type]
+
+
+def test_rows_are_the_same_without_the_compiled_function(monkeypatch: pytest.MonkeyPatch) -> None:
+    batches = made_up_batches(3, size=50)
+    found = list(map(rows_of, batches))
+    monkeypatch.setattr(encoding, "_lines", None)
+    assert plain_lines(batches[0][0]) is None
+    assert list(map(rows_of, batches)) == found
+
+
+@given(st.lists(batches(), min_size=1, max_size=2))
+def test_what_is_refused_does_not_depend_on_the_compiled_function(offered: list[list[LedgerRun]]) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        found = [_said(batch) for batch in offered]
+        patch.setattr(encoding, "_lines", None)
+        assert [_said(batch) for batch in offered] == found
+
+
+def _said(batch: list[LedgerRun]) -> object:
+    try:
+        return rows_of(batch)
+    except InvalidRun as error:
+        return str(error)
