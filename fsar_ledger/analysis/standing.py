@@ -273,6 +273,6 @@ def _phase(request: Request) -> str:
         return "received"
     if request.target is not None:
         return "asked"
-    if request.bidders:
+    if request.bids or request.underway:
         return "bids come in"
     return "candidates are known" if request.candidates else "looking for somebody"

@@ -80,7 +80,7 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     `is_relayed`: the relay has passed it on. `is_heard`: the robot asked has deferred it or put it before a supervisor.
     `is_received`: a robot has it, in its queue or before H_F, who orders two. `is_unanswered`: the time for an answer
     has run out; `silent`: the robots that did not answer in time.
-    `bidders`: robots that have sent a bid; `bids`: the bids received.
+    `bids`: the bids received; `underway`: those sent by robots of which none was received yet.
     """
 
     task_id: str
@@ -95,8 +95,8 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     carried: PolicyOutcome = "allow"
     target: Robot | None = None
     seen_busy: bool = False
-    bidders: tuple[Robot, ...] = ()
     bids: Mapping[Robot, PolicyOutcome] = {}
+    underway: Mapping[Robot, PolicyOutcome] = {}
     is_accepted: bool = False
     is_questioned: bool = False
     round: int = 0
@@ -229,8 +229,9 @@ def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
 
 def _bid_received(state: Requests, event: BidReceived) -> Requests:
     """Record the bid as read, replacing an earlier one: a robot that answers late was asked again."""
-    earlier = without(state.open[event.subject.action_id].bids, event.robot)
-    return _changed(state, event.subject.action_id, bids=put(earlier, event.robot, event.outcome))
+    known = state.open[event.subject.action_id]
+    bids = put(without(known.bids, event.robot), event.robot, event.outcome)
+    return _changed(state, known.action_id, bids=bids, underway=without(known.underway, event.robot))
 
 
 def _voided(state: Requests, event: ContractVoided) -> Requests:
@@ -239,8 +240,8 @@ def _voided(state: Requests, event: ContractVoided) -> Requests:
     return _changed(
         state,
         event.subject.action_id,
-        bidders=(),
         bids={},
+        underway={},
         target=None,
         is_accepted=False,
         is_questioned=False,
@@ -301,7 +302,9 @@ def _called(state: Requests, event: SupervisorCalled) -> Requests:
 def _bid(state: Requests, event: BidSubmitted) -> Requests:
     """Record a bid; it names only the task, which has one step at a time."""
     request = state.open.get(state.of_task.get(event.task_id, ""))
-    return state if request is None else _changed(state, request.action_id, bidders=(*request.bidders, event.robot))
+    if request is None or event.robot in request.bids:
+        return state
+    return _changed(state, request.action_id, underway=put(request.underway, event.robot, event.outcome))
 
 
 def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:

@@ -190,13 +190,11 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
         or request.is_unanswered
         or request.round != command.round
         or len(request.bids) == len(request.candidates)
+        or request.underway
     ):
         return ()
-    received = request.bids
-    if any(robot not in received for robot in reversed(request.bidders)):  # the last ones are on their way
-        return ()
     if not command.is_last and any(
-        is_linked(state.world, robot) for robot in request.candidates if robot not in received
+        is_linked(state.world, robot) for robot in request.candidates if robot not in request.bids
     ):
         return ()
     if best_bid(request) is not None:
