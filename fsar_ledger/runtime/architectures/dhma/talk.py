@@ -5,6 +5,9 @@ leaves one record, in every phase; what is decided at its end has these agents a
 sec:evaluation:baselines. Reading: R21.
 """
 
+from functools import lru_cache
+from itertools import pairwise
+
 from fsar_ledger.events.envelope import Agent, AgentKind, Robot, agent
 from fsar_ledger.events.request import InternalHandoff
 from fsar_ledger.projections.fleet import Fleet
@@ -60,7 +63,7 @@ def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Record each hop, without a requester: no message between agents names one."""
     names = path(command.robot, command.agents)
     parties = recorded_by(state.fleet, state.world, command.robot, requested_by=None, executed_by=command.robot)
-    return tuple(InternalHandoff(parties, names[place], names[place + 1]) for place in range(len(names) - 1))
+    return tuple([InternalHandoff(parties, *pair) for pair in pairwise(names)])
 
 
 def talk(
@@ -81,6 +84,7 @@ def talk(
     return lengths, Scheduled(HandOver(robot, agents), after_us, lengths)
 
 
+@lru_cache(1 << 15)  # a talk of every robot of a large fleet: most of its events are hops
 def path(robot: Robot, agents: Talk) -> tuple[Agent, ...]:
     """Return the path of a decision that went through these agents of the robot, decider last."""
     return tuple(agent(robot, kind) for kind in agents)
