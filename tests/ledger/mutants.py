@@ -33,7 +33,7 @@ CHAIN_CHECKED: dict[str, tuple[str, ...] | None] = {
     "verify/chain.py": None,
     "verify/chain_recover.py": ("find_trusted", "_removed", "manifest_of"),
     "chain/record.py": ("parse_line", "_is_signature"),
-    "chain/links.py": ("doubts", "_of_commit", "_of_placement", "_starts", "root_at", "follow", "_has_later_append"),
+    "chain/links.py": ("doubt", "_of_commit", "_of_placement", "_starts", "root_at", "follow", "_has_later_append"),
     "chain/journal.py": ("read_frames", "_is_sealed", "_commit", "_has_later_frame"),
     "chain/checkpoint.py": None,
     "chain/tables.py": ("table_of",),
@@ -168,8 +168,11 @@ def _makes_problem(node: ast.AST) -> bool:
         else []
     )
     is_found_and_expected = bool(texts) and all(isinstance(text, str | ast.JoinedStr) for text in texts)
-    return is_found_and_expected or any(
-        isinstance(one, ast.Call) and ast.unparse(one.func) in makers for one in ast.walk(node)
+    is_doubt = len(texts) == 3 and isinstance(texts[0], str)
+    return (
+        is_found_and_expected
+        or is_doubt
+        or any(isinstance(one, ast.Call) and ast.unparse(one.func) in makers for one in ast.walk(node))
     )
 
 

@@ -1,7 +1,9 @@
 """Events are written as the same rows in C and in Python, or not in C at all."""
 
+import sys
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -115,6 +117,22 @@ def test_a_call_with_other_things_is_an_error() -> None:
             lines(wrong, "run-1", 0, *given_lists)
     with pytest.raises(TypeError):
         lines({}, "run-1", 0, tuple(run.times_us), *given_lists[1:])  # type: ignore[arg-type]
+
+
+@compiled
+def test_writing_rows_keeps_nothing() -> None:
+    run, odd = (plain(made_up_run("run-1", 30, seed)) for seed in (1, 2))
+    odd = msgspec.structs.replace(odd, run_id="é")
+    held = [run.run_id, odd.run_id, *run.events, *odd.events]
+    before = list(map(sys.getrefcount, held))
+    for _ in range(50):
+        assert plain_lines(run) is not None
+        assert plain_lines(odd) is None
+    assert list(map(sys.getrefcount, held)) == before
+    nothing = sys.getrefcount(None)
+    for _ in range(1_000):
+        plain_lines(odd)
+    assert sys.getrefcount(None) < nothing + 500
 
 
 def test_rows_are_the_same_without_the_compiled_function(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -63,7 +63,8 @@ class Index:
 
     def run_names(self) -> RunNames:
         """Return the names of the runs and plans, in the order of their first events."""
-        begins = [block for line in self._lines for block in _NAMED.decode(line).blocks if not block.first]
+        lines = _NAMED.decode_lines(self._text)
+        begins = [block for line in lines for block in line.blocks if not block.first]
         runs = tuple([block.run for block in begins if not block.is_alone])
         return RunNames(runs, tuple([block.run for block in begins if block.is_alone]))
 

@@ -141,7 +141,7 @@ def _commit(line: bytes, chain: Chain) -> tuple[Commit | None, Problem | None]:
         return None, Problem(JOURNAL, f"no record ({error})", "one as it is written", commit=number)
     if not isinstance(record, Commit):
         return None, Problem(JOURNAL, "a placement", "commits and their rows", number, field="kind")
-    doubt = next(chain.doubts(record), None)
+    doubt = chain.doubt(record)
     if doubt is None:
         return record, None
     name, found, expected = doubt

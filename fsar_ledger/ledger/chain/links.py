@@ -14,7 +14,7 @@ from operator import lt
 import msgspec
 
 from fsar_ledger.ledger.chain.paths import CHAIN
-from fsar_ledger.ledger.chain.record import MAX_LINE_BYTES, Commit, Placement, Record, parse_line, parse_lines
+from fsar_ledger.ledger.chain.record import Commit, Placement, Record, parse_line, parse_lines
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
 from fsar_ledger.ledger.store.paths import MANIFEST
@@ -117,55 +117,54 @@ class Chain:
         if ended or not self.going_on.issuperset(commit.goes_on):
             self.going_on = self.going_on - ended | frozenset(commit.goes_on)
 
-    def doubts(self, record: Record) -> Iterator[Doubt]:
-        """Yield each field that contradicts the record itself, the lines before, or what this version knows."""
+    def doubt(self, record: Record) -> Doubt | None:
+        """Return the first field that contradicts the record itself, the lines before, or what this version knows."""
         if record.release not in FINGERPRINTS:
-            yield (
-                "release",
-                record.release,
+            later = is_later(record.release)
+            expected = (
                 f"at most {RELEASE}; read it with fsar-ledger {record.release} or later"
-                if is_later(record.release)
-                else f"one of {', '.join(sorted(FINGERPRINTS))}",
+                if later
+                else f"one of {', '.join(sorted(FINGERPRINTS))}"
             )
+            return "release", record.release, expected
         if record.previous_sha256 != self.sha256:
             before = "the line before" if self.commits else MANIFEST
-            yield "previous_sha256", record.previous_sha256, f"{self.sha256}, the SHA-256 of {before}"
-        if isinstance(record, Commit):
-            yield from self._of_commit(record)
-        else:
-            yield from self._of_placement(record)
+            return "previous_sha256", record.previous_sha256, f"{self.sha256}, the SHA-256 of {before}"
+        return self._of_commit(record) if isinstance(record, Commit) else self._of_placement(record)
 
-    def _of_commit(self, commit: Commit) -> Iterator[Doubt]:
+    def _of_commit(self, commit: Commit) -> Doubt | None:
         if commit.number != len(self.commits):
-            yield "number", commit.number, len(self.commits)
+            return "number", commit.number, len(self.commits)
         if (rows := commit.tree_size - self.size) != commit.rows:
-            yield "rows", commit.rows, rows
+            return "rows", commit.rows, rows
         if not commit.continues and not commit.goes_on:
-            return
+            return None
         runs = [run for run, _ in commit.continues]
         if not _is_sorted(runs) or not all(first for _, first in commit.continues):
-            yield "continues", f"{commit.continues!r:.200}", "each run once, sorted, each from a seq after 0"
-        elif ended := [run for run in runs if run not in self.going_on]:
-            yield "continues", f"{ended[0]!r:.200}", "runs that an earlier commit says go on"
+            return "continues", f"{commit.continues!r:.200}", "each run once, sorted, each from a seq after 0"
+        if ended := [run for run in runs if run not in self.going_on]:
+            return "continues", f"{ended[0]!r:.200}", "runs that an earlier commit says go on"
         if not _is_sorted(commit.goes_on):
-            yield "goes_on", f"{commit.goes_on!r:.200}", "each run once, sorted"
+            return "goes_on", f"{commit.goes_on!r:.200}", "each run once, sorted"
+        return None
 
-    def _of_placement(self, placement: Placement) -> Iterator[Doubt]:
+    def _of_placement(self, placement: Placement) -> Doubt | None:
         if placement.number != len(self.placements):
-            yield "number", placement.number, len(self.placements)
+            return "number", placement.number, len(self.placements)
         if (known := FINGERPRINTS.get(placement.release)) not in (None, placement.schema_sha256):
-            yield "schema_sha256", placement.schema_sha256, known
+            return "schema_sha256", placement.schema_sha256, known
         is_added, end = placement.first == self.placed_size, placement.end
         if not is_added and not self._starts(placement.first):
-            yield "first", placement.first, f"{self.placed_size}, or the first event of a segment"
+            return "first", placement.first, f"{self.placed_size}, or the first event of a segment"
         root = self.root_at(end)
         if root is None or (end < self.placed_size and not self._starts(end)):
-            yield "rows", placement.rows, "events up to the end of a commit, and of the segments that it supersedes"
-        elif not self._trusts_frontiers and (found := placement.tree().root()) != root:
-            yield "frontier", found.hex(), f"one of root {root.hex()}, as committed"
+            return "rows", placement.rows, "events up to the end of a commit, and of the segments that it supersedes"
+        if not self._trusts_frontiers and (found := placement.tree().root()) != root:
+            return "frontier", found.hex(), f"one of root {root.hex()}, as committed"
         if is_added != bool(placement.index_bytes):
             expected = "those of the events' line of the index" if is_added else "none, as no events are added"
-            yield "index_bytes", placement.index_bytes, expected
+            return "index_bytes", placement.index_bytes, expected
+        return None
 
     def _starts(self, index: int) -> bool:
         """Return whether a segment begins with this event."""
@@ -207,43 +206,42 @@ def follow(data: bytes, chain: Chain) -> Followed:
     at = last = end = commits = 0
     sha256 = chain.sha256
     problem: Problem | None = None
-    parsed = iter(_at_once(data))
-    while at < len(data) and problem is None:
-        stop = data.find(b"\n", at, at + MAX_LINE_BYTES)
-        line = data[at:stop]
-        record, problem = _read(line if stop >= 0 else None, chain, next(parsed, None))
-        if record is not None:
-            chain.add(line, record)
-            at = stop + 1
-            if isinstance(record, Placement):
-                last, end, commits, sha256 = end, at, len(chain.commits), chain.sha256
+    *lines, rest = data.split(b"\n")
+    for line, parsed in zip(lines, _at_once(data[: len(data) - len(rest)], lines), strict=True):
+        record, problem = _read(line, chain, parsed)
+        if record is None:
+            break
+        chain.add(line, record)
+        at += len(line) + 1
+        if isinstance(record, Placement):
+            last, end, commits, sha256 = end, at, len(chain.commits), chain.sha256
+    else:
+        if rest:
+            problem = Problem(CHAIN, "a line without end", "whole lines", commit=len(chain.commits))
     chain.forget(commits, sha256)
     if problem is not None and (problem.field is not None or _has_later_append(data, at)):
         return Followed(end, problem=problem, last=last)
     return Followed(end, len(data) - end, last=last)
 
 
-def _at_once(data: bytes) -> list[Record]:
-    """Parse all whole lines; return none where they must be parsed one by one to see which is no record."""
+def _at_once(data: bytes, lines: Sequence[bytes]) -> Sequence[Record | None]:
+    """Parse these lines; return None for each where they must be parsed one by one to see which is no record."""
     try:
-        return parse_lines(data[: data.rfind(b"\n") + 1])
+        return parse_lines(data, lines)
     except ValueError:
-        return []
+        return [None] * len(lines)
 
 
-def _read(line: bytes | None, chain: Chain, parsed: Record | None) -> tuple[Record | None, Problem | None]:
-    number = len(chain.commits)
-    if line is None:
-        return None, Problem(CHAIN, "a line without end", "whole lines", commit=number)
+def _read(line: bytes, chain: Chain, parsed: Record | None) -> tuple[Record | None, Problem | None]:
     try:
         record = parsed or parse_line(line)
     except ValueError as error:
-        return None, Problem(CHAIN, f"no record ({error})", "one as it is written", commit=number)
-    doubt = next(chain.doubts(record), None)
+        return None, Problem(CHAIN, f"no record ({error})", "one as it is written", commit=len(chain.commits))
+    doubt = chain.doubt(record)
     if doubt is None:
         return record, None
     name, found, expected = doubt
-    return None, Problem(CHAIN, f"{found!r}", f"{expected}", commit=number, field=name)
+    return None, Problem(CHAIN, f"{found!r}", f"{expected}", commit=len(chain.commits), field=name)
 
 
 def _has_later_append(data: bytes, at: int) -> bool:

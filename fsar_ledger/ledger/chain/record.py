@@ -11,6 +11,7 @@ placement   events FIRST to FIRST + ROWS are in this segment; a later one of the
 
 import base64
 import binascii
+from collections.abc import Sequence
 from itertools import chain
 from typing import Annotated, TypeAlias, TypeVar
 
@@ -118,18 +119,18 @@ _DECODER = msgspec.json.Decoder(Record)
 def parse_line(line: bytes) -> Record:
     """Parse one line of a chain, without its line feed.
 
-    Raises: ValueError, with the reason, if it is not the canonical JSON of a record with fields in range.
+    Raises: ValueError, with the reason, if it is not the canonical JSON of a record with fields in range, or too long.
     """
-    (record,) = _parsed(line + b"\n")
+    (record,) = parse_lines(line + b"\n", [line])
     return record
 
 
-def parse_lines(data: bytes) -> list[Record]:
-    """Parse whole lines of a chain, each with its line feed, at once; as `parse_line`, and three times as quick.
+def parse_lines(data: bytes, lines: Sequence[bytes]) -> list[Record]:
+    """Parse these bytes, which are these lines of a chain; as `parse_line`, and three times as quick.
 
     Raises: ValueError if one of them is not as it must be.
     """
-    if any(len(line) >= MAX_LINE_BYTES for line in data.split(b"\n")):
+    if max(map(len, lines), default=0) >= MAX_LINE_BYTES:
         raise ValueError(f"a line of {MAX_LINE_BYTES} bytes or more")
     return _parsed(data)
 

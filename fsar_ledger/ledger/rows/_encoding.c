@@ -147,8 +147,10 @@ static int put_row(Written *out, PyObject *types, PyObject *event, const Place *
     if (!PyTuple_Check(columns)) return PyErr_SetString(PyExc_TypeError, "columns: expected a tuple"), FAILED;
     char before = '{';
     int how = WRITTEN;
+    Py_INCREF(columns); /* getting an attribute may run Python code */
     for (Py_ssize_t at = 0; how == WRITTEN && at < PyTuple_Size(columns); at++)
         how = put_column(out, PyTuple_GetItem(columns, at), event, place, &before);
+    Py_DECREF(columns);
     return how == WRITTEN ? put(out, "}\n", 2) : how;
 }
 
@@ -162,7 +164,6 @@ static PyObject *lines(PyObject *module, PyObject *args) {
         return NULL;
     Py_ssize_t rows = PyList_Size(events);
     int how = PyList_Size(times) == rows && PyList_Size(causes) == rows ? WRITTEN : NOT_PLAIN;
-    /* The sizes are looked at again: getting an attribute may run Python code. */
     for (Py_ssize_t row = 0; how == WRITTEN && row < rows; row++, place.seq++) {
         PyObject *event = PyList_GetItem(events, row);
         place.time = PyList_GetItem(times, row), place.cause = PyList_GetItem(causes, row);
