@@ -75,11 +75,8 @@ def evolve(state: Contention, event: HANDLES) -> Contention:
             )
             return replace(state, arrived=state.arrived | {event.subject.action_id}) if joins else state
         case RequestDenied() | RequestUnanswered():
-            return (
-                state
-                if event.subject.action_id is None
-                else replace(state, refused=state.refused | {event.subject.action_id})
-            )
+            is_new = event.subject.action_id is not None and event.subject.action_id not in state.refused
+            return replace(state, refused=state.refused | {event.subject.action_id}) if is_new else state
         case TaskArrived():
             return replace(state, critical=state.critical | {event.task_id}) if event.is_time_critical else state
         case TaskCompleted() | TaskAbandoned():

@@ -32,6 +32,8 @@ class _Line(Generic[K, V]):
 class Large(Mapping[K, V], Generic[K, V]):
     """One version of a mapping with many. The newest is as quick as a dict; another is put together when it is read.
 
+    A line with too many changes is given up: its newest dict, which no version of it is any more, begins another.
+
     Not for threads that share versions of one mapping.
     """
 
@@ -71,21 +73,19 @@ class Large(Mapping[K, V], Generic[K, V]):
 
     def put(self, key: K, value: V) -> "Large[K, V]":
         """Return the mapping with this value of the key."""
-        self._entries()[key] = value
-        return self._changed((key, value))
+        entries, line = self._entries(), self._line
+        entries[key] = value
+        changes = line.changes
+        changes.append((key, value))
+        return Large(line, len(changes)) if len(changes) <= line.most else Large.of(entries)
 
     def without(self, key: K) -> "Large[K, V]":
         """Return the mapping without this key, which it has."""
-        del self._entries()[key]
-        return self._changed((key,))
-
-    def _changed(self, change: tuple[K] | tuple[K, V]) -> "Large[K, V]":
-        """Return the next version, whose entries are those of `newest` by now."""
-        line = self._line
-        line.changes.append(change)
-        if len(line.changes) > line.most:
-            return Large.of(line.newest)  # which no version of this line is any more
-        return Large(line, len(line.changes))
+        entries, line = self._entries(), self._line
+        del entries[key]
+        changes = line.changes
+        changes.append((key,))
+        return Large(line, len(changes)) if len(changes) <= line.most else Large.of(entries)
 
     def _entries(self) -> dict[K, V]:
         """Return the entries of this version. It is the newest of its line then; if need be, of one of its own."""

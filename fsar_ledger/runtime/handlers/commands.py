@@ -17,7 +17,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.ports import Ask
 
 
-class Command(msgspec.Struct, kw_only=True):
+class Command(msgspec.Struct, kw_only=True, gc=False):
     """A request to decide.
 
     When it is due, the kernel stamps `now_us` (run time) and, where something is asked, the environment's answer.
@@ -27,7 +27,7 @@ class Command(msgspec.Struct, kw_only=True):
     answer: int = 0
 
 
-class PublicCommand(Command, kw_only=True):
+class PublicCommand(Command, kw_only=True, gc=False):
     """A request from outside, by a robot, an operator or a supervisor.
 
     A command that cannot be carried out is rejected as an event, and changes nothing.

@@ -193,13 +193,19 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
         or request.underway
     ):
         return ()
-    if not command.is_last and any(
-        is_linked(state.world, robot) for robot in request.candidates if robot not in request.bids
-    ):
+    if not command.is_last and _may_answer(state.world, request):
         return ()
     if best_bid(request) is not None:
         return award(state, Award(command.action_id, now_us=command.now_us))
     return (_unanswered(state.fleet, state.world, request, None),)
+
+
+def _may_answer(world: World, request: Request) -> bool:
+    """Return whether a robot that was called, and whose bid is not there, can still be reached."""
+    missing = len(request.candidates) - len(request.bids)
+    return missing > len(world.off) + len(world.unlinked) or any(
+        is_linked(world, robot) for robot in request.candidates if robot not in request.bids
+    )
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
