@@ -81,8 +81,7 @@ class Draws:
         if stream == "reliability":
             return int(word * _SHARE < self._reliability)
         low_us, scale = self._laws[stream]
-        drawn_us = low_us + scale * word
-        length_us = round(drawn_us) if drawn_us < FOREVER_US else FOREVER_US
+        length_us = round(min(low_us + scale * word, FOREVER_US))
         return length_us if share_ppm == 1_000_000 else length_us * share_ppm // 1_000_000
 
     def middle(self, ask: Ask) -> int:
