@@ -75,7 +75,7 @@ def print_runs() -> None:
 
 def print_maps() -> None:
     """Print the times of one change and one look-up, against a dictionary that is copied."""
-    kinds: dict[str, Callable[[dict[str, int]], Any]] = {"hand-cut shelves": lambda _: Shelves()}
+    kinds: dict[str, Callable[[dict[str, int]], Any]] = {"shelves cut by hand (0.7.0)": lambda _: Shelves()}
     for module, name in (("pyrsistent", "pmap"), ("immutables", "Map")):
         try:
             kinds[module] = getattr(import_module(module), name)

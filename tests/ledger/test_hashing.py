@@ -8,7 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fsar_ledger.ledger.log import hashing
-from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves, leaves_of, leaves_plainly, parents, parents_plainly
+from fsar_ledger.ledger.log.hashing import (
+    HASH_BYTES,
+    Roots,
+    leaves,
+    leaves_of,
+    leaves_plainly,
+    parents,
+    parents_plainly,
+    roots,
+    roots_plainly,
+)
+from fsar_ledger.ledger.log.merkle import Frontier, root
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import append_all, contents, made_up_batches
 
@@ -36,6 +47,41 @@ def test_a_node_is_the_hash_of_a_one_byte_and_its_children(nodes: bytes) -> None
     assert parents(nodes) == parents_plainly(nodes) == expected
 
 
+def hashes(count: int) -> list[bytes]:
+    return [hashlib.sha256(bytes([number % 256, number // 256])).digest() for number in range(count)]
+
+
+@given(st.integers(0, 70), st.lists(st.integers(0, 90), max_size=8))
+def test_the_root_at_each_size_is_that_of_the_tree_with_so_many_leaves(size: int, more: list[int]) -> None:
+    found = hashes(size + max(more, default=0))
+    sizes = sorted({size + some for some in more} - {0})
+    tree = Frontier().extend(b"".join(found[:size]))
+    given_before = size, b"".join(tree.subtrees), b"".join(found[size:]), sizes
+    expected = [root(found[:one]) for one in sizes]
+    assert tree.roots(given_before[2], sizes) == expected
+    assert roots(*given_before) == roots_plainly(*given_before) == b"".join(expected)
+
+
+@pytest.mark.parametrize("roots_of", [roots, roots_plainly])
+@pytest.mark.parametrize(
+    ("size", "subtrees", "leaves_", "sizes"),
+    [
+        (3, 1, 4, [5]),
+        (3, 3, 4, [5]),
+        (3, 2, 4, [2]),
+        (3, 2, 4, [5, 4]),
+        (3, 2, 4, [8]),
+        (0, 0, 4, [0]),
+        (3, 2.5, 4, []),
+    ],
+)
+def test_sizes_and_hashes_of_no_tree_are_refused(
+    roots_of: Roots, size: int, subtrees: float, leaves_: int, sizes: list[int]
+) -> None:
+    with pytest.raises(ValueError, match=r"those of a tree|expected more, and leaves for it"):
+        roots_of(size, bytes(int(subtrees * HASH_BYTES)), bytes(leaves_ * HASH_BYTES), sizes)
+
+
 @pytest.mark.skipif(not hashing.IS_COMPILED, reason="the hashes are not made in C here: no compiler when it was set up")
 def test_what_is_no_bytes_or_no_whole_input_is_refused_by_the_compiled_functions() -> None:
     with pytest.raises(TypeError):
@@ -50,6 +96,7 @@ def test_a_ledger_is_the_same_without_the_compiled_functions(tmp_path: Path, mon
     append_all(tmp_path / "one", made_up_batches(2, size=200))
     monkeypatch.setattr(hashing, "_leaves", leaves_plainly)
     monkeypatch.setattr(hashing, "_parents", parents_plainly)
+    monkeypatch.setattr(hashing, "_roots", roots_plainly)
     append_all(tmp_path / "other", made_up_batches(2, size=200))
     assert contents(tmp_path / "one") == contents(tmp_path / "other")
     assert verify(tmp_path / "one").ok

@@ -12,6 +12,7 @@
 
 #define HASH_BYTES 32
 #define BLOCK_BYTES 64
+#define MAX_SUBTREES 64
 
 static const uint32_t CONSTANTS[64] = {
     0x428a2f98, 0x71374491, 0xb5c0fbcf, 0xe9b5dba5, 0x3956c25b, 0x59f111f1, 0x923f82a4, 0xab1c5ed5,
@@ -168,9 +169,57 @@ static PyObject *parents(PyObject *module, PyObject *nodes) {
     return found;
 }
 
+/* Write the root of a tree with these complete subtrees, largest first; at least one. */
+static void fold(const uint8_t (*subtrees)[HASH_BYTES], int count, uint8_t *root) {
+    uint8_t pair[2 * HASH_BYTES];
+    memcpy(root, subtrees[count - 1], HASH_BYTES);
+    for (int at = count - 2; at >= 0; at--) {
+        memcpy(pair, subtrees[at], HASH_BYTES), memcpy(pair + HASH_BYTES, root, HASH_BYTES);
+        hash_after(0x01, pair, sizeof pair, root);
+    }
+}
+
+static PyObject *roots(PyObject *module, PyObject *args) {
+    const char *before, *leaves;
+    Py_ssize_t before_size, leaves_size;
+    unsigned long long size;
+    uint8_t kept[MAX_SUBTREES][HASH_BYTES], pair[2 * HASH_BYTES];
+    int count = 0;
+    PyObject *sizes;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "Ky#y#O!", &size, &before, &before_size, &leaves, &leaves_size, &PyList_Type, &sizes))
+        return NULL;
+    for (unsigned long long rest = size; rest; rest &= rest - 1) count++;
+    if (before_size != count * HASH_BYTES || leaves_size % HASH_BYTES || size >> 62)
+        return PyErr_Format(PyExc_ValueError, "found subtrees or leaves that are not those of a tree");
+    memcpy(kept, before, before_size);
+    PyObject *found = PyBytes_FromStringAndSize(NULL, PyList_Size(sizes) * HASH_BYTES);
+    if (found == NULL) return NULL;
+    uint8_t *root = (uint8_t *)PyBytes_AsString(found);
+    const uint8_t *leaf = (const uint8_t *)leaves, *end = leaf + leaves_size;
+    for (Py_ssize_t at = 0; at < PyList_Size(sizes); at++, root += HASH_BYTES) {
+        unsigned long long wanted = PyLong_AsUnsignedLongLong(PyList_GetItem(sizes, at));
+        if (PyErr_Occurred()) return Py_DECREF(found), NULL;
+        if (wanted < size || !wanted || wanted - size > (unsigned long long)(end - leaf) / HASH_BYTES)
+            return Py_DECREF(found), PyErr_Format(PyExc_ValueError, "found size %llu, expected more, and leaves for it", wanted);
+        for (; size < wanted; size++, leaf += HASH_BYTES) {
+            uint8_t *hash = kept[count++];
+            memcpy(hash, leaf, HASH_BYTES);
+            for (unsigned long long rest = size; rest & 1; rest >>= 1, count--) {
+                hash = kept[count - 2];
+                memcpy(pair, hash, sizeof pair);
+                hash_after(0x01, pair, sizeof pair, hash);
+            }
+        }
+        fold((const uint8_t(*)[HASH_BYTES])kept, count, root);
+    }
+    return found;
+}
+
 static PyMethodDef METHODS[] = {
     {"leaves", leaves, METH_O, "Return the packed leaf hashes of these lines, each ended by a line feed."},
     {"parents", parents, METH_O, "Return the packed hashes of pairs of packed hashes."},
+    {"roots", roots, METH_VARARGS, "Return the packed roots of a tree when it has so many leaves."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -14,6 +14,7 @@ _HASHED = np.dtype((np.void, 1 + 2 * HASH_BYTES))
 _PAIRS_AT_ONCE = 512  # few enough to stay in the CPU caches
 
 Hash: TypeAlias = Callable[[bytes], bytes]
+Roots: TypeAlias = Callable[[int, bytes, bytes, list[int]], bytes]
 
 
 def leaves_plainly(lines: bytes) -> bytes:
@@ -40,6 +41,30 @@ def parents_plainly(nodes: bytes) -> bytes:
     return b"".join(found)
 
 
+def roots_plainly(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
+    """As `roots`, with hashlib."""
+    sha256 = hashlib.sha256
+    kept = [subtrees[at : at + HASH_BYTES] for at in range(0, len(subtrees), HASH_BYTES)]
+    if len(kept) != size.bit_count() or len(subtrees) % HASH_BYTES or len(leaves) % HASH_BYTES:
+        raise ValueError("found subtrees or leaves that are not those of a tree")
+    found = []
+    at = 0
+    for wanted in sizes:
+        if wanted < max(size, 1) or (wanted - size) * HASH_BYTES > len(leaves) - at:
+            raise ValueError(f"found size {wanted}, expected more, and leaves for it")
+        while size < wanted:
+            node, rest = leaves[at : at + HASH_BYTES], size
+            while rest & 1:
+                node, rest = sha256(b"\x01" + kept.pop() + node).digest(), rest >> 1
+            kept.append(node)
+            size, at = size + 1, at + HASH_BYTES
+        root = kept[-1]
+        for subtree in reversed(kept[:-1]):
+            root = sha256(b"\x01" + subtree + root).digest()
+        found.append(root)
+    return b"".join(found)
+
+
 def leaves(lines: bytes) -> bytes:
     """Return the packed RFC 6962 leaf hashes of these lines, each ended by a line feed, which is not hashed."""
     return _leaves(lines)
@@ -55,15 +80,25 @@ def parents(nodes: bytes) -> bytes:
     return _parents(nodes)
 
 
-def _compiled() -> tuple[Hash, Hash] | None:
+def roots(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
+    """Return the packed roots of a tree when it has so many leaves, for each of these sizes, which rise.
+
+    It has `size` leaves and these packed complete subtrees, largest first; then these packed leaf hashes are added.
+
+    Raises: ValueError for a size below the one before, and where leaves are missing.
+    """
+    return _roots(size, subtrees, leaves, sizes)
+
+
+def _compiled() -> tuple[Hash, Hash, Roots] | None:
     try:
         from fsar_ledger.ledger.log import _hashing
     except ImportError:  # it was not built, as without a compiler
         return None
-    return _hashing.leaves, _hashing.parents
+    return _hashing.leaves, _hashing.parents, _hashing.roots
 
 
 _found = _compiled()
 IS_COMPILED = _found is not None
 """Whether the hashes are made in C."""
-_leaves, _parents = _found or (leaves_plainly, parents_plainly)
+_leaves, _parents, _roots = _found or (leaves_plainly, parents_plainly, roots_plainly)

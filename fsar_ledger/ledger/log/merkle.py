@@ -10,6 +10,7 @@ from typing import TypeAlias
 
 import msgspec
 
+from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, parents
 
 EMPTY_ROOT = hashlib.sha256(b"").digest()
@@ -63,6 +64,11 @@ class Frontier(msgspec.Struct, frozen=True):
             found[height, first >> height] = subtree
             first += 1 << height
         return found
+
+    def roots(self, leaves: bytes, sizes: Sequence[int]) -> list[bytes]:
+        """Return the roots of the tree at each of these sizes, which rise, as these packed leaf hashes are added."""
+        packed = hashing.roots(self.size, b"".join(self.subtrees), leaves, list(sizes))
+        return [packed[at : at + HASH_BYTES] for at in range(0, len(packed), HASH_BYTES)]
 
     def root(self) -> bytes:
         """Return the root hash of the tree."""

@@ -142,21 +142,17 @@ class ChainVerification:
     def _grow(self, facts: SegmentFacts, leaves: bytes, placement: Placement, commits: Sequence[Commit]) -> bytes:
         """Add the leaves of a segment to the tree, compare the roots, and return what they add to the pack."""
         assert self.tree is not None
-        tree, at = self.tree, 0
-        sizes = {commit.tree_size: commit for commit in commits}
-        for size in sorted({*sizes, *(one for one in self.asked.sizes() if placement.first < one < placement.end)}):
-            if size == placement.end:
-                break
-            end = (size - placement.first) * HASH_BYTES
-            tree, at = tree.extend(leaves[at:end]), end
-            self._compare_root(tree, sizes.get(size), facts.file)
-        after, nodes = pack.grow(self.tree, leaves)
-        self._compare_root(after, sizes.get(placement.end), facts.file)
-        self.tree = after
+        said = {commit.tree_size: commit for commit in commits}
+        asked = {size for size in self.asked.sizes() if placement.first < size < placement.end}
+        sizes = sorted(asked.union(said) - {placement.end})
+        for size, root in zip(sizes, self.tree.roots(leaves, sizes), strict=True):
+            self._compare_root(size, root, said.get(size), facts.file)
+        self.tree, nodes = pack.grow(self.tree, leaves)
+        self._compare_root(placement.end, self.tree.root(), said.get(placement.end), facts.file)
         return nodes
 
-    def _compare_root(self, tree: Frontier, commit: Commit | None, file: str) -> None:
-        root = self.roots[tree.size] = tree.root()
+    def _compare_root(self, size: int, root: bytes, commit: Commit | None, file: str) -> None:
+        self.roots[size] = root
         if commit is not None and root.hex() != commit.tree_root:
             expected = f"{commit.tree_root} as committed: a row was altered"
             self.problems.append(
@@ -213,7 +209,7 @@ class ChainVerification:
                 if first < size < commit.tree_size:
                     self.roots[size] = self.tree.extend(leaves[: (size - first) * HASH_BYTES]).root()
             self.tree = self.tree.extend(leaves)
-            self._compare_root(self.tree, commit, JOURNAL)
+            self._compare_root(self.tree.size, self.tree.root(), commit, JOURNAL)
         if self.asked.is_quick or self.problems:
             return
         try:
