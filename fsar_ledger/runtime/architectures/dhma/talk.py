@@ -63,7 +63,7 @@ def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Record each hop, without a requester: no message between agents names one."""
     names = path(command.robot, command.agents)
     parties = recorded_by(state.fleet, state.world, command.robot, requested_by=None, executed_by=command.robot)
-    return tuple([InternalHandoff(parties, *pair) for pair in pairwise(names)])
+    return tuple([InternalHandoff(parties, sender, receiver) for sender, receiver in pairwise(names)])
 
 
 def talk(
