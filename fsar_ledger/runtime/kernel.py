@@ -32,7 +32,7 @@ from fsar_ledger.projections.world import is_linked
 from .agenda import Agenda, Pending
 from .architectures.handler_table import HandlerTable
 from .handlers.commands import Command, React, Scheduled
-from .ports import Environment
+from .ports import Ask, Environment
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
 _TURNS = frozenset({RobotWentOff, RobotCameBack, LinkCameUp})
@@ -76,7 +76,7 @@ class Kernel:
         self._plan = _plan(table)
         self._facts = environment.facts
         self._next_fact = 0
-        self._answer = environment.answer
+        self.answered_by(environment)
         self._latest_us = NEVER_US if environment.latest_us is None else environment.latest_us
         begun = founding[0]
         self._pending = Agenda((isinstance(begun, RunStarted) and begun.fleet_size) or 1)
@@ -104,6 +104,7 @@ class Kernel:
     def answered_by(self, environment: Environment) -> None:
         """From now on, let this environment answer; what happens by itself stays that of the first one."""
         self._answer = environment.answer
+        self._asks_once = getattr(environment, "answers_alike", False)
 
     def submit(self, time_us: int, command: Command) -> int:
         """Give the run a command from outside, and return when it is due: then, or as soon as no other is.
@@ -243,11 +244,15 @@ class Kernel:
         state, answer, world, pending = self.state, self._answer, self.state.world, self._pending
         is_whole = not world.off and not world.unlinked  # nothing can be kept
         taken: set[int] = set()  # an event may schedule thousands
+        asks_once, length_us = self._asks_once, 0
+        waits: tuple[Ask, ...] = ()  # of the command before
         for react in reacts:
             for scheduled in react(state, event, time_us):
-                due_us = time_us + scheduled.after_us
-                for ask in scheduled.waits:
-                    due_us += answer(ask)
+                if scheduled.waits is not waits or not asks_once:
+                    waits, length_us = scheduled.waits, 0
+                    for ask in waits:
+                        length_us += answer(ask)
+                due_us = time_us + scheduled.after_us + length_us
                 if due_us <= time_us:
                     due_us = time_us + 1
                 while due_us in taken:
