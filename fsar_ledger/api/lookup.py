@@ -100,6 +100,8 @@ def no_run(ledger: Path) -> str:
 
 def chosen_in(view: "View", asked: object) -> str:
     """Return the full name of the run that was asked for, or of the first. Raises: UsageError if there is none."""
+    if isinstance(asked, str) and view.ordinal_of(asked):
+        return asked
     if not view.run_names.runs:
         raise UsageError(no_run(view.path))
     return view.run_names.runs[0] if asked is None else run_in(view, asked)
@@ -117,7 +119,8 @@ def about_run(view: "View", asked: object, demanded: str | None) -> Iterator[Abo
 
     run = chosen_in(view, asked)
     with connect_run(view, run, demanded) as database:
-        yield AboutRun(database, run, view.run_names.number_of(run))
+        number = view.ordinal_of(run)
+        yield AboutRun(database, run, number if number and not view.has_run(f"{number}") else None)
 
 
 def numbers_of(database: "Database") -> dict[str, int]:

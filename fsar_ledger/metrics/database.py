@@ -86,7 +86,7 @@ def connect_view(
 def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
     """Open a database over the events of this run; only the segments that hold it are read.
 
-    `run_numbers` has every run.
+    `run_numbers` has this run alone.
 
     Raises:
         LedgerCorrupted: A segment is not as committed.
@@ -97,7 +97,9 @@ def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
     segments = [view.segment(number) for number in held]
     database = Database(view.head, segments, rows_verified=rows_verified)
     releases = [view.releases[number] for number in held]
-    _fill(database, segments, releases, relation.Chosen(relation.of_run(run), _numbers(view.run_names.runs)))
+    number = view.ordinal_of(run)
+    numbers = _numbers([run] if number else [], number)
+    _fill(database, segments, releases, relation.Chosen(relation.of_run(run), numbers))
     return database
 
 
@@ -160,9 +162,10 @@ def _sliced(extents: Sequence[Extent], most: int) -> Iterator[list[Extent]]:
         yield part
 
 
-def _numbers(runs: Sequence[str]) -> pa.Table:
-    """Return the relation `run_numbers` of these runs, in order."""
-    return pa.table({"run_id": pa.array(runs, pa.string()), "number": np.arange(1, len(runs) + 1)}, schema=_NUMBERS)
+def _numbers(runs: Sequence[str], first: int = 1) -> pa.Table:
+    """Return the relation `run_numbers` of these runs, numbered from `first` on."""
+    numbers = np.arange(first, first + len(runs))
+    return pa.table({"run_id": pa.array(runs, pa.string()), "number": numbers}, schema=_NUMBERS)
 
 
 def _fill(

@@ -35,6 +35,7 @@ from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.ledger.writing import open_writer
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
+from tests.ledger.test_plan_rows import PLAN, of
 
 RUNS = [made_up_run(f"run-{number}", 30, number) for number in range(4)]
 KEPT = sorted((Path(__file__).parent.parent / "ledgers").glob("*/ledger"))
@@ -90,6 +91,7 @@ def test_however_runs_are_cut_sealed_and_compacted_rows_root_and_runs_are_the_sa
     assert events_of(found) == events_of(expected)
     assert list(found.runs()) == list(expected.runs()) == RUNS[:2]
     assert found.run_names == expected.run_names == RunNames(("run-0", "run-1"))
+    assert [found.ordinal_of(run) for run in ("run-0", "run-1", "run-2")] == [1, 2, 0]
     events = [msgspec.json.decode(event) for event in events_of(found)]
     for index in range(0, len(events), 11):
         assert place_of(found, events[index]["run_id"], events[index]["seq"]) == index
@@ -210,6 +212,21 @@ def test_whatever_the_index_holds_a_reader_finds_each_run_and_recover_makes_it_a
     recover(path)
     assert (path / INDEX).read_bytes() == data
     assert verify(path).problems == ()
+
+
+def test_a_run_has_its_number_among_runs_and_a_plan_has_none(tmp_path: Path) -> None:
+    names = ["run", 'run"first":0,', '{"first":0,"first_us":1', "run\\", '"is_alone":true,']
+    runs = [made_up_run(name, 12, number) for number, name in enumerate(names)]
+    plan = of("a plan", PLAN)
+    path = tmp_path / "ledger"
+    with ChainWriter(path, ORIGIN) as writer:
+        writer.append(stage(path, [piece(runs[0], 0, 6), piece(runs[1], 0, 6)]))
+        writer.append(stage(path, [plan, piece(runs[0], 6, 12), runs[2]]))
+        writer.add([piece(runs[1], 6, 12), runs[3]])
+        writer.add([runs[4]])
+    view = open_for_answers(path)
+    assert view.run_names == RunNames(tuple(names), ("a plan",))
+    assert [view.ordinal_of(name) for name in (*names, "a plan", "ru", "run-0")] == [1, 2, 3, 4, 5, 0, 0, 0]
 
 
 def test_a_placement_with_another_line_of_the_index_than_the_rows_have_is_found(tmp_path: Path) -> None:

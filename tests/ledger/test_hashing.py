@@ -11,6 +11,8 @@ from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import (
     HASH_BYTES,
     Roots,
+    digests,
+    digests_plainly,
     leaves,
     leaves_of,
     leaves_plainly,
@@ -45,6 +47,21 @@ def test_a_node_is_the_hash_of_a_one_byte_and_its_children(nodes: bytes) -> None
     pairs = [nodes[at : at + 2 * HASH_BYTES] for at in range(0, len(nodes), 2 * HASH_BYTES)]
     expected = b"".join(hashlib.sha256(b"\x01" + pair).digest() for pair in pairs)
     assert parents(nodes) == parents_plainly(nodes) == expected
+
+
+@given(st.lists(st.binary(max_size=300), max_size=20))
+def test_a_digest_is_the_hash_of_the_text_alone(texts: list[bytes]) -> None:
+    expected = [hashlib.sha256(text).hexdigest() for text in texts]
+    assert digests(texts) == expected == [one.hex() for one in cut(digests_plainly(texts))]
+
+
+def test_texts_of_every_length_have_their_digest() -> None:
+    texts = [b"\x80" * size for size in range(400)]
+    assert digests(texts) == [hashlib.sha256(text).hexdigest() for text in texts]
+
+
+def cut(packed: bytes) -> list[bytes]:
+    return [packed[at : at + HASH_BYTES] for at in range(0, len(packed), HASH_BYTES)]
 
 
 def hashes(count: int) -> list[bytes]:
@@ -90,11 +107,16 @@ def test_what_is_no_bytes_or_no_whole_input_is_refused_by_the_compiled_functions
         leaves(b"a\nb")
     with pytest.raises(ValueError, match="found 65 bytes, expected pairs of hashes"):
         parents(b"x" * 65)
+    with pytest.raises(TypeError):
+        digests([b"bytes", "text"])  # type: ignore[list-item]
+    with pytest.raises(TypeError, match="found no list"):
+        digests((b"bytes",))  # type: ignore[arg-type]
 
 
 def test_a_ledger_is_the_same_without_the_compiled_functions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     append_all(tmp_path / "one", made_up_batches(2, size=200))
     monkeypatch.setattr(hashing, "_leaves", leaves_plainly)
+    monkeypatch.setattr(hashing, "_digests", digests_plainly)
     monkeypatch.setattr(hashing, "_parents", parents_plainly)
     monkeypatch.setattr(hashing, "_roots", roots_plainly)
     append_all(tmp_path / "other", made_up_batches(2, size=200))

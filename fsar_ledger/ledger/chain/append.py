@@ -221,7 +221,7 @@ class ChainWriter:
             self._is_broken = True  # unless everything below succeeds
             with disk.refusals(self._journal.path, "writing to the journal"):
                 written = self._journal.write(b"\n".join((line, *rows, b"")), journal.end)
-            self._view.chain.add(line, commit)
+            self._view.chain.add(commit, sha256_hex(line))
             journal.add(Frame(line, commit, rows), tree, leaves, written)
             self._pieces += runs
             self._runs().add(blocks)

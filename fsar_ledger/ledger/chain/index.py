@@ -42,6 +42,10 @@ class _NamedLine(msgspec.Struct):
 
 _LINE, _NAMED = msgspec.json.Decoder(IndexLine), msgspec.json.Decoder(_NamedLine)
 
+_BEGINNING, _PLAN = b'{"first":0,"first_us":', b'"is_alone":true,'
+"""What the blocks of runs and plans begin with where these begin, and what those of plans have, too. No name has them:
+there each quotation mark comes after a backslash."""
+
 
 def index_line(first: int, blocks: Sequence[Block]) -> bytes:
     """Return the line of the events from this index in the ledger on, with a line feed."""
@@ -60,6 +64,7 @@ class Index:
         self._lines = lines
         self._text = b"".join(lines)
         self._ends = list(accumulate(map(len, lines)))
+        self._ordinals: dict[str, int] = {}  # of runs that were asked for
 
     def run_names(self) -> RunNames:
         """Return the names of the runs and plans, in the order of their first events."""
@@ -67,6 +72,19 @@ class Index:
         begins = [block for line in lines for block in line.blocks if not block.first]
         runs = tuple([block.run for block in begins if not block.is_alone])
         return RunNames(runs, tuple([block.run for block in begins if block.is_alone]))
+
+    def ordinal_of(self, run: str) -> int:
+        """Return the number of this run in `run_names`, from 1; 0 if there is none."""
+        if run not in self._ordinals:
+            self._ordinals[run] = self._ordinal(_of_run(run))
+        return self._ordinals[run]
+
+    def _ordinal(self, name: bytes) -> int:
+        at = self._text.find(name)
+        first = self._text.rfind(b"{", 0, max(0, at))
+        if at < 0 or not self._text.startswith(_BEGINNING, first) or _PLAN in self._text[first:at]:
+            return 0
+        return self._text.count(_BEGINNING, 0, at) - self._text.count(_PLAN, 0, at)
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks of all lines."""
@@ -81,7 +99,7 @@ class Index:
 
     def of_run(self, run: str) -> Iterator[tuple[int, Block]]:
         """Yield the number of each line that names the run, and its block there."""
-        for number in self._lines_with(b'"run":' + canonical.document(run)):
+        for number in self._lines_with(_of_run(run)):
             yield from ((number, block) for block in _LINE.decode(self._lines[number]).blocks if block.run == run)
 
     def _lines_with(self, name: bytes) -> Iterator[int]:
@@ -91,3 +109,8 @@ class Index:
             number = bisect_right(self._ends, at)
             yield number
             at = self._text.find(name, self._ends[number])
+
+
+def _of_run(run: str) -> bytes:
+    """Return what a block of this run, and no other, has: its last member."""
+    return b'"run":' + canonical.document(run)

@@ -19,6 +19,7 @@ from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import sha256_hex
 
 ALLOTTED = 1 << 20
 """Bytes by which the file grows: writing over what is there, a disk syncs only the data."""
@@ -94,7 +95,7 @@ def read_frames(data: bytes, chain: Chain) -> Journal:
         if commit is None or at + commit.rows >= len(lines):
             break
         frames.append(Frame(lines[at], commit, lines[at + 1 : at + 1 + commit.rows]))
-        chain.add(lines[at], commit)
+        chain.add(commit, sha256_hex(lines[at]))
         shas.append(chain.sha256)
         at += 1 + commit.rows
     leaves = [leaves_of(frame.rows) for frame in frames]

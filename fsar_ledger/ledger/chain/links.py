@@ -6,15 +6,16 @@ acknowledged. More after a later placement is damage; so is a line that can be r
 since no crash leaves one.
 """
 
-import hashlib
 from bisect import bisect_left
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import accumulate, pairwise
 from operator import lt
 
 import msgspec
 
 from fsar_ledger.ledger.chain.paths import CHAIN
 from fsar_ledger.ledger.chain.record import Commit, Placement, Record, parse_line, parse_lines
+from fsar_ledger.ledger.log.hashing import digests
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
 from fsar_ledger.ledger.store.paths import MANIFEST
@@ -76,11 +77,10 @@ class Chain:
 
     def index_lines(self, data: bytes) -> Iterator[bytes]:
         """Yield the line of the index of each placement that added events; nothing where these bytes hold another."""
-        at = 0
-        for one in self.added:
-            line = data[at : at + one.index_bytes]
-            yield line if hashlib.sha256(line).hexdigest() == one.index_sha256 else b""
-            at += one.index_bytes
+        ends = list(accumulate([one.index_bytes for one in self.added], initial=0))
+        lines = [data[start:end] for start, end in pairwise(ends)]
+        for line, sha256, one in zip(lines, digests(lines), self.added, strict=True):
+            yield line if sha256 == one.index_sha256 else b""
 
     def forget(self, commits: int, sha256: str) -> None:
         """Go back to this many commits, none of them placed since, and the line with this hash."""
@@ -91,9 +91,9 @@ class Chain:
                 self._go_on(commit)
         self.sha256 = sha256
 
-    def add(self, line: bytes, record: Record) -> None:
-        """Add a line that nothing speaks against."""
-        self.sha256 = hashlib.sha256(line).hexdigest()
+    def add(self, record: Record, sha256: str) -> None:
+        """Add the record of a line with this SHA-256 that nothing speaks against."""
+        self.sha256 = sha256
         if isinstance(record, Commit):
             self.commits.append(record)
             self._go_on(record)
@@ -207,11 +207,17 @@ def follow(data: bytes, chain: Chain) -> Followed:
     sha256 = chain.sha256
     problem: Problem | None = None
     *lines, rest = data.split(b"\n")
-    for line, parsed in zip(lines, _at_once(data[: len(data) - len(rest)], lines), strict=True):
-        record, problem = _read(line, chain, parsed)
-        if record is None:
+    records = _parsed(data[: len(data) - len(rest)], lines)
+    for line, record, line_sha256 in zip(lines, records, digests(lines), strict=True):
+        number = len(chain.commits)
+        if isinstance(record, ValueError):
+            problem = Problem(CHAIN, f"no record ({record})", "one as it is written", commit=number)
             break
-        chain.add(line, record)
+        if (doubt := chain.doubt(record)) is not None:
+            name, found, expected = doubt
+            problem = Problem(CHAIN, f"{found!r}", f"{expected}", commit=number, field=name)
+            break
+        chain.add(record, line_sha256)
         at += len(line) + 1
         if isinstance(record, Placement):
             last, end, commits, sha256 = end, at, len(chain.commits), chain.sha256
@@ -224,24 +230,19 @@ def follow(data: bytes, chain: Chain) -> Followed:
     return Followed(end, len(data) - end, last=last)
 
 
-def _at_once(data: bytes, lines: Sequence[bytes]) -> Sequence[Record | None]:
-    """Parse these lines; return None for each where they must be parsed one by one to see which is no record."""
+def _parsed(data: bytes, lines: Sequence[bytes]) -> Iterable[Record | ValueError]:
+    """Parse these lines, at once if all are records, else one by one to see which is none, and why."""
     try:
         return parse_lines(data, lines)
     except ValueError:
-        return [None] * len(lines)
+        return map(_parsed_line, lines)
 
 
-def _read(line: bytes, chain: Chain, parsed: Record | None) -> tuple[Record | None, Problem | None]:
+def _parsed_line(line: bytes) -> Record | ValueError:
     try:
-        record = parsed or parse_line(line)
+        return parse_line(line)
     except ValueError as error:
-        return None, Problem(CHAIN, f"no record ({error})", "one as it is written", commit=len(chain.commits))
-    doubt = chain.doubt(record)
-    if doubt is None:
-        return record, None
-    name, found, expected = doubt
-    return None, Problem(CHAIN, f"{found!r}", f"{expected}", commit=len(chain.commits), field=name)
+        return error
 
 
 def _has_later_append(data: bytes, at: int) -> bool:

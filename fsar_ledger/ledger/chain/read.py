@@ -179,7 +179,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def grown(self, data: bytes, tree: Frontier) -> "ChainView":
         """Return the view after these bytes were appended to the chain, which begin with what the journal held."""
         for line in data.split(b"\n")[len(self.journal.frames) : -1]:
-            self.chain.add(line, parse_line(line))
+            self.chain.add(parse_line(line), sha256_hex(line))
         return msgspec.structs.replace(
             self,
             followed=Followed(self.followed.end + len(data), last=self.followed.end),
@@ -310,6 +310,10 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         """Return whether a run or a plan has this name. Raises: As `index`."""
         return any(True for _ in self.index.of_run(run))
 
+    def ordinal_of(self, run: str) -> int:
+        """Return the number of this run among all, from 1; 0 if there is none. Raises: As `index`."""
+        return self.index.ordinal_of(run)
+
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in the order of their first events. Raises: As `index`."""
         found: dict[str, Extent] = {}
@@ -374,27 +378,15 @@ def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True
     sha256 = sha256_hex(manifest_bytes)
     for last in (*[False] * _TRIES, True):
         chain = Chain(sha256, trusts_frontiers=is_damage_told)
-        chain_bytes = _read(path / CHAIN, MAX_CHAIN_BYTES)
+        chain_bytes = growing.read_whole(path / CHAIN, MAX_CHAIN_BYTES)
         followed = follow(chain_bytes, chain)
         if not chain.has_right_tree():  # which line is wrong?
             chain = Chain(sha256)
             followed = follow(chain_bytes, chain)
-        journal = read_frames(_read(path / JOURNAL, MAX_JOURNAL_BYTES), chain)
+        journal = read_frames(growing.read_whole(path / JOURNAL, MAX_JOURNAL_BYTES), chain)
         problem = followed.problem or journal.problem
-        if last or _read(path / CHAIN, MAX_CHAIN_BYTES) == chain_bytes:
+        if last or growing.size_of(path / CHAIN) == len(chain_bytes):
             break
     if problem is not None and is_damage_told:
         raise LedgerCorrupted(f"{path}/{problem}; restore the file, or run fsar-ledger verify")
     return ChainView(path, manifest, sha256, chain, followed, journal)
-
-
-def _read(path: Path, most: int) -> bytes:
-    """Read a file of the ledger; nothing if there is none. Raises: LedgerCorrupted if it cannot be read."""
-    try:
-        return disk.read_large(path, most)
-    except FileNotFoundError:
-        return b""
-    except OSError as error:
-        raise LedgerCorrupted(
-            f"{path}: it cannot be read ({error.strerror or error}); permit reading or restore it"
-        ) from error

@@ -1,4 +1,4 @@
-"""Hash many rows, and many pairs of hashes, in one call.
+"""Hash many texts, or many pairs of hashes, in one call.
 
 In C where that was built (`_hashing.c`), else with hashlib. Both give the same hashes.
 """
@@ -14,6 +14,7 @@ _HASHED = np.dtype((np.void, 1 + 2 * HASH_BYTES))
 _PAIRS_AT_ONCE = 512  # few enough to stay in the CPU caches
 
 Hash: TypeAlias = Callable[[bytes], bytes]
+Digests: TypeAlias = Callable[[list[bytes]], bytes]
 Roots: TypeAlias = Callable[[int, bytes, bytes, list[int]], bytes]
 
 
@@ -22,6 +23,12 @@ def leaves_plainly(lines: bytes) -> bytes:
     sha256 = hashlib.sha256
     rows = (b"\x00" + lines[:-1].replace(b"\n", b"\n\x00")).split(b"\n") if lines else []
     return b"".join([sha256(row).digest() for row in rows])
+
+
+def digests_plainly(texts: list[bytes]) -> bytes:
+    """As `digests`, with hashlib."""
+    sha256 = hashlib.sha256
+    return b"".join([sha256(text).digest() for text in texts])
 
 
 def parents_plainly(nodes: bytes) -> bytes:
@@ -75,6 +82,12 @@ def leaves_of(rows: Sequence[bytes]) -> bytes:
     return _leaves(b"\n".join((*rows, b"")))
 
 
+def digests(texts: list[bytes]) -> list[str]:
+    """Return the SHA-256 of each of these texts, in hex."""
+    packed = _digests(texts).hex()
+    return [packed[at : at + 2 * HASH_BYTES] for at in range(0, len(packed), 2 * HASH_BYTES)]
+
+
 def parents(nodes: bytes) -> bytes:
     """Return the packed RFC 6962 hashes of each pair of packed hashes."""
     return _parents(nodes)
@@ -90,15 +103,15 @@ def roots(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     return _roots(size, subtrees, leaves, sizes)
 
 
-def _compiled() -> tuple[Hash, Hash, Roots] | None:
+def _compiled() -> tuple[Hash, Digests, Hash, Roots] | None:
     try:
         from fsar_ledger.ledger.log import _hashing
     except ImportError:  # it was not built, as without a compiler
         return None
-    return _hashing.leaves, _hashing.parents, _hashing.roots
+    return _hashing.leaves, _hashing.digests, _hashing.parents, _hashing.roots
 
 
 _found = _compiled()
 IS_COMPILED = _found is not None
 """Whether the hashes are made in C."""
-_leaves, _parents, _roots = _found or (leaves_plainly, parents_plainly, roots_plainly)
+_leaves, _digests, _parents, _roots = _found or (leaves_plainly, digests_plainly, parents_plainly, roots_plainly)

@@ -8,6 +8,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.store import disk
 
 
@@ -37,6 +38,18 @@ def read_at(path: Path | str, place: int, most: int) -> bytes:
         return os.pread(handle, most, place)
     finally:
         disk.close(handle)
+
+
+def read_whole(path: Path, most: int) -> bytes:
+    """Read a file of a ledger; nothing if there is none. Raises: LedgerCorrupted if it cannot be read, or is longer."""
+    try:
+        return disk.read_large(path, most)
+    except FileNotFoundError:
+        return b""
+    except OSError as error:
+        raise LedgerCorrupted(
+            f"{path}: it cannot be read ({error.strerror or error}); permit reading or restore it"
+        ) from error
 
 
 def append_durably(path: Path, data: bytes, end: int) -> None:

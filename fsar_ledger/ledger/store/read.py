@@ -197,6 +197,10 @@ class LedgerView(msgspec.Struct, frozen=True, dict=True):
         """Return whether a run or a plan has this name. Raises: As `table`."""
         return run in self.run_names.runs or run in self.run_names.plans
 
+    def ordinal_of(self, run: str) -> int:
+        """Return the number of this run among all, from 1; 0 if there is none. Raises: As `table`."""
+        return self.run_names.runs.index(run) + 1 if run in self.run_names.runs else 0
+
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in order: in one commit. Raises: As `table`."""
         found: list[Extent] = []

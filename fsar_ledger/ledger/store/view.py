@@ -52,11 +52,6 @@ class RunNames(msgspec.Struct, frozen=True):
     runs: tuple[str, ...] = ()
     plans: tuple[str, ...] = ()
 
-    def number_of(self, run: str) -> int | None:
-        """Return the number that names this run, as in `numbers`; None if there is none."""
-        number = self.runs.index(run) + 1 if run in self.runs else 0
-        return number if number and f"{number}" not in self.runs and f"{number}" not in self.plans else None
-
     def numbers(self) -> dict[str, int]:
         """Return the number that names each run, from 1; none that is itself the name of a run or a plan."""
         names = {*self.runs, *self.plans}
@@ -140,6 +135,9 @@ class View(Protocol):
 
     def has_run(self, run: str) -> bool:
         """Return whether a run or a plan has this name. Raises: LedgerCorrupted."""
+
+    def ordinal_of(self, run: str) -> int:
+        """Return the number of this run in `run_names.runs`, from 1; 0 if there is none. Raises: LedgerCorrupted."""
 
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in the order of their first events. Raises: LedgerCorrupted."""

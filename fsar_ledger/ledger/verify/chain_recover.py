@@ -242,5 +242,5 @@ def _relinked(record: Record, chain: Chain) -> bytes:
     number = len(chain.placements if isinstance(record, Placement) else chain.commits)
     made: Record = msgspec.structs.replace(record, number=number, previous_sha256=chain.sha256)
     line = canonical.document(made)
-    chain.add(line, made)
+    chain.add(made, sha256_hex(line))
     return line
