@@ -76,7 +76,8 @@ class Kernel:
         self._plan = _plan(table)
         self._facts = environment.facts
         self._next_fact = 0
-        self.answered_by(environment)
+        self._answer = environment.answer
+        self._asks_once: bool = getattr(environment, "answers_alike", False)
         self._latest_us = NEVER_US if environment.latest_us is None else environment.latest_us
         begun = founding[0]
         self._pending = Agenda((isinstance(begun, RunStarted) and begun.fleet_size) or 1)
