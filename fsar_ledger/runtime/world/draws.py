@@ -54,7 +54,7 @@ class Stream:
 class Draws:
     """Draws that answer during the run, named by stream and by the task, step, attempt and hop that use them."""
 
-    __slots__ = ("_laws", "_reliability")
+    __slots__ = ("_begun", "_laws", "_reliability")
 
     def __init__(self, key: bytes, world: WorldConstants) -> None:
         self._reliability = world.degraded_reliability
@@ -65,12 +65,13 @@ class Draws:
             "response": world.response,
             **dict(world.durations),
         }
-        # Of each stream, the hash of what all names of its draws begin with, and the least and the step of its lengths.
         self._laws = {
-            stream: (_begun(key, stream), law.low_s * 1e6, (law.high_s - law.low_s) * 1e6 * _SHARE)
-            for stream, law in laws.items()
+            stream: (law.low_s * 1e6, (law.high_s - law.low_s) * 1e6 * _SHARE) for stream, law in laws.items()
         }
-        self._laws["reliability"] = (_begun(key, "reliability"), 0.0, 0.0)
+        # Of each stream, the hash of what the names of its draws begin with: thousands of them follow.
+        self._begun = {
+            stream: blake2b(f"{stream}|".encode(), digest_size=8, key=key) for stream in (*laws, "reliability")
+        }
 
     def answer(self, ask: Ask) -> int:
         """Draw the answer: a length in microseconds; to `reliability`, 1 if a degraded actuator holds, else 0."""
@@ -79,21 +80,16 @@ class Draws:
             return 0
         if stream == "verdict":  # the model's supervisors answer alike; only when they do is drawn
             return AS_USUAL
-        begun, low_us, scale = self._laws[stream]
-        digest = begun.copy()
+        digest = self._begun[stream].copy()
         digest.update(ask.key.encode())
         word: int = _ONE.unpack(digest.digest())[0] >> 11
         if stream == "reliability":
             return int(word * _SHARE < self._reliability)
+        low_us, scale = self._laws[stream]
         length_us = round(min(low_us + scale * word, FOREVER_US))
         return length_us if share_ppm == 1_000_000 else length_us * share_ppm // 1_000_000
 
     def middle(self, ask: Ask) -> int:
         """Return the middle of the law by which a length is drawn. Units: microseconds."""
-        _, low_us, scale = self._laws[ask.what]
+        low_us, scale = self._laws[ask.what]
         return round(min(low_us + scale / (2 * _SHARE), FOREVER_US)) * ask.share_ppm // 1_000_000
-
-
-def _begun(key: bytes, stream: str) -> blake2b:
-    """Return the hash of the name of a draw of this stream, up to what is drawn for."""
-    return blake2b(f"{stream}|".encode(), digest_size=8, key=key)
