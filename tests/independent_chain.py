@@ -37,7 +37,7 @@ from independent_verifier import (  # type: ignore[import-not-found]
 
 Row = dict[str, Any]
 FOLDERS = {"segments", "staging"}
-FILES = {"ledger.json", "chain.jsonl", "journal.jsonl", "nodes", "index.jsonl", "checkpoint"}
+FILES = {"ledger.json", "chain.jsonl", "journal.jsonl", "sealing.jsonl", "nodes", "index.jsonl", "checkpoint"}
 MANIFEST = {"format": '"fsar-ledger"', "origin": TEXT, "version": "2"}
 NAMES = rf"\[({TEXT}(,{TEXT})*)?\]"
 COMMIT = {"kind": '"commit"', "number": COUNT, "previous_sha256": HASH, "release": TEXT, "rows": COUNT}
@@ -175,6 +175,7 @@ class ChainVerifier:
         manifest, digest = read_json(self.ledger / "ledger.json", "ledger.json", MANIFEST)
         self.origin = manifest["origin"]
         chain = self.read_chain(digest)
+        chained = len(chain.commits)
         frames = self.read_journal(chain)
         covered = self.covered(chain, len(chain.commits))
         self.is_behind = self.is_sealed or covered < chain.placed_size
@@ -189,14 +190,14 @@ class ChainVerifier:
             self.check_nodes(first, end, chain)
             self.check_runs(where, rows, own)
             self.check_index(first, rows, chain)
-        for commit, rows in frames:
-            self.add_rows("journal.jsonl", rows, [commit])
-            self.check_rows("journal.jsonl", rows, commit["number"])
-            self.check_runs("journal.jsonl", rows, [commit])
+        for name, commit, rows in frames:
+            self.add_rows(name, rows, [commit])
+            self.check_rows(name, rows, commit["number"])
+            self.check_runs(name, rows, [commit])
         self.check_strays(chain)
         self.check_sizes(chain)
         notes = [self.note_of(commit) for commit in chain.commits]
-        signature = self.check_signatures(notes, len(notes) - len(frames))
+        signature = self.check_signatures(notes, chained)
         self.check_anchor(chain)
         if self.is_behind or covered < chain.size:
             self.remarks.append("behind")
@@ -247,50 +248,67 @@ class ChainVerifier:
             self.remarks.append("torn")
         return whole
 
-    def read_journal(self, chain: Chain) -> list[tuple[Row, list[Row]]]:
-        """Read the frames, and add their commits to the chain (section 4)."""
-        lines = self.bytes_of("journal.jsonl").rstrip(b"\0").split(b"\n")
-        frames: list[tuple[Row, list[Row]]] = []
-        try:
-            first = read_record(lines[0])
-        except ValueError:
-            first = {}
-        if first.get("kind") == "commit" and first in chain.commits[first["number"] : first["number"] + 1]:
-            self.is_sealed = True
-            return []
-        tree, at = self.tree_of(chain), 0
+    def read_journal(self, chain: Chain) -> list[tuple[str, Row, list[Row]]]:
+        """Read the frames of both files, and add to the chain the commits that it lacks (section 4)."""
+        placed = chain.placed_size
+        self.known = [one for one in chain.commits if one["tree_size"] > placed]
+        self.frames: list[tuple[str, Row, list[Row]]] = []
+        self.grown = self.tree_of(chain)
+        for name in ("sealing.jsonl", "journal.jsonl"):
+            lines = self.bytes_of(name).rstrip(b"\0").split(b"\n")
+            try:
+                first = read_record(lines[0])
+            except ValueError:
+                first = {}
+            is_known = first.get("kind") == "commit" and first in chain.commits[first["number"] : first["number"] + 1]
+            if is_known and first["tree_size"] <= placed:
+                self.is_sealed = True
+            else:
+                self.read_frames(name, lines, chain)
+        if len(self.frames) < len(self.known):
+            raise ProblemError("journal.jsonl", "no rows of it", "a frame", self.known[len(self.frames)]["number"])
+        return self.frames
+
+    def read_frames(self, name: str, lines: list[bytes], chain: Chain) -> None:
+        at = 0
         while at < len(lines) - 1:
+            known = self.known[len(self.frames)] if len(self.frames) < len(self.known) else None
             error: object = "rows that are missing, or lead to another root"
             is_read = False
             try:
                 ahead, record = chain.copy(), read_record(lines[at])
                 is_read = True
-                if record["kind"] != "commit":
-                    raise ValueError("a placement")
-                ahead.add(lines[at], record)
+                if record["kind"] != "commit" or known not in (None, record):
+                    raise ValueError("a placement, or another commit than the chain has")
+                if known is None:
+                    ahead.add(lines[at], record)
                 is_read = False
                 rows = lines[at + 1 : at + 1 + record["rows"]]
-                grown = tree + [sha256(b"\x00", row) for row in rows]
+                grown = self.grown + [sha256(b"\x00", row) for row in rows]
                 is_whole = at + 1 + record["rows"] < len(lines)
                 if is_whole and root_of(grown).hex() == record["tree_root"]:
-                    frames.append((record, self.parsed(rows, record["number"])))
-                    tree, at = grown, at + 1 + record["rows"]
+                    self.frames.append((name, record, self.parsed(name, rows, record["number"])))
+                    self.grown, at = grown, at + 1 + record["rows"]
                     chain.__dict__.update(ahead.__dict__)
                     continue
             except ValueError as found:
                 error = found
-            if is_read or any(self.is_later(line, len(chain.commits)) for line in lines[at:]):
-                raise ProblemError("journal.jsonl", error, "a frame", len(chain.commits))
+            is_torn = name == "journal.jsonl" and known is None and not is_read
+            if not is_torn or any(self.is_later(line, len(chain.commits)) for line in lines[at:]):
+                raise ProblemError(name, error, "a frame", known["number"] if known else len(chain.commits))
             self.remarks.append("torn")
-            break
-        return frames
+            return
+        if lines[at]:
+            if name == "sealing.jsonl":
+                raise ProblemError(name, "a line without end", "a frame", len(chain.commits))
+            self.remarks.append("torn")
 
     def tree_of(self, chain: Chain) -> list[bytes]:
         """Return subtrees whose root is that of the events in segments, as `root_over` takes them."""
         last = max(chain.placed.values(), key=lambda one: int(one["first"]), default=None)
         return Forest([bytes.fromhex(each) for each in last["frontier"]] if last else [], chain.placed_size)
 
-    def parsed(self, rows: list[bytes], number: int) -> list[Row]:
+    def parsed(self, name: str, rows: list[bytes], number: int) -> list[Row]:
         found = []
         for row in rows:
             try:
@@ -298,7 +316,7 @@ class ChainVerifier:
                 if not isinstance(one, dict) or canonical(one) != row or None in one.values():
                     raise ValueError(f"{row!r:.80} is no canonical JSON of an event")
             except (ValueError, RecursionError) as error:
-                raise ProblemError("journal.jsonl", error, "the bytes of an event", number) from error
+                raise ProblemError(name, error, "the bytes of an event", number) from error
             found.append(one)
         return found
 
@@ -433,7 +451,7 @@ class ChainVerifier:
     def check_runs(self, where: str, rows: list[Row], commits: list[Row]) -> None:
         """Check what spans commits: seq, `continues`, `goes_on`, events that stand alone, and concerns."""
         start = commits[0]["tree_size"] - commits[0]["rows"]
-        said_by = "journal.jsonl" if where == "journal.jsonl" else "chain.jsonl"
+        said_by = "chain.jsonl" if where.startswith("segments/") else where
         for commit in commits:
             own = rows[commit["tree_size"] - commit["rows"] - start : commit["tree_size"] - start]
             seen: dict[str, int] = {}
@@ -474,7 +492,7 @@ class ChainVerifier:
             if size > expected or (size < expected and not self.is_behind):
                 raise ProblemError(name, f"{size} bytes", expected)
 
-    def check_signatures(self, notes: list["Whole"], sealed: int) -> str:
+    def check_signatures(self, notes: list["Whole"], chained: int) -> str:
         if self.key is None:
             return "signer not checked" if notes and notes[-1].note.signatures else "unsigned"
         if not notes:
@@ -483,7 +501,7 @@ class ChainVerifier:
             is_signed = whole.note.has(self.key)
             if is_signed is False or (number == len(notes) - 1 and not is_signed):
                 found = "no signature of the trusted key, or a wrong one"
-                where = "chain.jsonl" if number < sealed else "journal.jsonl"
+                where = "chain.jsonl" if number < chained else "journal.jsonl"
                 raise ProblemError(where, found, self.key[0], number)
         return "signed"
 
@@ -508,7 +526,7 @@ def verifier_of(ledger: Path, *given: Any) -> Any:
     except (OSError, ValueError, TypeError, KeyError, RecursionError):
         is_chained = None
     if is_chained is None:
-        own = [ledger / "chain.jsonl", ledger / "journal.jsonl"]
+        own = [ledger / "chain.jsonl", ledger / "journal.jsonl", ledger / "sealing.jsonl"]
         is_chained = any(map(os.path.lexists, own)) and not os.path.lexists(ledger / "commits")
     return (ChainVerifier if is_chained else Verifier)(ledger, *given)
 

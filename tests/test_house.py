@@ -17,7 +17,7 @@ from fsar_ledger.metrics.library import generated
 ROOT = Path(__file__).resolve().parent.parent
 CODE = ("fsar_ledger", "queries", "reports", "tests", "benchmarks", "docs")
 FILE_LINES_MAX, FUNCTION_LINES_MAX, QUERY_LINES_MAX = 400, 60, 80
-LONGER = {"tests/independent_verifier.py": 520, "tests/independent_chain.py": 570}
+LONGER = {"tests/independent_verifier.py": 520, "tests/independent_chain.py": 590}
 """Files that may be longer: the verifier keeps the order of docs/ledger-format.md, to be read beside it as one text."""
 TOP_LEVEL = {"README.md", "pyproject.toml", "fsar_ledger", "queries", "reports", "tests"}
 REQUIREMENTS = {f"requirements{part}.{kind}" for part in ("", "-test", "-all") for kind in ("in", "txt")}
@@ -288,6 +288,7 @@ def test_the_wheel_has_every_module_query_and_report(tree: Path, tmp_path_factor
         "log/_hashing",
         "rows/_encoding",
         "rows/_joining",
+        "rows/_parsing",
     ):  # C, which a machine without a compiler leaves out
         expected -= {f"fsar_ledger/ledger/{compiled}.c", f"fsar_ledger/ledger/{compiled}.abi3.so"}
         packaged -= {f"fsar_ledger/ledger/{compiled}.abi3.so"}

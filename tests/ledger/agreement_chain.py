@@ -3,6 +3,7 @@
 import base64
 import json
 import random
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.index import line_of
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.log import pack
@@ -31,6 +32,12 @@ Record = dict[str, Any]
 Frame = tuple[Record, list[bytes]]
 
 
+def hand_over(writer: ChainWriter) -> None:
+    """Hand over the journal, though it is not full."""
+    with writer._turn:
+        writer._hand_over()
+
+
 class History:
     """A random history: sessions of appends, commits to the journal, seals and compactions, of runs in parts."""
 
@@ -45,6 +52,21 @@ class History:
             with ChainWriter(self.path, ORIGIN, self._draw.choice(self._signers), adopts=True) as writer:
                 for _ in range(self._draw.randrange(1, 6)):
                     self._step(writer)
+
+    def leave_off(self, *, is_chained: bool) -> None:
+        """Leave the ledger as a writer does that is killed while a journal is sealed, or the one before it was."""
+        other = self.path.with_name(f"{self.path.name}-open")
+        self.path.rename(other)
+        with ChainWriter(other, ORIGIN, self._signers[0], adopts=True) as writer:
+            writer.add(self._parts())
+            hand_over(writer)
+            writer.add(self._parts())
+            if is_chained:
+                writer.settle()
+                writer.add(self._parts())
+                hand_over(writer)
+                writer.add(self._parts())
+            shutil.copytree(other, self.path)
 
     def _step(self, writer: ChainWriter) -> None:
         how = self._draw.choices(("append", "odd", "add", "seal", "compact"), (3, 1, 6, 1, 1))[0]
@@ -95,8 +117,12 @@ def records_of(path: Path) -> tuple[list[Record], list[Frame]]:
     """Return the lines of the chain and the frames of the journal, as `relink` takes them."""
     view = view_of(path)
     lines = (path / CHAIN).read_bytes()[: view.followed.end].splitlines() if view.chain.placements else []
-    frames = [(_unlinked(frame.line), list(frame.rows)) for frame in view.journal.frames]
-    return [_unlinked(line) for line in lines], frames
+    records = [_unlinked(line) for line in lines]
+    journal = view.journal
+    known = [record for record in records if record["kind"] == "commit"][len(view.commits) - len(journal.frames) :]
+    new = [_unlinked(frame.line) for frame in journal.frames[journal.chained :]]
+    rows = [frame.rows.split(b"\n")[:-1] for frame in journal.frames]
+    return records, list(zip([*known, *new], rows, strict=True))
 
 
 def _unlinked(line: bytes) -> Record:
@@ -104,18 +130,23 @@ def _unlinked(line: bytes) -> Record:
 
 
 def relink(path: Path, records: Sequence[Record], frames: Sequence[Frame]) -> None:
-    """Write these records, each with the hash of the one before it unless it names one itself."""
+    """Write these records, each with the hash of the one before it unless it names one itself.
+
+    A frame whose record is one of the chain's has the same line; as many as before are in the file being sealed.
+    """
+    sealing = view_of(path).journal.sealing
     previous = sha256_hex((path / "ledger.json").read_bytes())
-    lines: list[bytes] = []
-    for record in (*records, *(record for record, _ in frames)):
-        lines.append(canonical.document(record | {"previous_sha256": record["previous_sha256"] or previous}))
-        previous = sha256_hex(lines[-1])
+    chained = set(map(id, records))
+    lines: dict[int, bytes] = {}
+    for record in (*records, *(record for record, _ in frames if id(record) not in chained)):
+        line = canonical.document(record | {"previous_sha256": record["previous_sha256"] or previous})
+        lines[id(record)], previous = line, sha256_hex(line)
     if records:
-        (path / CHAIN).write_bytes(b"".join(line + b"\n" for line in lines[: len(records)]))
-    rows = [rows for _, rows in frames]
-    held = [b"\n".join([line, *own, b""]) for line, own in zip(lines[len(records) :], rows, strict=True)]
-    if held or (path / JOURNAL).exists():
-        (path / JOURNAL).write_bytes(b"".join(held))
+        (path / CHAIN).write_bytes(b"".join(lines[id(record)] + b"\n" for record in records))
+    held = [b"\n".join([lines[id(record)], *rows, b""]) for record, rows in frames]
+    for name, own in ((SEALING, held[:sealing]), (JOURNAL, held[sealing:])):
+        if own or (path / name).exists():
+            (path / name).write_bytes(b"".join(own))
 
 
 def tables_of(path: Path) -> list[pa.Table]:
@@ -198,5 +229,8 @@ def bases(folder: Path, count: int = 12) -> list[Path]:
     for seed in range(count):
         found.append(folder / f"base-{seed}")
         signers: Sequence[Signer | None] = ([None], [KEY], [KEY, None])[seed % 3]
-        History(found[-1], random.Random(seed), signers).go_on(1 + seed // 2)
+        history = History(found[-1], random.Random(seed), signers)
+        history.go_on(1 + seed // 2)
+        if seed % 3 == 1:
+            history.leave_off(is_chained=seed % 2 == 1)
     return found

@@ -8,7 +8,7 @@ import shutil
 from pathlib import Path
 
 from fsar_ledger.ledger.chain.append import ChainWriter
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, segment_of
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS
 from fsar_ledger.ledger.rows.segment import to_parquet
 from fsar_ledger.ledger.store.record import sha256_hex
@@ -62,7 +62,8 @@ def left_open(path: Path, draw: random.Random, beside: Path) -> Case | None:
         return None
     back = draw.randint(0, len(view.journal.frames))
     (path / "checkpoint").write_text(str(view.commits[-back - 1].note(ORIGIN)), "utf-8")
-    (path / JOURNAL).write_bytes((path / JOURNAL).read_bytes() + bytes(draw.randrange(99)))
+    name = draw.choice([name for name in (JOURNAL, SEALING) if (path / name).exists()])
+    (path / name).write_bytes((path / name).read_bytes() + bytes(draw.randrange(99)))
     return Case("left open", path, True)
 
 
@@ -107,7 +108,7 @@ def a_torn_end(path: Path, draw: random.Random, beside: Path) -> Case | None:
 
 
 def a_sealed_journal(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    if not view_of(path).journal.frames:
+    if not view_of(path).journal.frames or (path / SEALING).exists():
         return None
     kept = {name: (path / name).read_bytes() for name in (JOURNAL, NODES, INDEX) if (path / name).exists()}
     is_compacted = draw.random() < 0.5
@@ -119,6 +120,18 @@ def a_sealed_journal(path: Path, draw: random.Random, beside: Path) -> Case | No
         if name == JOURNAL or not is_compacted:  # what follows from sealing may be missing, but not after compaction
             (path / name).write_bytes(data)
     return Case("a sealed journal", path, True)
+
+
+def a_journal_handed_over_and_sealed(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    if not (count := view_of(path).journal.sealing):
+        return None
+    kept = {name: (path / name).read_bytes() for name in (SEALING, NODES, INDEX) if (path / name).exists()}
+    with ChainWriter(path, ORIGIN) as writer, writer._turn:
+        writer._seal(count)
+    for name, data in kept.items():
+        if name == SEALING or draw.random() < 0.5:
+            (path / name).write_bytes(data)
+    return Case("a journal handed over and sealed", path, True)
 
 
 def superseded_segments(path: Path, draw: random.Random, beside: Path) -> Case | None:
@@ -189,7 +202,7 @@ def a_file_gone_or_swapped(path: Path, draw: random.Random, beside: Path) -> Cas
 
 
 def lines_out_of_order(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    name = draw.choice([CHAIN, JOURNAL])
+    name = draw.choice([CHAIN, JOURNAL, SEALING])
     lines = (path / name).read_bytes().splitlines(keepends=True) if (path / name).exists() else []
     if not lines:
         return None
@@ -212,24 +225,8 @@ def a_forged_record(path: Path, draw: random.Random, beside: Path) -> Case | Non
         return None
     record = draw.choice(every)
     name = draw.choice([*sorted(record), "continues", "goes_on", "signature", "index_bytes", "extra"])
-    others: list[object] = [
-        0,
-        1,
-        -1,
-        2**53,
-        1.0,
-        True,
-        None,
-        "",
-        "x",
-        HASH.upper(),
-        HASH,
-        [],
-        [HASH],
-        ["x"],
-        {},
-        [["run-1", 1]],
-    ]
+    others: list[object] = [0, 1, -1, 2**53, 1.0, True, None, "", "x", HASH.upper(), HASH, [], [HASH], ["x"], {}]
+    others += [[["run-1", 1]]]
     others += [["run-1"], [["run-1", 0]], [["run-2", 1], ["run-1", 1]], record["rows"] + 1, "0.1.0", "commit", "A" * 92]
     value = draw.choice(others)
     if (
@@ -369,6 +366,7 @@ CHAIN_GOOD: tuple[Make, ...] = (
     cut_short,
     a_torn_end,
     a_sealed_journal,
+    a_journal_handed_over_and_sealed,
     superseded_segments,
     another_history,
 )

@@ -1,11 +1,15 @@
 """Trials as in `crash_trials`, of a ledger of format 2: appends, the journal, sealing and compaction."""
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.ledger.chain import append
 from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.sealing import Sealing
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.codec import encode_lines
@@ -17,7 +21,9 @@ from tests.ledger.crash_trials import Laboratory, Session
 from tests.ledger.faults import FaultyOs, Killed, in_place_of_os
 from tests.ledger.samples import ORIGIN, made_up_run
 
-RUNS = [made_up_run(f"run-{number}", 40, number) for number in range(4)]
+RUNS = [made_up_run(f"run-{number}", 40, number) for number in range(5)]
+MOST_ROWS = 30
+"""Of a journal here; one that would hold more is handed over."""
 
 
 def piece(run: int, first: int, end: int) -> LedgerRun:
@@ -29,14 +35,16 @@ Step = tuple[str, Sequence[LedgerRun]]
 STEPS: list[Step] = [
     ("append", [RUNS[0]]),
     ("add", [piece(1, 0, 20)]),
-    ("add", [piece(1, 20, 30), piece(2, 0, 5)]),
-    ("seal", []),
-    ("add", [piece(1, 30, 40), piece(2, 5, 20)]),
+    ("add", [piece(1, 20, 30), piece(2, 0, 5)]),  # hands over
+    ("settle", []),
+    ("add", [piece(1, 30, 40), piece(2, 5, 10)]),
+    ("add", [piece(2, 10, 20)]),  # hands over
     ("append", [RUNS[3]]),
     ("compact", []),
-    ("add", [piece(2, 20, 40)]),
+    ("add", [piece(2, 20, 30)]),
+    ("add", [piece(2, 30, 40), piece(4, 0, 15)]),  # hands over, and closes
 ]
-"""What a writer does. The journal is sealed on request, and by an append; every segment is compacted."""
+"""What a writer does. The journal is sealed when it is full, on request, and by an append; segments are compacted."""
 
 ROWS = [row for _, runs in STEPS for row in encode_lines(runs) if runs]
 """The canonical bytes of all events, in the order of the ledger."""
@@ -59,9 +67,19 @@ def take(writer: ChainWriter, path: Path, step: Step) -> int:
         writer.add(runs)
     elif what == "seal":
         writer.seal()
+    elif what == "settle":
+        writer.settle()
     else:
         writer.compact()
     return writer.head.size
+
+
+@contextmanager
+def one_way() -> Iterator[None]:
+    """Let a small journal be full, and what is made of it be there when it is waited for, not at any time before."""
+    never = property(lambda _: False)
+    with patch.object(append, "SEAL_ROWS", MOST_ROWS), patch.object(Sealing, "is_done", never):
+        yield
 
 
 def write_with(
@@ -79,7 +97,7 @@ def write_with(
             acknowledge(size)
 
     try:
-        with in_place_of_os(faulty), ChainWriter(path, ORIGIN) as writer:
+        with one_way(), in_place_of_os(faulty), ChainWriter(path, ORIGIN) as writer:
             acknowledged(writer.head.size)
             for step, size in list(zip(STEPS, sizes(), strict=True))[:commits]:
                 if size > writer.head.size or (not step[1] and size == writer.head.size):

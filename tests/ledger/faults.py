@@ -33,6 +33,8 @@ HARMLESS = frozenset(
         "stat",
         "lstat",
         "fstat",
+        "access",
+        "F_OK",
         "fspath",
         "strerror",
         "getpid",

@@ -6,8 +6,9 @@ Many events at once go into a segment of their own, and each step is durable bef
 3. The segment moves to `segments/`. Until then readers look in `staging/`.
 4. The pack of the tree and the checkpoint follow.
 
-A few events go into the journal (`add`): record and rows in one write, and one sync. `seal` turns the journal into a
-segment: steps 1 to 4 for all of its commits at once; then the journal is removed.
+A few events go into the journal (`add`): record and rows in one write, and one sync. A full one is handed over: it gets
+another name, a thread makes a segment of its rows while further commits go into a new journal, and steps 1 to 4 follow
+for all of its commits at once; then it is removed. `seal` does so at once.
 
 Writers take turns, under an exclusive lock on `segments/`. Each begins its turn with what others have added meanwhile,
 so no work is done again: leaves and segments do not depend on where in the ledger they go.
@@ -20,24 +21,24 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from fsar_ledger.errors import InvalidRun, NotALedger, UsageError, WriteFailed, option
+from fsar_ledger.errors import InvalidRun, NotALedger, WriteFailed, option
 from fsar_ledger.ledger.chain import paths
 from fsar_ledger.ledger.chain.compact import mergeable, merged_segment
 from fsar_ledger.ledger.chain.derived import append_derived
-from fsar_ledger.ledger.chain.held import HeldRuns
+from fsar_ledger.ledger.chain.held import HeldRuns, continued
 from fsar_ledger.ledger.chain.index import index_line
 from fsar_ledger.ledger.chain.journal import Frame, JournalFile
-from fsar_ledger.ledger.chain.prepare import repair
+from fsar_ledger.ledger.chain.prepare import repair, require_own
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
-from fsar_ledger.ledger.chain.tables import stage_table
-from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
+from fsar_ledger.ledger.chain.sealing import Sealing
+from fsar_ledger.ledger.chain.tables import require_staged, stage_made
+from fsar_ledger.ledger.log import hashing, pack
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.log.note import Checkpoint, Signer, doubt
+from fsar_ledger.ledger.log.note import Checkpoint, Signer
 from fsar_ledger.ledger.rows import canonical
-from fsar_ledger.ledger.rows.blocks import Block, blocks_of
-from fsar_ledger.ledger.rows.codec import encode_pieces
+from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
 from fsar_ledger.ledger.rows.small import rows_of
@@ -79,8 +80,8 @@ class ChainWriter:
         self._segments = ledger / SEGMENTS
         self._turn = disk.Turns(self._segments)
         self._is_broken = False
-        self._pieces: list[LedgerRun] = []  # what this writer added to the journal that is there
         self._journal = JournalFile(ledger / paths.JOURNAL)
+        self._sealing = Sealing()
         self._lock = -1
         try:
             self._lock, is_alone = lock(ledger)
@@ -102,16 +103,8 @@ class ChainWriter:
                 f"another path, or that origin with {option('origin')}"
             )
         if self._signer is not None and not self._adopts:
-            self._require_own(view)
+            require_own(view, self._signer.verifier)
         return repair(view, is_alone=is_alone, settles=settles)
-
-    def _require_own(self, view: ChainView) -> None:
-        note, key = view.note(), self._signer.verifier if self._signer else None
-        if note is not None and key is not None and (found := doubt(note, key)) is not None:
-            raise UsageError(
-                f"{self._path}: found a newest checkpoint with {found}, expected one of {key.key}; its next signature "
-                f"would vouch for all that is there: verify the ledger, and say {option('adopt')} to sign on from here"
-            )
 
     @property
     def head(self) -> Head:
@@ -132,21 +125,28 @@ class ChainWriter:
             self._turn.close()
             return
         try:
-            if self._journal.is_open and not self._is_broken:
+            if (self._journal.is_open or self._sealing.is_begun) and not self._is_broken:
                 with self._turn:
                     if self._view.is_current():
-                        self._journal.trim(self._view.journal.end)
-                        self._write_checkpoint()
+                        self._settle()
         except OSError as error:
             raise WriteFailed(
                 f"{self._path}: every commit is safe, but the disk refused the checkpoint ({error.strerror}); the next "
                 "writer writes it"
             ) from error
         finally:
+            self._sealing.close()
             self._journal.close()
             self._turn.close()
             disk.close(self._lock)
             self._lock = -1
+
+    def _settle(self) -> None:
+        """Finish the sealing that was begun, and write the checkpoint of all commits. Raises: OSError, WriteFailed."""
+        self._seal(self._view.journal.sealing)
+        if self._journal.is_open:
+            self._journal.trim(self._view.journal.end)
+            self._write_checkpoint()
 
     def held(self) -> Held:
         """Read from the rows which runs and plans the ledger holds. Raises: LedgerCorrupted if they cannot be read."""
@@ -178,10 +178,9 @@ class ChainWriter:
             if any(one.segment_sha256 == staged.segment_sha256 for one in self._view.chain.placements):
                 disk.remove(staged_path(self._path, staged.segment_sha256))
                 return self._view.head
-            self._require_staged(staged)
+            require_staged(self._path, staged)
             continues = self._continued(staged)
-            if self._view.journal.frames:
-                self._seal()
+            self._seal_all()
             tree, nodes = pack.grow(self._view.tree(), staged.leaves)
             commit = self._commit(staged.rows, tree, continues, staged.goes_on, staged.release, signature)
             self._place(staged, [canonical.document(commit)], tree, nodes, staged.blocks)
@@ -199,31 +198,33 @@ class ChainWriter:
         """
         self._require_usable()
         rows, blocks = rows_of(runs)
-        size = sum(map(len, rows)) + len(rows)
-        if len(rows) > SEAL_ROWS or size > SEAL_BYTES:
+        count = sum(block.rows for block in blocks)
+        if count > SEAL_ROWS or len(rows) > SEAL_BYTES:
             raise InvalidRun(
-                f"found {len(rows)} events of {size} bytes, expected at most {SEAL_ROWS} events and {SEAL_BYTES} bytes "
-                "in one commit of a journal; stage them and append them as a segment"
+                f"found {count} events of {len(rows)} bytes, expected at most {SEAL_ROWS} events and {SEAL_BYTES} "
+                "bytes in one commit of a journal; stage them and append them as a segment"
             )
-        leaves = leaves_of(rows)
+        leaves = hashing.leaves(rows)
         goes_on = tuple(sorted(run.run_id for run in runs if run.goes_on))
         with self._turn:
             self._catch_up()
             if (flaw := self._runs().refused(blocks, self._view)) is not None:
                 raise refusal(flaw)
+            if self._sealing.is_done:
+                self._seal(self._view.journal.sealing)
+            if self._view.journal.end and (
+                self._view.journal.rows + count > SEAL_ROWS or self._view.journal.end + len(rows) > SEAL_BYTES
+            ):
+                self._hand_over()
             journal = self._view.journal
-            if journal.frames and (journal.rows + len(rows) > SEAL_ROWS or journal.end + size > SEAL_BYTES):
-                self._seal()
-                journal = self._view.journal
             tree = journal.tree.extend(leaves)
-            commit = self._commit(len(rows), tree, continued(blocks), goes_on)
+            commit = self._commit(count, tree, continued(blocks), goes_on)
             line = canonical.document(commit)
             self._is_broken = True  # unless everything below succeeds
             with disk.refusals(self._journal.path, "writing to the journal"):
-                written = self._journal.write(b"\n".join((line, *rows, b"")), journal.end)
+                self._journal.write(b"".join((line, b"\n", rows)), journal.end)
             self._view.chain.add(commit, sha256_hex(line))
-            journal.add(Frame(line, commit, rows), tree, leaves, written)
-            self._pieces += runs
+            journal.add(Frame(line, commit, rows, leaves), tree)
             self._runs().add(blocks)
             self._is_broken = False
         return self._view.head
@@ -239,8 +240,7 @@ class ChainWriter:
         merged = 0
         with self._turn:
             self._catch_up()
-            if self._view.journal.frames:
-                self._seal()
+            self._seal_all()
             for old in list(mergeable(self._view.chain.placed)):
                 self._merge(old)
                 merged += len(old)
@@ -248,38 +248,56 @@ class ChainWriter:
 
     def _merge(self, old: Sequence[Placement]) -> None:
         """Put these neighbouring segments into one, and remove them."""
-        staged = merged_segment(self._view, old)
-        placement = self._placement(staged, old[0].first, old[-1].tree(), self._view.chain.sha256)
-        data = canonical.document(placement) + b"\n"
+        staged, chain = merged_segment(self._view, old), self._view.chain
+        placement = self._placement(staged, old[0].first, old[-1].tree(), chain.sha256)
         self._is_broken = True  # unless everything below succeeds
-        with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
-            growing.append_durably(self._path / paths.CHAIN, data, self._view.followed.end)
-        self._view = self._view.grown(data, self._view.tree())
+        self._grow_chain([canonical.document(placement)], 0, self._view.tree())
         with disk.refusals(self._segments, "moving a compacted segment into place"):
             disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
         for one in old:
             disk.remove(self._path / paths.segment_of(one))
         self._is_broken = False
 
+    def settle(self) -> None:
+        """Finish the sealing of the journal that was full last. Raises: As `append`."""
+        self._require_usable()
+        with self._turn:
+            self._catch_up()
+            self._seal(self._view.journal.sealing)
+
     def seal(self) -> Head:
         """Put what is in the journal into a segment. Raises: As `append`."""
         self._require_usable()
         with self._turn:
             self._catch_up()
-            if self._view.journal.frames:
-                self._seal()
+            self._seal_all()
         return self._view.head
 
-    def _seal(self) -> None:
-        """Put what is in the journal into a segment, and remove it; the caller has its turn."""
-        journal = self._view.journal
-        is_own = sum(len(piece.events) for piece in self._pieces) == journal.rows
-        table = encode_pieces(self._pieces) if is_own else self._view.journal_table()
-        staged = stage_table(self._path, table, bytes(journal.leaves))
-        _, nodes = pack.grow(self._view.chain.tree(), staged.leaves)
-        self._place(staged, [frame.line for frame in journal.frames], journal.tree, nodes, tuple(blocks_of(table)))
-        self._journal.remove()
-        self._pieces = []
+    def _hand_over(self) -> None:
+        """Begin to seal the journal; the next commit goes into a new one. The caller has its turn."""
+        self._seal(self._view.journal.sealing)
+        self._is_broken = True  # unless everything below succeeds
+        with disk.refusals(self._journal.path, "handing over the journal"):
+            self._journal.hand_over()
+        self._view.journal.hand_over()
+        self._is_broken = False
+        self._sealing.begin(self._path, list(self._view.journal.frames), self._view.chain.tree())
+
+    def _seal_all(self) -> None:
+        """Put what is in the journal into segments, and remove it; the caller has its turn."""
+        self._seal(self._view.journal.sealing)
+        self._seal(len(self._view.journal.frames))
+
+    def _seal(self, count: int) -> None:
+        """Put the first so many frames of the journal into a segment: all, those that are being sealed, or none."""
+        journal, chain = self._view.journal, self._view.chain
+        if not count:
+            return
+        found = self._sealing.taken(self._path, journal.frames[:count], chain.tree())
+        stage_made(self._path, found.made)
+        lines = [frame.line for frame in journal.frames[journal.chained :]]
+        self._place(found.made.staged, lines, found.tree, found.nodes, found.blocks, count)
+        self._journal.remove(is_all=count == len(journal.frames))
 
     def _require_usable(self) -> None:
         if self._is_broken or self._lock < 0:
@@ -294,20 +312,9 @@ class ChainWriter:
             return
         known = self._view.head.size
         self._journal.close()
-        self._pieces = []
         self._view = self._opened(settles=False)
         if self._held is not None:
             self._held.add_from(self._view, known)
-
-    def _require_staged(self, staged: Staged) -> None:
-        path = staged_path(self._path, staged.segment_sha256)
-        with disk.refusals(path, "reading what was staged"):
-            data = disk.read_large(path, staged.segment_bytes)
-        if sha256_hex(data) != staged.segment_sha256 or staged.rows * HASH_BYTES != len(staged.leaves):
-            raise WriteFailed(
-                f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; "
-                "stage it again"
-            )
 
     def _continued(self, staged: Staged) -> tuple[tuple[str, int], ...]:
         """Return the runs that the segment continues. Raises: InvalidRun if the ledger cannot hold its events."""
@@ -334,17 +341,24 @@ class ChainWriter:
         )
 
     def _place(
-        self, staged: Staged, lines: Sequence[bytes], tree: Frontier, nodes: bytes, blocks: Sequence[Block]
+        self,
+        staged: Staged,
+        lines: Sequence[bytes],
+        tree: Frontier,
+        nodes: bytes,
+        blocks: Sequence[Block],
+        frames: int = 0,
     ) -> None:
-        """Append these lines of commits, and the placement of their rows; then all that follows from them."""
+        """Append these lines of commits, and the placement of rows up to this tree; then all that follows from them.
+
+        The rows are those of the first so many frames of the journal, or of the one commit.
+        """
         chain = self._view.chain
         line = index_line(chain.placed_size, blocks)
-        placement = self._placement(staged, chain.placed_size, tree, sha256_hex(lines[-1]), line)
-        data = b"\n".join((*lines, canonical.document(placement), b""))
+        previous = sha256_hex(lines[-1]) if lines else chain.sha256
+        placement = self._placement(staged, chain.placed_size, tree, previous, line)
         self._is_broken = True  # unless everything below succeeds
-        with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
-            growing.append_durably(self._path / paths.CHAIN, data, self._view.followed.end)
-        self._view = self._view.grown(data, tree)
+        self._grow_chain([*lines, canonical.document(placement)], frames, self._view.tree() if frames else tree)
         try:
             disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
             append_derived(self._path, paths.NODES, nodes, pack.count(placement.first) * HASH_BYTES)
@@ -356,6 +370,12 @@ class ChainWriter:
                 f"({error.strerror}); the next writer finishes it or finds it gone: run the same command again"
             ) from error
         self._is_broken = False
+
+    def _grow_chain(self, lines: Sequence[bytes], frames: int, tree: Frontier) -> None:
+        """Append these lines to the chain, durably; they place so many frames, and the tree is that of all events."""
+        with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
+            growing.append_durably(self._path / paths.CHAIN, b"\n".join((*lines, b"")), self._view.followed.end)
+        self._view = self._view.grown(lines, frames, tree)
 
     def _placement(
         self, staged: Staged, first: int, tree: Frontier, previous_sha256: str, line: bytes = b""
@@ -378,8 +398,3 @@ class ChainWriter:
     def _write_checkpoint(self) -> None:
         """Write the note of the newest commit, durably. Raises: OSError."""
         disk.write_files({self._path / CHECKPOINT: str(self._view.note()).encode()}, self._path / STAGING)
-
-
-def continued(blocks: Sequence[Block]) -> tuple[tuple[str, int], ...]:
-    """Return, for the record of a commit, the runs that these blocks continue, and from which seq on."""
-    return tuple(sorted((block.run, block.first) for block in blocks if block.first))

@@ -7,7 +7,7 @@ import pyarrow as pa
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.chain.record import Placement
-from fsar_ledger.ledger.chain.tables import stage_table
+from fsar_ledger.ledger.chain.tables import made_of, stage_made
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store.append import Staged
@@ -48,4 +48,6 @@ def merged_segment(view: ChainView, old: Sequence[Placement]) -> Staged:
             f"{view.path}: events {old[0].first} to {old[-1].end - 1}: found rows that lead to root "
             f"{after.root().hex()}, expected {old[-1].tree().root().hex()} as placed; run fsar-ledger verify"
         )
-    return stage_table(view.path, table, leaves)
+    made = made_of(table, leaves)
+    stage_made(view.path, made)
+    return made.staged

@@ -94,3 +94,8 @@ class HeldRuns:
         told = tuple(map(str, observes)) if isinstance(observes, list) else None
         self._runs.known[run] = self._runs.known[run]._replace(observes=told)
         self._indexed.remove(run)
+
+
+def continued(blocks: Sequence[Block]) -> tuple[tuple[str, int], ...]:
+    """Return, for the record of a commit, the runs that these blocks continue, and from which seq on."""
+    return tuple(sorted((block.run, block.first) for block in blocks if block.first))

@@ -3,19 +3,24 @@
 `journal.jsonl` holds frames, one for each commit: its record, as in the chain, and then its rows, each the canonical
 bytes of an event. It continues the chain. Room for more frames is allotted ahead, as NUL bytes. A frame is written at
 once and synced once, so only the last one can be torn; the root in its record shows whether it is.
+
+A full journal becomes `sealing.jsonl`, and further commits go into a new one, while its rows are put into a segment.
+The placement comes after the commits of the new one so far, whose records the chain has before a segment has their
+rows.
 """
 
 import os
+from bisect import bisect_right
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.ledger.chain.links import Chain
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
+from fsar_ledger.ledger.chain.links import Chain, Doubt
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
 from fsar_ledger.ledger.chain.record import Commit, parse_line
-from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
+from fsar_ledger.ledger.log.hashing import leaves
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.problem import Problem
@@ -28,139 +33,234 @@ _LARGE = 1 << 17
 
 
 class Frame(msgspec.Struct, frozen=True):
-    """One commit in the journal: the line of its record, what it says, and its rows (canonical bytes)."""
+    """One commit in the journal: the line of its record, what it says, and its rows.
+
+    `rows` are the canonical bytes of each, with a line feed after it; `leaves` are their packed leaf hashes.
+    """
 
     line: bytes
     commit: Commit
-    rows: Sequence[bytes]
+    rows: bytes
+    leaves: bytes
 
 
 class Journal(msgspec.Struct):
-    """What a journal holds: its frames, the tree after them, and the bytes up to the end of the last one.
+    """What a journal holds: its frames, and the tree after them.
 
-    `leaves` are the packed leaf hashes of all rows. `problem` says where it contradicts the chain or itself, if not
-    merely its last frame is torn. One that `is_sealed` holds nothing any more; as long as it is there, its sealing may
-    not be finished.
+    The first `sealing` frames are in `sealing.jsonl`, if it is there (`has_sealing`); `rows` and `end` (in bytes) are
+    those of the others, in `journal.jsonl`. The chain has the records of the first `chained` frames.
+
+    `problem` says where it contradicts the chain or itself, if not merely its last frame is torn. Files that were
+    `sealed` hold nothing any more; as long as they are there, their sealing may not be finished.
     """
 
     frames: list[Frame]
     tree: Frontier
-    leaves: bytearray
+    sealing: int = 0
+    rows: int = 0
     end: int = 0
+    chained: int = 0
+    has_sealing: bool = False
     torn: int = 0
     problem: Problem | None = None
-    is_sealed: bool = False
+    sealed: tuple[str, ...] = ()
 
     @property
     def last(self) -> int:
-        """Return where the last frame begins."""
-        return self.end - (size_of(self.frames[-1]) if self.frames else 0)
+        """Return where the last frame of `journal.jsonl` begins."""
+        return self.end - (size_of(self.frames[-1]) if self.end else 0)
 
-    @property
-    def rows(self) -> int:
-        """Return the number of events in it."""
-        return len(self.leaves) // HASH_BYTES
-
-    def add(self, frame: Frame, tree: Frontier, leaves: bytes, size: int) -> None:
-        """Add a frame of so many bytes that was written at the end."""
+    def add(self, frame: Frame, tree: Frontier) -> None:
+        """Add a frame that was written at the end."""
         self.frames.append(frame)
         self.tree = tree
-        self.leaves += leaves
-        self.end += size
+        self.rows += frame.commit.rows
+        self.end += size_of(frame)
+
+    def hand_over(self) -> None:
+        """Take over that `journal.jsonl`, with all frames, became `sealing.jsonl`."""
+        self.sealing, self.has_sealing = len(self.frames), True
+        self.rows = self.end = 0
 
 
 def size_of(frame: Frame) -> int:
     """Return the bytes that a frame takes."""
-    return len(frame.line) + 1 + sum(map(len, frame.rows)) + len(frame.rows)
+    return len(frame.line) + 1 + len(frame.rows)
 
 
-def read_frames(data: bytes, chain: Chain) -> Journal:
-    """Read the frames in these bytes of a journal and add their commits to the chain.
+def lines_of(frames: Sequence[Frame]) -> bytes:
+    """Return the rows of these frames, the canonical bytes of each with a line feed after it."""
+    return b"".join([frame.rows for frame in frames])
 
-    A journal all of whose frames the chain holds has been sealed, and is empty. Only the roots of the last two frames
-    are compared with the rows; `verify` compares all.
+
+def leaves_in(frames: Sequence[Frame]) -> bytes:
+    """Return the packed leaf hashes of the rows of these frames."""
+    return b"".join([frame.leaves for frame in frames])
+
+
+def read_frames(sealing: bytes, journal: bytes, chain: Chain, *, has_sealing: bool) -> Journal:
+    """Read the frames in these bytes of the two files, and add to the chain the commits that it lacks.
+
+    A file whose first commit a segment holds has been sealed, and is empty. Only the roots of the last two frames are
+    compared with the rows; `verify` compares all. `has_sealing` says whether `sealing.jsonl` was there before either
+    was read.
     """
-    text = data.rstrip(b"\0")
-    if _is_sealed(text, chain):
-        return Journal([], chain.tree(), bytearray(), is_sealed=True)
-    lines = text.split(b"\n")
-    rest = lines.pop()  # empty, unless the last line is torn
-    frames: list[Frame] = []
-    at = end = 0
-    before = chain.tree()
-    problem: Problem | None = None
-    shas = [chain.sha256]
-    while at < len(lines):
-        commit, problem = _commit(lines[at], chain)
-        if commit is None or at + commit.rows >= len(lines):
-            break
-        frames.append(Frame(lines[at], commit, lines[at + 1 : at + 1 + commit.rows]))
-        chain.add(commit, sha256_hex(lines[at]))
-        shas.append(chain.sha256)
-        at += 1 + commit.rows
-    leaves = [leaves_of(frame.rows) for frame in frames]
-    contradicts = problem is not None and problem.field is not None  # a record that can be read, which no crash leaves
-    if frames and _tree(before, leaves).root().hex() != frames[-1].commit.tree_root:
-        at -= 1 + frames[-1].commit.rows
-        problem = _wrong_rows(frames.pop().commit)
-        leaves.pop()
-        shas.pop()
-        chain.forget(len(chain.commits) - 1, shas[-1])
-        if frames and _tree(before, leaves).root().hex() != frames[-1].commit.tree_root:
-            return Journal([], before, bytearray(), problem=_first_wrong(before, frames))
-    for frame in frames:
-        end += size_of(frame)
-    is_damage = contradicts or (problem is not None and _has_later_frame(lines[at:], len(chain.commits)))
+    texts = {SEALING: sealing.rstrip(b"\0"), JOURNAL: journal.rstrip(b"\0")}
+    sealed = tuple(name for name, text in texts.items() if _is_sealed(text, chain))
+    texts |= dict.fromkeys(sealed, b"")
+    if texts[SEALING] and not has_sealing:
+        texts[JOURNAL] = b""  # a writer renamed it between two looks: it may be the same
+    read = _Reading(chain)
+    read.add(SEALING, texts[SEALING])
+    if read.is_whole():
+        read.add(JOURNAL, texts[JOURNAL])
+    read.finish()
+    own = read.frames[read.sealing :]
     return Journal(
-        frames,
-        _tree(before, leaves),
-        bytearray().join(leaves),
-        end,
-        sum(map(len, lines[at:])) + len(lines[at:]) + len(rest),
-        problem if is_damage else None,
+        read.frames,
+        chain.tree().extend(leaves_in(read.frames)),
+        read.sealing,
+        sum(frame.commit.rows for frame in own),
+        sum(map(size_of, own)),
+        min(len(read.known), len(read.frames)),
+        has_sealing,
+        read.rest,
+        read.problem if read.is_damage else None,
+        sealed,
     )
 
 
-def _tree(before: Frontier, leaves: Sequence[bytes]) -> Frontier:
-    return before.extend(b"".join(leaves))
+class _Reading:
+    """Frames as they are read, of which the first `sealing` are those of `sealing.jsonl`.
+
+    `known` are the commits of the chain whose rows no segment has. `rest` counts the bytes of the last file from where
+    it cannot be read; `problem` is why, and `is_damage` says that no crash leaves it.
+    """
+
+    def __init__(self, chain: Chain) -> None:
+        placed = bisect_right(chain.commits, chain.placed_size, key=lambda commit: commit.tree_size)
+        self.known = chain.commits[placed:]
+        self.frames: list[Frame] = []
+        self.sealing = self.rest = 0
+        self.problem: Problem | None = None
+        self.is_damage = False
+        self._chain, self._name = chain, SEALING
+        self._left: list[bytes] = []  # the lines from where it cannot be read
+        self._shas = [chain.sha256]  # and after each commit that the chain lacked
+
+    def add(self, name: str, text: bytes) -> None:
+        """Read the frames of this file."""
+        self._name = name
+        lines = text.split(b"\n")
+        torn = lines.pop()  # empty, unless the last line is torn
+        at = end = 0
+        while at < len(lines):
+            line, commit = lines[at], self._commit(lines[at])
+            if commit is None or at + commit.rows >= len(lines):
+                break
+            start = end + len(line) + 1
+            end = start + sum(map(len, lines[at + 1 : at + 1 + commit.rows])) + commit.rows
+            rows = text[start:end]
+            self.frames.append(Frame(line, commit, rows, leaves(rows)))
+            if len(self.frames) > len(self.known):
+                self._chain.add(commit, sha256_hex(line))
+                self._shas.append(self._chain.sha256)
+            at += 1 + commit.rows
+        self._left = lines[at:]
+        self.rest = sum(map(len, self._left)) + len(self._left) + len(torn)
+        if name == SEALING:
+            self.sealing = len(self.frames)
+
+    def _commit(self, line: bytes) -> Commit | None:
+        """Return the commit of this line; None if it is none, or contradicts what precedes it."""
+        known = self.known[len(self.frames)] if len(self.frames) < len(self.known) else None
+        number = len(self._chain.commits) if known is None else known.number
+        try:
+            record = parse_line(line)
+        except ValueError as error:
+            self.problem = Problem(self._name, f"no record ({error})", "one as it is written", commit=number)
+            return None
+        if not isinstance(record, Commit):
+            self.problem = Problem(self._name, "a placement", "commits and their rows", number, field="kind")
+        elif (doubt := self._chain.doubt(record) if known is None else _other(record, known)) is None:
+            return record
+        else:
+            name, found, expected = doubt
+            said = f"{expected}, as {CHAIN} and the frames before say"
+            self.problem = Problem(self._name, f"{found!r}", said, number, field=name)
+        self.is_damage = True  # a record that can be read, which no crash leaves
+        return None
+
+    def is_whole(self) -> bool:
+        """Return whether all of a file could be read that was on disk when it got its name."""
+        if self.rest:
+            self.is_damage = True
+            torn = Problem(self._name, "a torn frame", "whole ones, as they were", commit=len(self._chain.commits))
+            self.problem = self.problem or torn
+        return not self.rest
+
+    def finish(self) -> None:
+        """Drop the last frame if it is torn, and look for what no crash leaves."""
+        if self._has_wrong_root():
+            if len(self.frames) <= max(len(self.known), self.sealing):
+                return self._tell_first_wrong()  # it was on disk before what followed
+            last = self.frames.pop()
+            self._shas.pop()
+            self._chain.forget(len(self._chain.commits) - 1, self._shas[-1])
+            if self._has_wrong_root():
+                return self._tell_first_wrong()
+            self.problem = _wrong_rows(JOURNAL, last.commit)
+            self.rest += size_of(last)
+            self._left = [last.line, *last.rows.split(b"\n"), *self._left]
+        if len(self.frames) < len(self.known) and not self.is_damage:
+            commit, self.is_damage = self.known[len(self.frames)], True
+            self.problem = Problem(JOURNAL, "no rows of it", "those of each commit that no segment has", commit.number)
+        if self.problem is not None and _has_later_frame(self._left, len(self._chain.commits)):
+            self.is_damage = True
+        return None
+
+    def _has_wrong_root(self) -> bool:
+        """Return whether the rows lead to another root than the last frame says."""
+        if not self.frames:
+            return False
+        return self._chain.tree().extend(leaves_in(self.frames)).root().hex() != self.frames[-1].commit.tree_root
+
+    def _tell_first_wrong(self) -> None:
+        """Tell which frame, of which the last has a wrong root, is the first with one; none is left."""
+        tree, wrong = self._chain.tree(), 0
+        while tree.extend(self.frames[wrong].leaves).root().hex() == self.frames[wrong].commit.tree_root:
+            tree = tree.extend(self.frames[wrong].leaves)
+            wrong += 1
+        self.problem = _wrong_rows(SEALING if wrong < self.sealing else JOURNAL, self.frames[wrong].commit)
+        self.is_damage = True
+        self.frames.clear()
+        self.sealing = 0
+
+
+def _first_line(text: bytes) -> bytes:
+    return text.partition(b"\n")[0]
 
 
 def _is_sealed(text: bytes, chain: Chain) -> bool:
-    """Return whether the chain holds the commit with which this journal begins."""
+    """Return whether a segment holds the commit with which this journal begins."""
     try:
-        first = parse_line(text.partition(b"\n")[0])
+        first = parse_line(_first_line(text))
     except ValueError:
         return False
-    return isinstance(first, Commit) and first in chain.commits[first.number : first.number + 1]
+    if not isinstance(first, Commit) or first not in chain.commits[first.number : first.number + 1]:
+        return False
+    return first.tree_size <= chain.placed_size
 
 
-def _commit(line: bytes, chain: Chain) -> tuple[Commit | None, Problem | None]:
-    number = len(chain.commits)
-    try:
-        record = parse_line(line)
-    except ValueError as error:
-        return None, Problem(JOURNAL, f"no record ({error})", "one as it is written", commit=number)
-    if not isinstance(record, Commit):
-        return None, Problem(JOURNAL, "a placement", "commits and their rows", number, field="kind")
-    doubt = chain.doubt(record)
-    if doubt is None:
-        return record, None
-    name, found, expected = doubt
-    return None, Problem(JOURNAL, f"{found!r}", f"{expected}, as {CHAIN} and the frames before say", number, field=name)
+def _other(commit: Commit, known: Commit) -> Doubt | None:
+    """Return the first field in which this commit is another than the one that the chain has."""
+    fields = ((name, getattr(commit, name), getattr(known, name)) for name in commit.__struct_fields__)
+    return next((doubt for doubt in fields if doubt[1] != doubt[2]), None)
 
 
-def _first_wrong(before: Frontier, frames: Sequence[Frame]) -> Problem:
-    """Return which of these frames, of which the last has a wrong root, is the first with one."""
-    for frame in frames:
-        before = before.extend(leaves_of(frame.rows))
-        if before.root().hex() != frame.commit.tree_root:
-            break
-    return _wrong_rows(frame.commit)
-
-
-def _wrong_rows(commit: Commit) -> Problem:
+def _wrong_rows(name: str, commit: Commit) -> Problem:
     return Problem(
-        JOURNAL, "rows that lead to another root", f"{commit.tree_root} as committed", commit.number, field="tree_root"
+        name, "rows that lead to another root", f"{commit.tree_root} as committed", commit.number, field="tree_root"
     )
 
 
@@ -196,8 +296,8 @@ class JournalFile:
         """Return whether something was written since it was opened or closed."""
         return self.handle >= 0
 
-    def write(self, data: bytes, end: int) -> int:
-        """Write these bytes where the last frame ends, sync them, once, and return how many they are.
+    def write(self, data: bytes, end: int) -> None:
+        """Write these bytes where the last frame ends, and sync them, once.
 
         When that fails, the file is cut off there, if the disk allows it. Raises: OSError.
         """
@@ -220,18 +320,26 @@ class JournalFile:
                 os.ftruncate(self.handle, end)
             raise
         self._room = max(self._room, after + len(room))
-        return len(data)
+
+    def hand_over(self) -> None:
+        """Make it the file that is being sealed, durably; the next frame goes into a new one. Raises: OSError."""
+        self.close()
+        os.rename(self.path, self.path.with_name(SEALING))
+        disk.sync_folder(self.path.parent)
 
     def trim(self, end: int) -> None:
         """Give back what is allotted beyond the last frame. Raises: OSError."""
         os.ftruncate(self.handle, end)
         os.fsync(self.handle)
 
-    def remove(self) -> None:
-        """Remove the file, whose frames are elsewhere now; if the disk refuses, the next writer does it."""
-        self.close()
+    def remove(self, *, is_all: bool) -> None:
+        """Remove what has been sealed, this file too if it `is_all`; if the disk refuses, the next writer does it."""
         with suppress(OSError):
-            os.unlink(self.path)
+            if is_all:
+                self.close()
+            for path in (self.path.with_name(SEALING), *([self.path] if is_all else [])):
+                with suppress(FileNotFoundError):
+                    os.unlink(path)
             disk.sync_folder(self.path.parent)
 
     def close(self) -> None:

@@ -4,6 +4,8 @@ from fsar_ledger.ledger.chain.record import Placement
 
 CHAIN = "chain.jsonl"
 JOURNAL = "journal.jsonl"
+SEALING = "sealing.jsonl"
+"""What was the journal, while its rows are put into a segment and further commits go into another one."""
 NODES = "nodes"
 INDEX = "index.jsonl"
 

@@ -4,18 +4,32 @@ import os
 import stat
 from pathlib import Path
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.ledger.chain.checkpoint import behind
 from fsar_ledger.ledger.chain.derived import append_derived, derived_sizes
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, segment_of
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.note import VerifierKey, doubt
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.read import read_manifest
 from fsar_ledger.ledger.store.record import sha256_hex
+
+
+def require_own(view: ChainView, key: VerifierKey) -> None:
+    """Require that the key signed the newest commit, if there is one, because its next signature covers all before.
+
+    Raises: UsageError if it did not.
+    """
+    note = view.note()
+    if note is not None and (found := doubt(note, key)) is not None:
+        raise UsageError(
+            f"{view.path}: found a newest checkpoint with {found}, expected one of {key.key}; its next signature "
+            f"would vouch for all that is there: verify the ledger, and say {option('adopt')} to sign on from here"
+        )
 
 
 def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainView:
@@ -30,24 +44,25 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
     """
     path = view.path
     covered = behind(view)
-    is_changed = bool(view.followed.torn or view.journal.torn or view.journal.is_sealed)
+    is_changed = bool(view.followed.torn or view.journal.torn or view.journal.sealed)
     with disk.refusals(path, "finishing what an interrupted writer left"):
         disk.sync_folder(path)
         growing.write_again(path / CHAIN, view.followed.last, view.followed.end, cuts=view.followed.torn > 0)
-        if view.journal.frames:
+        if view.journal.end:
             # What follows is torn, or room that was allotted, of which nobody knows whether it is on disk.
             cuts = view.journal.torn > 0 or (settles and growing.size_of(path / JOURNAL) > view.journal.end)
             growing.write_again(path / JOURNAL, view.journal.last, view.journal.end, cuts=cuts)
         _roll_forward(view)
         _clean(view, is_alone=is_alone)
         is_covered = not covered or view.commits[-covered].tree_size > view.chain.placed_size
-        _derive(view, is_settled=is_covered and not view.journal.is_sealed)
+        _derive(view, is_settled=is_covered and not view.journal.sealed)
         if covered and (settles or not is_covered):
             note = str(view.note())
             disk.write_files({path / CHECKPOINT: note.encode()}, path / STAGING)
-        if not view.journal.frames and os.path.lexists(path / JOURNAL):  # it was sealed, or its first frame is torn
-            os.unlink(path / JOURNAL)
-            disk.sync_folder(path)
+        for name, is_empty in ((SEALING, not view.journal.sealing), (JOURNAL, not view.journal.end)):
+            if is_empty and os.path.lexists(path / name):  # it was sealed, or its first frame is torn
+                os.unlink(path / name)
+                disk.sync_folder(path)
     return open_chain(path, read_manifest(path)) if is_changed else view
 
 

@@ -17,9 +17,9 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.derived import holds_nodes, node_reader
 from fsar_ledger.ledger.chain.groups import groups_of
 from fsar_ledger.ledger.chain.index import Index, line_of
-from fsar_ledger.ledger.chain.journal import Journal, read_frames
+from fsar_ledger.ledger.chain.journal import Journal, leaves_in, lines_of, read_frames
 from fsar_ledger.ledger.chain.links import Chain, Followed, follow
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, segment_of
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, SEALING, segment_of
 from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
 from fsar_ledger.ledger.chain.tables import materialized, table_of
 from fsar_ledger.ledger.log import merkle
@@ -159,12 +159,12 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def is_current(self, journal: int = -1) -> bool:
         """Return whether nothing was appended since the ledger was opened. `journal` is the journal, if it is open.
 
-        Only two places are looked at: whoever seals the journal appends to the chain, and whoever appends to the
-        journal writes where this one ends.
+        Whoever seals the journal appends to the chain, whoever hands it over renames it, and others write where it
+        ends. Its size is not looked at: after that a file system has to give the next change a time of its own.
         """
         try:
-            chain, path = self._growing
-            if growing.size_of(chain) != self.followed.end:
+            chain, path, sealing = self._growing
+            if growing.size_of(chain) != self.followed.end or os.access(sealing, os.F_OK) != self.journal.has_sealing:
                 return False
             end = self.journal.end
             return (growing.read_at(path, end, 1) if journal < 0 else os.pread(journal, 1, end)) in (b"", b"\0")
@@ -172,25 +172,29 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
             return False
 
     @cached_property
-    def _growing(self) -> tuple[str, str]:
-        """Return the paths of the chain and the journal."""
-        return str(self.path / CHAIN), str(self.path / JOURNAL)
+    def _growing(self) -> tuple[str, str, str]:
+        return str(self.path / CHAIN), str(self.path / JOURNAL), str(self.path / SEALING)
 
-    def grown(self, data: bytes, tree: Frontier) -> "ChainView":
-        """Return the view after these bytes were appended to the chain, which begin with what the journal held."""
-        for line in data.split(b"\n")[len(self.journal.frames) : -1]:
+    def grown(self, lines: Sequence[bytes], placed: int, tree: Frontier) -> "ChainView":
+        """Return the view after these lines were appended to the chain: those that it lacks of the journal, and more.
+
+        They place the rows of the first so many frames; the tree is that of all events.
+        """
+        journal, end = self.journal, self.followed.end
+        for line in lines[len(journal.frames) - journal.chained :]:
             self.chain.add(parse_line(line), sha256_hex(line))
+        frames = journal.frames[placed:]
         return msgspec.structs.replace(
             self,
-            followed=Followed(self.followed.end + len(data), last=self.followed.end),
-            journal=Journal([], tree, bytearray()),
+            followed=Followed(end + sum(map(len, lines)) + len(lines), last=end),
+            journal=Journal(frames, tree, 0, journal.rows, journal.end, len(frames)) if frames else Journal([], tree),
             checked={},
             kept={},
         )
 
     def journal_table(self) -> pa.Table:
         """Return the rows of the journal. Raises: LedgerCorrupted if they are no events."""
-        return table_of(self.path / JOURNAL, [row for frame in self.journal.frames for row in frame.rows])
+        return table_of(self.path / JOURNAL, lines_of(self.journal.frames))
 
     def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
         """Yield the stored rows of each segment, in order, with these columns (None: all). Raises: As `segment`."""
@@ -224,7 +228,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         while first < end:
             if first >= self.chain.placed_size:
                 at = first - self.chain.placed_size
-                lines = [row for frame in self.journal.frames for row in frame.rows]
+                lines = lines_of(self.journal.frames).split(b"\n")
                 return [*found, *lines[at : at + end - first]]
             number = bisect_right(placed, first, key=lambda one: one.first) - 1
             start, stop = first - placed[number].first, min(end, placed[number].end) - placed[number].first
@@ -352,7 +356,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         What an interrupted append left out of the pack is hashed from its rows. The function raises LedgerCorrupted
         where more is missing. Raises: As `segment`.
         """
-        tree, leaves = self.chain.tree(), bytes(self.journal.leaves)
+        tree, leaves = self.chain.tree(), leaves_in(self.journal.frames)
         if not holds_nodes(self.path, tree.size):
             tree = self.chain.tree_at(self.chain.settled)
             leaves = leaves_of(self.rows(tree.size, self.chain.placed_size)) + leaves
@@ -383,7 +387,11 @@ def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True
         if not chain.has_right_tree():  # which line is wrong?
             chain = Chain(sha256)
             followed = follow(chain_bytes, chain)
-        journal = read_frames(growing.read_whole(path / JOURNAL, MAX_JOURNAL_BYTES), chain)
+        has_sealing = os.access(path / SEALING, os.F_OK)  # a journal renamed after this is read under its new name too
+        journal_bytes, sealing_bytes = (
+            growing.read_whole(path / name, MAX_JOURNAL_BYTES) for name in (JOURNAL, SEALING)
+        )
+        journal = read_frames(sealing_bytes, journal_bytes, chain, has_sealing=has_sealing)
         problem = followed.problem or journal.problem
         if last or growing.size_of(path / CHAIN) == len(chain_bytes):
             break

@@ -3,15 +3,17 @@
 import atexit
 import shutil
 import tempfile
-from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from typing import NamedTuple
 
 import pyarrow as pa
 import pyarrow.json
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.errors import LedgerCorrupted, WriteFailed
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.parsing import plain_table
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Staged
@@ -27,16 +29,21 @@ _BLOCK_BYTES = 1 << 24
 _folders: list[str] = []  # of this process, for rows of journals
 
 
-def table_of(path: Path, rows: Sequence[bytes]) -> pa.Table:
-    """Return these rows of the journal at this path, canonical bytes, as a table with the columns of `SCHEMA`.
+def table_of(path: Path, lines: bytes) -> pa.Table:
+    """Return these rows of the journal at this path, the canonical bytes of each and a line feed, as a table.
+
+    It has the columns of `SCHEMA`, or of `CODED_SCHEMA`.
 
     Raises: LedgerCorrupted if a row is not the canonical JSON of such columns.
     """
-    if not rows:
+    if not lines:
         return SCHEMA.empty_table()
+    if (plain := plain_table(lines)) is not None:
+        return plain
+    rows = lines.split(b"\n")[:-1]
     try:
         found = pyarrow.json.read_json(
-            BytesIO(b"\n".join(rows) + b"\n"),
+            BytesIO(lines),
             pyarrow.json.ReadOptions(use_threads=False, block_size=max(_BLOCK_BYTES, *map(len, rows)) + 1),
             _PARSE,
         ).cast(SCHEMA)
@@ -54,18 +61,37 @@ def table_of(path: Path, rows: Sequence[bytes]) -> pa.Table:
     return found.combine_chunks()
 
 
-def stage_table(ledger: Path, table: pa.Table, leaves: bytes) -> Staged:
-    """Write these rows, of runs that a ledger holds, durably to its staging folder as one segment.
+class Made(NamedTuple):
+    """A segment in memory, which is not staged yet: its bytes, and what a writer must know of it."""
 
-    Raises: WriteFailed if the disk refused.
-    """
+    data: pa.Buffer
+    staged: Staged
+
+
+def made_of(table: pa.Table, leaves: bytes) -> Made:
+    """Make a segment of these rows, of runs that a ledger holds, with these packed leaf hashes."""
     data = segment.to_parquet(table)
     runs = table.column("run_id")
-    staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].as_py(), runs[-1].as_py(), leaves)
-    path = staged_path(ledger, staged.segment_sha256)
+    return Made(data, Staged(sha256_hex(data), data.size, table.num_rows, runs[0].as_py(), runs[-1].as_py(), leaves))
+
+
+def stage_made(ledger: Path, made: Made) -> None:
+    """Write a segment durably to the staging folder. Raises: WriteFailed if the disk refused."""
+    path = staged_path(ledger, made.staged.segment_sha256)
     with disk.refusals(path, "writing a segment"):
-        disk.write_durably(path, memoryview(data))
-    return staged
+        disk.write_durably(path, memoryview(made.data))
+
+
+def require_staged(ledger: Path, staged: Staged) -> None:
+    """Require that the staging folder has this segment. Raises: WriteFailed if not, or if the disk refused."""
+    path = staged_path(ledger, staged.segment_sha256)
+    with disk.refusals(path, "reading what was staged"):
+        data = disk.read_large(path, staged.segment_bytes)
+    if sha256_hex(data) != staged.segment_sha256 or staged.rows * HASH_BYTES != len(staged.leaves):
+        raise WriteFailed(
+            f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; "
+            "stage it again"
+        )
 
 
 def materialized(table: pa.Table) -> Path:

@@ -1,7 +1,10 @@
 from typing import Any
 
+class Types: ...
+
+def types(columns: dict[type, tuple[tuple[Any, ...], ...]], /) -> Types: ...
 def lines(
-    types: dict[type, tuple[tuple[Any, ...], ...]],
+    types: Types,
     run_id: str,
     first: int,
     times_us: list[int],

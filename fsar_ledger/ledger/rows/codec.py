@@ -19,7 +19,9 @@ from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts
+from fsar_ledger.ledger.rows.encoding import plain_rows
 from fsar_ledger.ledger.rows.making import Codes, Positions, Texts, Values, array_of, bits, require_exact
+from fsar_ledger.ledger.rows.parsing import plain_table
 from fsar_ledger.ledger.rows.runs import (
     ALLOWED,
     CAUSE,
@@ -52,7 +54,6 @@ __all__ = [
     "encode_coded",
     "encode_hashed",
     "encode_lines",
-    "encode_pieces",
     "upcast_rows",
 ]
 
@@ -75,9 +76,8 @@ class _Rows:
     Raises: InvalidRun, or another error for a value that `first_unfit` identifies.
     """
 
-    def __init__(self, runs: Sequence[LedgerRun], *, are_pieces: bool = False):
-        if not are_pieces:
-            require_runs(runs)
+    def __init__(self, runs: Sequence[LedgerRun]):
+        require_runs(runs)
         self.sizes = [len(run.events) for run in runs]
         self.size = sum(self.sizes)
         self.runs = [run.run_id for run in runs]
@@ -290,16 +290,12 @@ def encode_hashed(runs: Sequence[LedgerRun]) -> tuple[pa.Table, bytes]:
     Otherwise as `encode`.
     """
     with _refusals(runs):
+        require_runs(runs)
+        lines = plain_rows(runs)
+        if lines is not None and (table := plain_table(lines)) is not None:
+            return table, hashing.leaves(lines)
         rows = _Rows(runs)
         return rows.table(), rows.leaves()
-
-
-def encode_pieces(pieces: Sequence[LedgerRun]) -> pa.Table:
-    """Encode these pieces of runs, which were encoded before, as rows in their order, with columns of `CODED_SCHEMA`.
-
-    Pieces of one run need not follow one another.
-    """
-    return _Rows(pieces, are_pieces=True).table()
 
 
 def encode_lines(runs: Sequence[LedgerRun]) -> list[bytes]:

@@ -3,7 +3,8 @@
 `codec.encode_lines` gives the same bytes by type and column, in Python, and says what no row can hold.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeAlias
 
 from fsar_ledger.ledger.rows.runs import LedgerRun
@@ -40,7 +41,7 @@ def _compiled() -> Callable[..., bytes | None] | None:
         from fsar_ledger.ledger.rows import _encoding
     except ImportError:  # it was not built, as without a compiler
         return None
-    return _encoding.lines
+    return partial(_encoding.lines, _encoding.types(_TYPES))
 
 
 _lines = _compiled()
@@ -55,4 +56,18 @@ def plain_lines(run: LedgerRun) -> bytes | None:
     """
     if _lines is None:
         return None
-    return _lines(_TYPES, run.run_id, run.first, list(run.times_us), list(run.caused_by), list(run.events))
+    return _lines(run.run_id, run.first, _listed(run.times_us), _listed(run.caused_by), _listed(run.events))
+
+
+def plain_rows(runs: Sequence[LedgerRun]) -> bytes | None:
+    """Return the canonical bytes of the rows of these runs, as `plain_lines`; None if those of one are not plain."""
+    found: list[bytes] = []
+    for run in runs:
+        if (lines := plain_lines(run)) is None:
+            return None
+        found.append(lines)
+    return found[0] if len(found) == 1 else b"".join(found)
+
+
+def _listed(values: Sequence[Any]) -> list[Any]:
+    return values if type(values) is list else list(values)

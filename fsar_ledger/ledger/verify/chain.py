@@ -14,12 +14,12 @@ from fsar_ledger.ledger.chain.checkpoint import behind, covered
 from fsar_ledger.ledger.chain.derived import derived_sizes
 from fsar_ledger.ledger.chain.index import index_line
 from fsar_ledger.ledger.chain.journal import Frame
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, segment_of
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.chain.tables import table_of
 from fsar_ledger.ledger.log import merkle, pack
-from fsar_ledger.ledger.log.hashing import HASH_BYTES, leaves_of
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Signed
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
@@ -34,7 +34,7 @@ from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, Veri
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 FOLDERS = frozenset({SEGMENTS, STAGING})
-FILES = frozenset({MANIFEST, CHAIN, JOURNAL, NODES, INDEX, CHECKPOINT})
+FILES = frozenset({MANIFEST, CHAIN, JOURNAL, SEALING, NODES, INDEX, CHECKPOINT})
 BEHIND = (
     "the pack, the index and the checkpoint are behind the chain, as a crash leaves them; the next writer, or "
     "fsar-ledger recover, goes on from there"
@@ -55,12 +55,14 @@ def is_chained(path: Path) -> bool:
         version = msgspec.json.decode(disk.read_document(path / MANIFEST), type=dict[str, object]).get("version")
         if version in (VERSION, CHAINED):
             return version == CHAINED
-    return any(os.path.lexists(path / name) for name in (CHAIN, JOURNAL)) and not os.path.lexists(path / COMMITS)
+    return any(os.path.lexists(path / name) for name in (CHAIN, JOURNAL, SEALING)) and not os.path.lexists(
+        path / COMMITS
+    )
 
 
 def chain_moment(path: Path) -> tuple[int, ...]:
     """Return what changes while a writer is at work. Raises: OSError."""
-    found = [path / CHAIN, path / JOURNAL, path / NODES, path / INDEX]
+    found = [path / CHAIN, path / JOURNAL, path / SEALING, path / NODES, path / INDEX]
     return tuple(growing.size_of(file) for file in found) + tuple(growing.inode_of(file) for file in found)
 
 
@@ -91,15 +93,15 @@ class ChainVerification:
         segments = [(one.number, one, Names(segment_of(one), CHAIN)) for one in chain.placed]
         facts = examine_all(self.path, segments, workers, self.asked.second_reader, is_quick=self.asked.is_quick)
         self.index = list(chain.index_lines(self._index_bytes()))
-        is_behind = self._is_behind(view) or view.journal.is_sealed
+        is_behind = self._is_behind(view) or bool(view.journal.sealed)
         for number, found in enumerate(facts):
             self._add(view, number, found, is_behind=is_behind)
             if progress is not None:
                 progress(number + 1, len(chain.placed))
         if self.asked.is_quick:
             self.tree = chain.tree()
-        for frame in view.journal.frames:
-            self._add_frame(frame)
+        for number, frame in enumerate(view.journal.frames):
+            self._add_frame(frame, SEALING if number < view.journal.sealing else JOURNAL)
         self.problems += _check_segments(view)
         self.problems += self.derived
         remarks = self._check_derived(view, is_behind=is_behind)
@@ -187,7 +189,7 @@ class ChainVerification:
                 step = min(end, commit.tree_size) - at
                 at, seq = at + step, seq + step
                 index += at == commit.tree_size
-        said_by = JOURNAL if file == JOURNAL else CHAIN
+        said_by = file if file in (JOURNAL, SEALING) else CHAIN
         for commit in commits:
             continues = tuple(sorted(found.get(commit.number, ())))
             if continues != commit.continues:
@@ -200,31 +202,31 @@ class ChainVerification:
                 self.problems.append(Problem(said_by, f"{absent[0]!r}", expected, commit.number, field="goes_on"))
                 return
 
-    def _add_frame(self, frame: Frame) -> None:
-        """Add one commit of the journal."""
+    def _add_frame(self, frame: Frame, file: str) -> None:
+        """Add one commit of the journal, in this file."""
         commit = frame.commit
         if self.tree is not None:
-            leaves, first = leaves_of(frame.rows), self.tree.size
+            first = self.tree.size
             for size in self.asked.sizes():
                 if first < size < commit.tree_size:
-                    self.roots[size] = self.tree.extend(leaves[: (size - first) * HASH_BYTES]).root()
-            self.tree = self.tree.extend(leaves)
-            self._compare_root(self.tree.size, self.tree.root(), commit, JOURNAL)
+                    self.roots[size] = self.tree.extend(frame.leaves[: (size - first) * HASH_BYTES]).root()
+            self.tree = self.tree.extend(frame.leaves)
+            self._compare_root(self.tree.size, self.tree.root(), commit, file)
         if self.asked.is_quick or self.problems:
             return
         try:
-            table = table_of(Path(JOURNAL), frame.rows)
+            table = table_of(Path(file), frame.rows)
         except LedgerCorrupted as error:
-            said = refusal(JOURNAL, error)[1:-1].removeprefix("found ")
-            self.problems.append(Problem(JOURNAL, said, "rows as they are written", commit=commit.number))
+            said = refusal(file, error)[1:-1].removeprefix("found ")
+            self.problems.append(Problem(file, said, "rows as they are written", commit=commit.number))
             return
         flaw = first_flaw(table, is_whole=False)
         if flaw is not None:
             self.problems.append(
-                Problem(JOURNAL, flaw.found, flaw.expected, commit.number, flaw.run, flaw.seq, flaw.field)
+                Problem(file, flaw.found, flaw.expected, commit.number, flaw.run, flaw.seq, flaw.field)
             )
             return
-        self._follow(JOURNAL, list(blocks_of(table)), [commit], commit.tree_size - commit.rows)
+        self._follow(file, list(blocks_of(table)), [commit], commit.tree_size - commit.rows)
         if not self.problems:
             self.events, self.done = self.events + commit.rows, self.done + 1
             if self.done == commit.number + 1:
@@ -286,7 +288,7 @@ class ChainVerification:
         placed = {segment_of(one) for one in view.chain.placed}
         left = any(f"{SEGMENTS}/{name}" not in placed for name in names_in(self.path / SEGMENTS))
         return (
-            *((SEALED,) if view.journal.is_sealed else (BEHIND,) if is_behind else (OPEN,) if back else ()),
+            *((SEALED,) if view.journal.sealed else (BEHIND,) if is_behind else (OPEN,) if back else ()),
             *((TORN,) if view.followed.torn or view.journal.torn else ()),
             *((SUPERSEDED,) if left else ()),
         )
@@ -295,11 +297,11 @@ class ChainVerification:
         origin = view.manifest.origin
         signed = Signatures("signer not checked")
         if not self.problems:
-            sealed = len(view.commits) - len(view.journal.frames)
+            chained = len(view.commits) - len(view.journal.frames) + view.journal.chained
             judged = self._to_judge(view.commits)
             doubts, signed = check_signatures(
                 [commit.note(origin) for commit in judged],
-                lambda at: CHAIN if judged[at].number < sealed else JOURNAL,
+                lambda at: CHAIN if judged[at].number < chained else JOURNAL,
                 self.asked.trusted,
             )
             self.problems += doubts
