@@ -49,7 +49,7 @@ help:
 
 setup: $(READY)
 
-$(READY): requirements.txt pyproject.toml $(wildcard fsar_ledger/ledger/*/*.c)
+$(READY): requirements.txt pyproject.toml $(wildcard fsar_ledger/*/*.c fsar_ledger/*/*/*.c)
 	@if [ -z "$(PYTHON)" ]; then \
 		echo "make: no Python 3.11 or newer found; install one, or name it: make PYTHON=/path/to/python3" >&2; \
 		exit 2; fi

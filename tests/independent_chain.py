@@ -298,10 +298,10 @@ class ChainVerifier:
                 raise ProblemError(name, error, "a frame", known["number"] if known else len(chain.commits))
             self.remarks.append("torn")
             return
-        if lines[at]:
-            if name == "sealing.jsonl":
-                raise ProblemError(name, "a line without end", "a frame", len(chain.commits))
-            self.remarks.append("torn")
+        if lines[at] and name == "sealing.jsonl":
+            after = [one["number"] for one in self.known[len(self.frames) :]]
+            raise ProblemError(name, "a line without end", "a frame", *after[:1] or [len(chain.commits)])
+        self.remarks += ["torn"] if lines[at] else []
 
     def tree_of(self, chain: Chain) -> list[bytes]:
         """Return subtrees whose root is that of the events in segments, as `root_over` takes them."""

@@ -12,6 +12,10 @@ K = TypeVar("K")
 V = TypeVar("V")
 
 _LARGE = 192  # entries: from here on, copying a dict takes longer than a change of a `Large`
+_SHARE = 16
+"""A line has at most a 16th as many changes as entries. With more, what was changed fills memory that no cache has;
+with fewer, copying the dict for another line takes longer.
+"""
 
 
 class _Line(Generic[K, V]):
@@ -26,7 +30,9 @@ class _Line(Generic[K, V]):
         self.first = first
         self.changes: list[tuple[K] | tuple[K, V]] = []
         self.newest = {**first}
-        self.most = max(_LARGE, len(first))  # changes, until there is another line: an old version holds no more
+        self.most = max(
+            _LARGE, len(first) // _SHARE
+        )  # changes, until there is another line: an old version holds no more
 
 
 class Large(Mapping[K, V], Generic[K, V]):

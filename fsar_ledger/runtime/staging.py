@@ -15,6 +15,7 @@ from fsar_ledger.errors import InvalidExperiment, InvalidRun
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.store.append import Staged, stage
+from fsar_ledger.runtime import arenas
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run, simulate_slices
 from fsar_ledger.workers import WorkerPool
 
@@ -61,6 +62,7 @@ class Staging(msgspec.Struct, frozen=True):
 
     def _stream(self, batch: Batch) -> Iterator[Staged]:
         """As `of`, one segment after the other, without garbage collection: a run makes no cyclic garbage."""
+        arenas.prepare_for(max(spec.fleet_size for spec in batch))
         gc.disable()
         try:
             if self.spans_commits:

@@ -173,8 +173,7 @@ class _Reading:
 
     def _commit(self, line: bytes) -> Commit | None:
         """Return the commit of this line; None if it is none, or contradicts what precedes it."""
-        known = self.known[len(self.frames)] if len(self.frames) < len(self.known) else None
-        number = len(self._chain.commits) if known is None else known.number
+        known, number = self._expected(), self._number()
         try:
             record = parse_line(line)
         except ValueError as error:
@@ -191,11 +190,20 @@ class _Reading:
         self.is_damage = True  # a record that can be read, which no crash leaves
         return None
 
+    def _expected(self) -> Commit | None:
+        """Return the next commit, if the chain has it."""
+        return self.known[len(self.frames)] if len(self.frames) < len(self.known) else None
+
+    def _number(self) -> int:
+        """Return the number of the next commit."""
+        known = self._expected()
+        return len(self._chain.commits) if known is None else known.number
+
     def is_whole(self) -> bool:
         """Return whether all of a file could be read that was on disk when it got its name."""
         if self.rest:
             self.is_damage = True
-            torn = Problem(self._name, "a torn frame", "whole ones, as they were", commit=len(self._chain.commits))
+            torn = Problem(self._name, "a torn frame", "whole ones, as they were", commit=self._number())
             self.problem = self.problem or torn
         return not self.rest
 

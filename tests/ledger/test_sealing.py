@@ -1,0 +1,201 @@
+"""A full journal becomes a segment while commits go on: what is there meanwhile, and what no crash leaves."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Event
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.chain import append, sealing
+from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
+from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.opening import open_for_answers, open_ledger
+from fsar_ledger.ledger.rows.codec import encode_lines
+from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify.verify import verify
+from tests.ledger.agreement import Case, judged
+from tests.ledger.agreement_chain import hand_over
+from tests.ledger.chain_damage import piece
+from tests.ledger.samples import ORIGIN, contents
+
+PARTS = [piece(1, 2 * number, 2 * number + 2) for number in range(6)]
+ROWS = [row for part in PARTS for row in encode_lines([part])]
+
+
+def view_of(path: Path) -> ChainView:
+    view = open_ledger(path)
+    assert isinstance(view, ChainView)
+    return view
+
+
+def rows_in(path: Path) -> list[bytes]:
+    view = view_of(path)
+    return view.rows(0, view.head.size)
+
+
+@pytest.fixture
+def held_back() -> Iterator[Event]:
+    """Let the thread that makes a segment wait until this is set."""
+    may_go_on = Event()
+    made = sealing.sealed
+
+    def later(*given: Any) -> Any:
+        assert may_go_on.wait(60)
+        return made(*given)
+
+    with patch.object(sealing, "sealed", later), patch.object(append, "SEAL_ROWS", 5):
+        yield may_go_on
+        may_go_on.set()
+
+
+@pytest.fixture
+def chained(tmp_path: Path) -> Path:
+    """Return a ledger left by a writer that had handed over its journal twice.
+
+    Of `sealing.jsonl`, the chain has the first commit and lacks the second.
+    """
+    with ChainWriter(tmp_path / "open", ORIGIN) as writer:
+        writer.add([PARTS[0]])
+        hand_over(writer)
+        writer.add([PARTS[1]])
+        writer.settle()
+        writer.add([PARTS[2]])
+        hand_over(writer)
+        writer.add([PARTS[3]])
+        shutil.copytree(tmp_path / "open", tmp_path / "ledger")
+    return tmp_path / "ledger"
+
+
+def test_commits_go_on_while_the_journal_before_is_sealed(tmp_path: Path, held_back: Event) -> None:
+    path = tmp_path / "ledger"
+    with ChainWriter(path, ORIGIN) as writer:
+        writer.add([PARTS[0]])
+        writer.add([PARTS[1]])
+        before = view_of(path)
+        assert before.is_current()
+        writer.add([PARTS[2]])  # a fifth event fits, a sixth does not
+        assert {SEALING, JOURNAL} <= contents(path).keys()
+        assert not before.is_current()
+        assert rows_in(path) == ROWS[:6]
+        assert verify(path).ok
+        held_back.set()
+        writer.settle()
+        assert SEALING not in contents(path)
+        view = view_of(path)
+        assert (view.chain.placed_size, view.journal.chained, view.journal.rows) == (4, 1, 2)
+        assert rows_in(path) == ROWS[:6]
+        writer.add([PARTS[3]])
+        assert verify(path).ok
+    assert (rows_in(path), verify(path).remarks) == (ROWS[:8], ())
+    with ChainWriter(path, ORIGIN) as writer:
+        writer.seal()
+    assert [(one.first, one.end) for one in view_of(path).chain.placed] == [(0, 4), (4, 8)]
+
+
+def test_another_writer_fills_the_next_journal_before_the_first_is_sealed(tmp_path: Path, held_back: Event) -> None:
+    path = tmp_path / "ledger"
+    with ChainWriter(path, ORIGIN) as writer, ChainWriter(path, ORIGIN) as other:
+        for part in PARTS[:3]:
+            writer.add([part])
+        held_back.set()
+        for part in PARTS[3:]:
+            other.add([part])
+        assert rows_in(path) == ROWS
+    assert (rows_in(path), verify(path).ok) == (ROWS, True)
+    assert [(one.first, one.end) for one in view_of(path).chain.placed] == [(0, 4), (4, 8)]
+
+
+def test_what_a_writer_left_is_read_verified_continued_and_sealed(chained: Path) -> None:
+    view = view_of(chained)
+    assert (view.journal.sealing, view.journal.chained, view.chain.placed_size) == (2, 1, 2)
+    assert rows_in(chained) == ROWS[:8]
+    assert [bytes(view.event(index)) for index in range(8)] == ROWS[:8]
+    assert judged(Case("as it is", chained, True)).difference == ""
+    with ChainWriter(chained, ORIGIN) as writer:
+        writer.add([PARTS[4]])
+        writer.seal()
+    assert (rows_in(chained), verify(chained).remarks) == (ROWS[:10], ())
+    assert not {SEALING, JOURNAL} & contents(chained).keys()
+
+
+def test_recover_finds_nothing_to_do_but_what_a_writer_would(chained: Path) -> None:
+    recover(chained)
+    assert (rows_in(chained), verify(chained).ok) == (ROWS[:8], True)
+
+
+def test_a_flipped_bit_in_what_is_being_sealed_is_never_a_torn_end(chained: Path) -> None:
+    data = (chained / SEALING).read_bytes().rstrip(b"\0")
+    for at in range(0, len(data), 7):
+        (chained / SEALING).write_bytes(data[:at] + bytes([data[at] ^ 2]) + data[at + 1 :])
+        assert [problem.where for problem in verify(chained).problems] == [SEALING], at
+        assert judged(Case(f"flipped {at}", chained, False)).difference == ""
+        with pytest.raises(LedgerCorrupted, match=SEALING):
+            open_for_answers(chained)
+
+
+def test_what_is_being_sealed_was_whole_when_it_got_its_name(chained: Path) -> None:
+    data = (chained / SEALING).read_bytes().rstrip(b"\0")
+    for end in range(1, len(data), 11):
+        (chained / SEALING).write_bytes(data[:end])
+        assert {problem.where for problem in verify(chained).problems} <= {SEALING, JOURNAL}, end
+        assert verify(chained).problems
+        assert judged(Case(f"cut at {end}", chained, False)).difference == ""
+
+
+@pytest.mark.parametrize("name", [SEALING, JOURNAL])
+def test_commits_of_the_chain_without_rows_are_damage(tmp_path: Path, chained: Path, name: str) -> None:
+    if name == JOURNAL:  # whose frame the chain has
+        with ChainWriter(chained, ORIGIN) as writer:
+            writer.settle()
+            shutil.copytree(chained, tmp_path / "settled")
+        chained = tmp_path / "settled"
+        assert view_of(chained).journal.chained == 1
+    (chained / name).unlink()
+    assert [problem.where for problem in verify(chained).problems] == [JOURNAL]
+    assert judged(Case("gone", chained, False)).difference == ""
+    with pytest.raises(LedgerCorrupted, match=JOURNAL):
+        ChainWriter(chained, ORIGIN)
+
+
+def test_a_frame_that_the_chain_has_cannot_be_torn(tmp_path: Path, chained: Path) -> None:
+    with ChainWriter(chained, ORIGIN) as writer:
+        writer.settle()
+        shutil.copytree(chained, tmp_path / "settled")
+    data = (tmp_path / "settled" / JOURNAL).read_bytes().rstrip(b"\0")
+    for at in range(0, len(data), 13):
+        (tmp_path / "settled" / JOURNAL).write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        assert [problem.where for problem in verify(tmp_path / "settled").problems] == [JOURNAL], at
+        assert judged(Case(f"flipped {at}", tmp_path / "settled", False)).difference == ""
+
+
+def test_a_journal_that_is_renamed_between_two_looks_is_read_once(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    with ChainWriter(path, ORIGIN) as writer:
+        writer.add([PARTS[0]])
+        real = growing.read_whole
+
+        def renamed_after(file: Path, most: int) -> bytes:
+            data = real(file, most)
+            if file.name == JOURNAL and not (path / SEALING).exists():
+                hand_over(writer)
+                writer.add([PARTS[1]])
+            return data
+
+        with patch.object(growing, "read_whole", renamed_after):
+            view = view_of(path)
+        assert view.rows(0, view.head.size) == ROWS[:2]
+        assert not view.is_current()
+        assert rows_in(path) == ROWS[:4]
+
+
+def test_a_placement_that_is_lost_takes_nothing_of_the_journal_with_it(chained: Path) -> None:
+    lines = (chained / CHAIN).read_bytes().splitlines(keepends=True)
+    (chained / CHAIN).write_bytes(b"".join(lines[:-1]))
+    assert not verify(chained).ok
+    assert judged(Case("without its placement", chained, False)).difference == ""
