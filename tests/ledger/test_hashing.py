@@ -10,9 +10,12 @@ from hypothesis import strategies as st
 from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import (
     HASH_BYTES,
+    Extended,
     Roots,
     digests,
     digests_plainly,
+    extended,
+    extended_plainly,
     leaves,
     leaves_of,
     leaves_plainly,
@@ -79,6 +82,28 @@ def test_the_root_at_each_size_is_that_of_the_tree_with_so_many_leaves(size: int
     assert roots(*given_before) == roots_plainly(*given_before) == b"".join(expected)
 
 
+@given(st.integers(0, 70), st.integers(0, 90))
+def test_a_tree_grows_by_many_leaves_as_by_one_after_the_other(size: int, more: int) -> None:
+    found = hashes(size + more)
+    tree = Frontier()
+    for leaf in found[:size]:
+        tree = tree.extend(leaf)
+    before = size, b"".join(tree.subtrees), b"".join(found[size:])
+    for leaf in found[size:]:
+        tree = tree.extend(leaf)
+    assert extended(*before) == extended_plainly(*before) == b"".join(tree.subtrees)
+    assert tree.root() == root(found)
+
+
+@pytest.mark.parametrize("extended_of", [extended, extended_plainly])
+@pytest.mark.parametrize(("size", "subtrees", "leaves_"), [(3, 1, 4), (3, 3, 4), (0, 1, 0), (3, 2.5, 4), (3, 2, 1.5)])
+def test_a_tree_of_no_such_size_does_not_grow(
+    extended_of: Extended, size: int, subtrees: float, leaves_: float
+) -> None:
+    with pytest.raises(ValueError, match="those of a tree"):
+        extended_of(size, bytes(int(subtrees * HASH_BYTES)), bytes(int(leaves_ * HASH_BYTES)))
+
+
 @pytest.mark.parametrize("roots_of", [roots, roots_plainly])
 @pytest.mark.parametrize(
     ("size", "subtrees", "leaves_", "sizes"),
@@ -118,6 +143,7 @@ def test_a_ledger_is_the_same_without_the_compiled_functions(tmp_path: Path, mon
     monkeypatch.setattr(hashing, "_leaves", leaves_plainly)
     monkeypatch.setattr(hashing, "_digests", digests_plainly)
     monkeypatch.setattr(hashing, "_parents", parents_plainly)
+    monkeypatch.setattr(hashing, "_extended", extended_plainly)
     monkeypatch.setattr(hashing, "_roots", roots_plainly)
     append_all(tmp_path / "other", made_up_batches(2, size=200))
     assert contents(tmp_path / "one") == contents(tmp_path / "other")

@@ -197,20 +197,59 @@ static void fold(const uint8_t (*subtrees)[HASH_BYTES], int count, uint8_t *root
     }
 }
 
+/* A tree as its complete subtrees, largest first: one for each bit of its size. */
+typedef struct {
+    unsigned long long size;
+    int count;
+    uint8_t kept[MAX_SUBTREES][HASH_BYTES];
+} Tree;
+
+/* Begin with so many leaves and these packed subtrees. Raises: ValueError if they do not fit. */
+static int begin(Tree *tree, unsigned long long size, const char *subtrees, Py_ssize_t subtrees_size, Py_ssize_t leaves_size) {
+    tree->size = size, tree->count = 0;
+    for (unsigned long long rest = size; rest; rest &= rest - 1) tree->count++;
+    if (subtrees_size != tree->count * HASH_BYTES || leaves_size % HASH_BYTES || size >> 62) {
+        PyErr_Format(PyExc_ValueError, "found subtrees or leaves that are not those of a tree");
+        return -1;
+    }
+    memcpy(tree->kept, subtrees, subtrees_size);
+    return 0;
+}
+
+static void add_leaf(Tree *tree, const uint8_t *leaf) {
+    uint8_t pair[2 * HASH_BYTES], *hash = tree->kept[tree->count++];
+    memcpy(hash, leaf, HASH_BYTES);
+    for (unsigned long long rest = tree->size++; rest & 1; rest >>= 1, tree->count--) {
+        hash = tree->kept[tree->count - 2];
+        memcpy(pair, hash, sizeof pair);
+        hash_after(0x01, pair, sizeof pair, hash);
+    }
+}
+
+static PyObject *extended(PyObject *module, PyObject *args) {
+    const char *before, *leaves;
+    Py_ssize_t before_size, leaves_size;
+    unsigned long long size;
+    Tree tree;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "Ky#y#", &size, &before, &before_size, &leaves, &leaves_size)) return NULL;
+    if (begin(&tree, size, before, before_size, leaves_size) < 0) return NULL;
+    Py_BEGIN_ALLOW_THREADS
+    for (Py_ssize_t at = 0; at < leaves_size; at += HASH_BYTES) add_leaf(&tree, (const uint8_t *)leaves + at);
+    Py_END_ALLOW_THREADS
+    return PyBytes_FromStringAndSize((const char *)tree.kept, (Py_ssize_t)tree.count * HASH_BYTES);
+}
+
 static PyObject *roots(PyObject *module, PyObject *args) {
     const char *before, *leaves;
     Py_ssize_t before_size, leaves_size;
     unsigned long long size;
-    uint8_t kept[MAX_SUBTREES][HASH_BYTES], pair[2 * HASH_BYTES];
-    int count = 0;
+    Tree tree;
     PyObject *sizes;
     (void)module;
     if (!PyArg_ParseTuple(args, "Ky#y#O!", &size, &before, &before_size, &leaves, &leaves_size, &PyList_Type, &sizes))
         return NULL;
-    for (unsigned long long rest = size; rest; rest &= rest - 1) count++;
-    if (before_size != count * HASH_BYTES || leaves_size % HASH_BYTES || size >> 62)
-        return PyErr_Format(PyExc_ValueError, "found subtrees or leaves that are not those of a tree");
-    memcpy(kept, before, before_size);
+    if (begin(&tree, size, before, before_size, leaves_size) < 0) return NULL;
     PyObject *found = PyBytes_FromStringAndSize(NULL, PyList_Size(sizes) * HASH_BYTES);
     if (found == NULL) return NULL;
     uint8_t *root = (uint8_t *)PyBytes_AsString(found);
@@ -218,18 +257,10 @@ static PyObject *roots(PyObject *module, PyObject *args) {
     for (Py_ssize_t at = 0; at < PyList_Size(sizes); at++, root += HASH_BYTES) {
         unsigned long long wanted = PyLong_AsUnsignedLongLong(PyList_GetItem(sizes, at));
         if (PyErr_Occurred()) return Py_DECREF(found), NULL;
-        if (wanted < size || !wanted || wanted - size > (unsigned long long)(end - leaf) / HASH_BYTES)
+        if (wanted < tree.size || !wanted || wanted - tree.size > (unsigned long long)(end - leaf) / HASH_BYTES)
             return Py_DECREF(found), PyErr_Format(PyExc_ValueError, "found size %llu, expected more, and leaves for it", wanted);
-        for (; size < wanted; size++, leaf += HASH_BYTES) {
-            uint8_t *hash = kept[count++];
-            memcpy(hash, leaf, HASH_BYTES);
-            for (unsigned long long rest = size; rest & 1; rest >>= 1, count--) {
-                hash = kept[count - 2];
-                memcpy(pair, hash, sizeof pair);
-                hash_after(0x01, pair, sizeof pair, hash);
-            }
-        }
-        fold((const uint8_t(*)[HASH_BYTES])kept, count, root);
+        for (; tree.size < wanted; leaf += HASH_BYTES) add_leaf(&tree, leaf);
+        fold((const uint8_t(*)[HASH_BYTES])tree.kept, tree.count, root);
     }
     return found;
 }
@@ -238,6 +269,7 @@ static PyMethodDef METHODS[] = {
     {"leaves", leaves, METH_O, "Return the packed leaf hashes of these lines, each ended by a line feed."},
     {"digests", digests, METH_O, "Return the packed hashes of these texts."},
     {"parents", parents, METH_O, "Return the packed hashes of pairs of packed hashes."},
+    {"extended", extended, METH_VARARGS, "Return the packed subtrees of a tree after these packed leaves are added."},
     {"roots", roots, METH_VARARGS, "Return the packed roots of a tree when it has so many leaves."},
     {NULL, NULL, 0, NULL},
 };

@@ -15,6 +15,7 @@ _PAIRS_AT_ONCE = 512  # few enough to stay in the CPU caches
 
 Hash: TypeAlias = Callable[[bytes], bytes]
 Digests: TypeAlias = Callable[[list[bytes]], bytes]
+Extended: TypeAlias = Callable[[int, bytes, bytes], bytes]
 Roots: TypeAlias = Callable[[int, bytes, bytes, list[int]], bytes]
 
 
@@ -48,12 +49,33 @@ def parents_plainly(nodes: bytes) -> bytes:
     return b"".join(found)
 
 
+def extended_plainly(size: int, subtrees: bytes, leaves: bytes) -> bytes:
+    """As `extended`, with hashlib."""
+    _require_tree(size, subtrees, leaves)
+    kept = [subtrees[at : at + HASH_BYTES] for at in range(0, len(subtrees), HASH_BYTES)]  # smallest last
+    found: list[bytes] = []  # smallest first
+    nodes = leaves
+    while nodes:
+        if size & 1:
+            nodes = kept.pop() + nodes
+        pairs = len(nodes) // (2 * HASH_BYTES) * 2 * HASH_BYTES
+        if pairs < len(nodes):
+            found.append(nodes[pairs:])
+        nodes = parents_plainly(nodes[:pairs])
+        size >>= 1
+    return b"".join((*kept, *reversed(found)))
+
+
+def _require_tree(size: int, subtrees: bytes, leaves: bytes) -> None:
+    if len(subtrees) != size.bit_count() * HASH_BYTES or len(leaves) % HASH_BYTES:
+        raise ValueError("found subtrees or leaves that are not those of a tree")
+
+
 def roots_plainly(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     """As `roots`, with hashlib."""
     sha256 = hashlib.sha256
+    _require_tree(size, subtrees, leaves)
     kept = [subtrees[at : at + HASH_BYTES] for at in range(0, len(subtrees), HASH_BYTES)]
-    if len(kept) != size.bit_count() or len(subtrees) % HASH_BYTES or len(leaves) % HASH_BYTES:
-        raise ValueError("found subtrees or leaves that are not those of a tree")
     found = []
     at = 0
     for wanted in sizes:
@@ -93,6 +115,16 @@ def parents(nodes: bytes) -> bytes:
     return _parents(nodes)
 
 
+def extended(size: int, subtrees: bytes, leaves: bytes) -> bytes:
+    """Return the packed complete subtrees, largest first, of a tree after these packed leaf hashes are added.
+
+    It has `size` leaves and these packed complete subtrees before. Costs one hash per leaf.
+
+    Raises: ValueError if they are not those of a tree.
+    """
+    return _extended(size, subtrees, leaves)
+
+
 def roots(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     """Return the packed roots of a tree when it has so many leaves, for each of these sizes, which rise.
 
@@ -103,15 +135,21 @@ def roots(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     return _roots(size, subtrees, leaves, sizes)
 
 
-def _compiled() -> tuple[Hash, Digests, Hash, Roots] | None:
+def _compiled() -> tuple[Hash, Digests, Hash, Extended, Roots] | None:
     try:
         from fsar_ledger.ledger.log import _hashing
     except ImportError:  # it was not built, as without a compiler
         return None
-    return _hashing.leaves, _hashing.digests, _hashing.parents, _hashing.roots
+    return _hashing.leaves, _hashing.digests, _hashing.parents, _hashing.extended, _hashing.roots
 
 
 _found = _compiled()
 IS_COMPILED = _found is not None
 """Whether the hashes are made in C."""
-_leaves, _digests, _parents, _roots = _found or (leaves_plainly, digests_plainly, parents_plainly, roots_plainly)
+_leaves, _digests, _parents, _extended, _roots = _found or (
+    leaves_plainly,
+    digests_plainly,
+    parents_plainly,
+    extended_plainly,
+    roots_plainly,
+)

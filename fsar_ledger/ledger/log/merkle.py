@@ -11,7 +11,7 @@ from typing import TypeAlias
 import msgspec
 
 from fsar_ledger.ledger.log import hashing
-from fsar_ledger.ledger.log.hashing import HASH_BYTES, parents
+from fsar_ledger.ledger.log.hashing import HASH_BYTES
 
 EMPTY_ROOT = hashlib.sha256(b"").digest()
 
@@ -41,19 +41,15 @@ class Frontier(msgspec.Struct, frozen=True):
     subtrees: tuple[bytes, ...] = ()
 
     def extend(self, leaves: bytes) -> "Frontier":
-        """Return the frontier after appending these packed leaf hashes. Costs one hash per leaf."""
-        kept = list(self.subtrees)  # smallest last
-        found: list[bytes] = []  # smallest first
-        size, nodes = self.size, leaves
-        while nodes:
-            if size & 1:
-                nodes = kept.pop() + nodes
-            pairs = len(nodes) // (2 * HASH_BYTES) * 2 * HASH_BYTES
-            if pairs < len(nodes):
-                found.append(nodes[pairs:])
-            nodes = parents(nodes[:pairs])
-            size >>= 1
-        return Frontier(self.size + len(leaves) // HASH_BYTES, (*kept, *reversed(found)))
+        """Return the frontier after appending these packed leaf hashes. Costs one hash per leaf.
+
+        Raises: ValueError if it is of no tree.
+        """
+        packed = hashing.extended(self.size, b"".join(self.subtrees), leaves)
+        return Frontier(
+            self.size + len(leaves) // HASH_BYTES,
+            tuple([packed[at : at + HASH_BYTES] for at in range(0, len(packed), HASH_BYTES)]),
+        )
 
     def nodes(self) -> dict[tuple[int, int], bytes]:
         """Return the complete subtrees by height, and index among those of that height."""
@@ -74,10 +70,12 @@ class Frontier(msgspec.Struct, frozen=True):
         """Return the root hash of the tree."""
         if not self.subtrees:
             return EMPTY_ROOT
-        *left, root = self.subtrees
-        sha256 = hashlib.sha256  # a reader of a long chain does this for each line
+        packed = b"".join(self.subtrees)
+        if self.size and len(packed) == self.size.bit_count() * HASH_BYTES:
+            return hashing.roots(self.size, packed, b"", [self.size])
+        *left, root = self.subtrees  # as somebody wrote them, of no tree
         for subtree in reversed(left):
-            root = sha256(b"\x01" + subtree + root).digest()
+            root = node_hash(subtree, root)
         return root
 
 

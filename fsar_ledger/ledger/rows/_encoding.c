@@ -124,13 +124,15 @@ typedef struct {
     int is_nullable;
 } Column;
 
+/* A class of events, or of parts of them. Its objects are a head and then `fields` references; 0 if they are not. */
 typedef struct {
     PyObject *class;
     Column *columns;
-    Py_ssize_t count;
+    Py_ssize_t count, fields;
 } Type;
 
-/* The event types that are known, found by the address of their class; `given` is what they were made from. */
+/* The types that are known, found by the address of their class; `given` is what they were made from. There are at most
+ * half as many as slots. */
 typedef struct {
     PyObject *given;
     Type *types;
@@ -140,9 +142,42 @@ typedef struct {
 #define TYPES "fsar_ledger.ledger.rows._encoding.types"
 
 static Type *type_of(const Types *all, PyObject *class) {
-    size_t slot = ((uintptr_t)class >> 4) % all->slots;
-    while (all->types[slot].class != NULL && all->types[slot].class != class) slot = (slot + 1) % all->slots;
+    size_t slot = ((uintptr_t)class >> 4 ^ (uintptr_t)class >> 12) & (all->slots - 1);
+    while (all->types[slot].class != NULL && all->types[slot].class != class) slot = (slot + 1) & (all->slots - 1);
     return all->types + slot;
+}
+
+#if defined(__GNUC__) || defined(__clang__)
+#define FETCH(place) __builtin_prefetch(place)
+#else
+#define FETCH(place) ((void)(place))
+#endif
+#define LINE_BYTES 64
+#define HEAD_WORDS (sizeof(PyObject) / sizeof(PyObject *))
+
+/* Let the processor fetch what this object refers to, while something else is done. */
+static void fetch_fields(const Types *all, PyObject *object) {
+    const Type *type = type_of(all, (PyObject *)Py_TYPE(object));
+    PyObject **fields = (PyObject **)object + HEAD_WORDS;
+    for (Py_ssize_t at = 0; at < type->fields; at++) FETCH(fields[at]), FETCH((char *)fields[at] + LINE_BYTES);
+}
+
+/* The same for its parts, which were fetched before. */
+static void fetch_parts(const Types *all, PyObject *object) {
+    const Type *type = type_of(all, (PyObject *)Py_TYPE(object));
+    PyObject **fields = (PyObject **)object + HEAD_WORDS;
+    for (Py_ssize_t at = 0; at < type->fields; at++)
+        if (fields[at] != NULL) fetch_fields(all, fields[at]);
+}
+
+/* Events that were made long ago are in no cache, nor is what they refer to: fetch those that come next, step by step. */
+static void fetch_ahead(const Types *all, PyObject *events, Py_ssize_t row) {
+    if (row + 6 < PyList_Size(events)) {
+        const char *event = (const char *)PyList_GetItem(events, row + 6);
+        FETCH(event), FETCH(event + LINE_BYTES), FETCH(event + 2 * LINE_BYTES);
+    }
+    if (row + 4 < PyList_Size(events)) fetch_fields(all, PyList_GetItem(events, row + 4));
+    if (row + 2 < PyList_Size(events)) fetch_parts(all, PyList_GetItem(events, row + 2));
 }
 
 /* Return a new reference to the value of the event for this column; NULL if it has none, or its part is of another class. */
@@ -177,7 +212,7 @@ static int put_column(Written *out, const Column *column, PyObject *event, const
 
 static int put_row(Written *out, const Types *types, PyObject *event, const Place *place) {
     const Type *type = type_of(types, (PyObject *)Py_TYPE(event));
-    if (type->class == NULL) return NOT_PLAIN;
+    if (type->columns == NULL) return NOT_PLAIN;
     char before = '{';
     int how = WRITTEN;
     for (const Column *column = type->columns; how == WRITTEN && column < type->columns + type->count; column++)
@@ -201,32 +236,52 @@ static void release(PyObject *capsule) {
     free(all->types), free(all);
 }
 
+/* Return how many references the objects of this class are, after their head; 0 if they are anything else. */
+static Py_ssize_t fields_of(PyObject *class) {
+    PyObject *names = PyObject_GetAttrString(class, "__struct_fields__");
+    PyObject *bytes = PyObject_GetAttrString(class, "__basicsize__");
+    Py_ssize_t count = names != NULL && PyTuple_Check(names) ? PyTuple_Size(names) : 0;
+    Py_ssize_t size = bytes != NULL ? PyLong_AsSsize_t(bytes) : 0;
+    Py_XDECREF(names), Py_XDECREF(bytes);
+    PyErr_Clear();
+    return size == (Py_ssize_t)(sizeof(PyObject) + count * sizeof(PyObject *)) ? count : 0;
+}
+
+static Type *add_type(const Types *all, PyObject *class) {
+    Type *type = type_of(all, class);
+    if (type->class == NULL) type->class = class, type->fields = fields_of(class);
+    return type;
+}
+
+static int take_columns(const Types *all, PyObject *class, PyObject *columns) {
+    if (!PyTuple_Check(columns)) return PyErr_SetString(PyExc_TypeError, "columns: expected a tuple"), -1;
+    Type *type = add_type(all, class);
+    type->columns = calloc((size_t)PyTuple_Size(columns) + 1, sizeof *type->columns);
+    if (type->columns == NULL) return PyErr_NoMemory(), -1;
+    for (; type->count < PyTuple_Size(columns); type->count++) {
+        if (take_column(type->columns + type->count, PyTuple_GetItem(columns, type->count)) < 0) return -1;
+        if (type->columns[type->count].part != Py_None) add_type(all, type->columns[type->count].part);
+    }
+    return 0;
+}
+
 /* Return the types of {class: (column, ...)} as `lines` takes them. The tuples must not change, and cannot. */
 static PyObject *types(PyObject *module, PyObject *given) {
     PyObject *class, *columns;
-    Py_ssize_t at = 0;
+    Py_ssize_t at = 0, count = 1;
     (void)module;
     if (!PyDict_Check(given)) return PyErr_SetString(PyExc_TypeError, "types: expected a dict"), NULL;
     Types *all = calloc(1, sizeof *all);
     PyObject *capsule = all == NULL ? PyErr_NoMemory() : PyCapsule_New(all, TYPES, release);
     if (capsule == NULL) return free(all), NULL;
-    size_t slots = (size_t)PyDict_Size(given) * 2 + 1;
-    all->types = calloc(slots, sizeof *all->types), all->given = PyDict_Copy(given);
-    if (all->types == NULL || all->given == NULL) return Py_DECREF(capsule), PyErr_NoMemory();
-    all->slots = slots;
-    while (PyDict_Next(all->given, &at, &class, &columns)) {
-        Type *type = type_of(all, class);
-        type->class = class;
-        if (!PyTuple_Check(columns)) {
-            PyErr_SetString(PyExc_TypeError, "columns: expected a tuple");
-            return Py_DECREF(capsule), NULL;
-        }
-        type->columns = calloc((size_t)PyTuple_Size(columns) + 1, sizeof *type->columns);
-        if (type->columns == NULL) return Py_DECREF(capsule), PyErr_NoMemory();
-        for (; type->count < PyTuple_Size(columns); type->count++)
-            if (take_column(type->columns + type->count, PyTuple_GetItem(columns, type->count)) < 0)
-                return Py_DECREF(capsule), NULL;
-    }
+    if ((all->given = PyDict_Copy(given)) == NULL) return Py_DECREF(capsule), NULL;
+    while (PyDict_Next(all->given, &at, &class, &columns)) /* each column may have a part */
+        count += 1 + (PyTuple_Check(columns) ? PyTuple_Size(columns) : 0);
+    for (all->slots = 2; all->slots < 2 * (size_t)count;) all->slots *= 2;
+    all->types = calloc(all->slots, sizeof *all->types);
+    if (all->types == NULL) return all->slots = 0, Py_DECREF(capsule), PyErr_NoMemory();
+    for (at = 0; PyDict_Next(all->given, &at, &class, &columns);)
+        if (take_columns(all, class, columns) < 0) return Py_DECREF(capsule), NULL;
     return capsule;
 }
 
@@ -243,6 +298,7 @@ static PyObject *lines(PyObject *module, PyObject *args) {
     Py_ssize_t rows = PyList_Size(events);
     int how = PyList_Size(times) == rows && PyList_Size(causes) == rows ? WRITTEN : NOT_PLAIN;
     for (Py_ssize_t row = 0; how == WRITTEN && row < rows; row++, place.seq++) {
+        fetch_ahead(all, events, row);
         PyObject *event = PyList_GetItem(events, row);
         place.time = PyList_GetItem(times, row), place.cause = PyList_GetItem(causes, row);
         if (event == NULL || place.time == NULL || place.cause == NULL) {
