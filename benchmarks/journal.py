@@ -27,10 +27,13 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.rows.small import rows_of
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
-GROUPS = {1: 1_000, 10: 1_000, 100: 600, 1_000: 64}
-"""Of each size, how many are stored in a turn; of the larger ones, several journals full."""
+GROUPS = {1: 1_000, 10: 1_000, 100: 2_400, 1_000: 240}
+"""Of each size, how many are stored in a turn; of the larger ones, 14 journals full."""
+MOST_ROWS = 60_000
+"""Events of a run that are stored; then another one follows."""
 
 
 class Spent(NamedTuple):
@@ -46,13 +49,23 @@ def spent(work: Callable[[], object]) -> Spent:
     return Spent(time.perf_counter() - wall, time.process_time() - processor)
 
 
-def renamed(run: LedgerRun, number: int) -> LedgerRun:
-    return LedgerRun(f"{run.run_id}-{number}", run.times_us, run.caused_by, run.events)
+def renamed(run: LedgerRun, name: str) -> LedgerRun:
+    return LedgerRun(f"{run.run_id}-{name}", run.times_us, run.caused_by, run.events)
 
 
 def pieces_of(run: LedgerRun, group: int, groups: int) -> list[LedgerRun]:
     """Cut the beginning of the run into groups of events."""
     return [piece(run, at, at + group) for at in range(0, group * groups, group)]
+
+
+def cut(run: LedgerRun, group: int, groups: int, turn: int) -> list[LedgerRun]:
+    """Cut runs like this one into so many groups of events for one turn, each run with another name."""
+    most = MOST_ROWS // group
+    return [
+        part
+        for first in range(0, groups, most)
+        for part in pieces_of(renamed(run, f"{turn}-{first}"), group, min(most, groups - first))
+    ]
 
 
 def stored(path: Path) -> sqlite3.Connection:
@@ -85,9 +98,8 @@ def paired(run: LedgerRun, group: int, groups: int, turns: int) -> tuple[list[Sp
         with ChainWriter(path, "example.org/journal") as writer:
             writer.add([LedgerRun("begun", [0], [None], run.events[:1])])
             for turn in range(turns):
-                pieces = pieces_of(renamed(run, turn), group, groups)
-                rows = encode_lines([piece(renamed(run, turn), 0, group * groups)])
-                parts = [[(row,) for row in rows[at : at + group]] for at in range(0, len(rows), group)]
+                pieces = cut(run, group, groups, turn)
+                parts = [[(row,) for row in rows_of([part])[0].splitlines()] for part in pieces]
                 ours.append(spent(partial(add, writer, pieces)))
                 theirs.append(spent(partial(insert, connection, parts)))
         connection.close()

@@ -34,7 +34,7 @@ CHAIN_CHECKED: dict[str, tuple[str, ...] | None] = {
     "verify/chain_recover.py": ("find_trusted", "_removed", "manifest_of"),
     "chain/record.py": ("parse_line", "_is_signature"),
     "chain/links.py": ("doubt", "_of_commit", "_of_placement", "_starts", "root_at", "follow", "_has_later_append"),
-    "chain/journal.py": ("read_frames", "_is_sealed", "_commit", "_has_later_frame"),
+    "chain/journal.py": ("read_frames", "is_whole", "finish", "_is_sealed", "_commit", "_has_later_frame"),
     "chain/checkpoint.py": None,
     "chain/tables.py": ("table_of",),
     "chain/derived.py": ("read_node",),
