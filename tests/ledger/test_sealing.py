@@ -23,6 +23,7 @@ from tests.ledger.agreement import Case, judged
 from tests.ledger.agreement_chain import hand_over
 from tests.ledger.chain_damage import piece
 from tests.ledger.samples import ORIGIN, contents
+from tests.quick import few
 
 PARTS = [piece(1, 2 * number, 2 * number + 2) for number in range(6)]
 ROWS = [row for part in PARTS for row in encode_lines([part])]
@@ -129,9 +130,10 @@ def test_recover_finds_nothing_to_do_but_what_a_writer_would(chained: Path) -> N
     assert (rows_in(chained), verify(chained).ok) == (ROWS[:8], True)
 
 
-def test_a_flipped_bit_in_what_is_being_sealed_is_never_a_torn_end(chained: Path) -> None:
+@pytest.mark.parametrize("step", few([7, 61], [61]))
+def test_a_flipped_bit_in_what_is_being_sealed_is_never_a_torn_end(chained: Path, step: int) -> None:
     data = (chained / SEALING).read_bytes().rstrip(b"\0")
-    for at in range(0, len(data), 7):
+    for at in range(0, len(data), step):
         (chained / SEALING).write_bytes(data[:at] + bytes([data[at] ^ 2]) + data[at + 1 :])
         assert [problem.where for problem in verify(chained).problems] == [SEALING], at
         assert judged(Case(f"flipped {at}", chained, False)).difference == ""
@@ -139,9 +141,10 @@ def test_a_flipped_bit_in_what_is_being_sealed_is_never_a_torn_end(chained: Path
             open_for_answers(chained)
 
 
-def test_what_is_being_sealed_was_whole_when_it_got_its_name(chained: Path) -> None:
+@pytest.mark.parametrize("step", few([11, 83], [83]))
+def test_what_is_being_sealed_was_whole_when_it_got_its_name(chained: Path, step: int) -> None:
     data = (chained / SEALING).read_bytes().rstrip(b"\0")
-    for end in range(1, len(data), 11):
+    for end in range(1, len(data), step):
         (chained / SEALING).write_bytes(data[:end])
         assert {problem.where for problem in verify(chained).problems} <= {SEALING, JOURNAL}, end
         assert verify(chained).problems
@@ -163,12 +166,13 @@ def test_commits_of_the_chain_without_rows_are_damage(tmp_path: Path, chained: P
         ChainWriter(chained, ORIGIN)
 
 
-def test_a_frame_that_the_chain_has_cannot_be_torn(tmp_path: Path, chained: Path) -> None:
+@pytest.mark.parametrize("step", few([13, 97], [97]))
+def test_a_frame_that_the_chain_has_cannot_be_torn(tmp_path: Path, chained: Path, step: int) -> None:
     with ChainWriter(chained, ORIGIN) as writer:
         writer.settle()
         shutil.copytree(chained, tmp_path / "settled")
     data = (tmp_path / "settled" / JOURNAL).read_bytes().rstrip(b"\0")
-    for at in range(0, len(data), 13):
+    for at in range(0, len(data), step):
         (tmp_path / "settled" / JOURNAL).write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
         assert [problem.where for problem in verify(tmp_path / "settled").problems] == [JOURNAL], at
         assert judged(Case(f"flipped {at}", tmp_path / "settled", False)).difference == ""
