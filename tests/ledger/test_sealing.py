@@ -135,9 +135,10 @@ def test_a_flipped_bit_in_what_is_being_sealed_is_never_a_torn_end(chained: Path
     data = (chained / SEALING).read_bytes().rstrip(b"\0")
     for at in range(0, len(data), step):
         (chained / SEALING).write_bytes(data[:at] + bytes([data[at] ^ 2]) + data[at + 1 :])
-        assert [problem.where for problem in verify(chained).problems] == [SEALING], at
+        [problem] = verify(chained).problems
+        assert problem.where in (SEALING, JOURNAL), at  # a record may have another hash than the next one says
         assert judged(Case(f"flipped {at}", chained, False)).difference == ""
-        with pytest.raises(LedgerCorrupted, match=SEALING):
+        with pytest.raises(LedgerCorrupted, match=problem.where):
             open_for_answers(chained)
 
 
