@@ -30,9 +30,8 @@ class _Line(Generic[K, V]):
         self.first = first
         self.changes: list[tuple[K] | tuple[K, V]] = []
         self.newest = {**first}
-        self.most = max(
-            _LARGE, len(first) // _SHARE
-        )  # changes, until there is another line: an old version holds no more
+        # How many changes, until there is another line: an old version holds no more.
+        self.most = max(_LARGE, len(first) // _SHARE)
 
 
 class Large(Mapping[K, V], Generic[K, V]):

@@ -49,47 +49,43 @@ def parents_plainly(nodes: bytes) -> bytes:
     return b"".join(found)
 
 
-def extended_plainly(size: int, subtrees: bytes, leaves: bytes) -> bytes:
-    """As `extended`, with hashlib."""
-    _require_tree(size, subtrees, leaves)
-    kept = [subtrees[at : at + HASH_BYTES] for at in range(0, len(subtrees), HASH_BYTES)]  # smallest last
-    found: list[bytes] = []  # smallest first
-    nodes = leaves
-    while nodes:
-        if size & 1:
-            nodes = kept.pop() + nodes
-        pairs = len(nodes) // (2 * HASH_BYTES) * 2 * HASH_BYTES
-        if pairs < len(nodes):
-            found.append(nodes[pairs:])
-        nodes = parents_plainly(nodes[:pairs])
-        size >>= 1
-    return b"".join((*kept, *reversed(found)))
-
-
-def _require_tree(size: int, subtrees: bytes, leaves: bytes) -> None:
+def _subtrees_of(size: int, subtrees: bytes, leaves: bytes) -> list[bytes]:
+    """Return these packed subtrees, largest first. Raises: ValueError if a tree of this size has others."""
     if len(subtrees) != size.bit_count() * HASH_BYTES or len(leaves) % HASH_BYTES:
         raise ValueError("found subtrees or leaves that are not those of a tree")
+    return [subtrees[at : at + HASH_BYTES] for at in range(0, len(subtrees), HASH_BYTES)]
+
+
+def _add_leaf(kept: list[bytes], size: int, leaf: bytes) -> None:
+    """Add a leaf to a tree of so many, given by its complete subtrees, largest first."""
+    node = leaf
+    while size & 1:
+        node, size = hashlib.sha256(b"\x01" + kept.pop() + node).digest(), size >> 1
+    kept.append(node)
+
+
+def extended_plainly(size: int, subtrees: bytes, leaves: bytes) -> bytes:
+    """As `extended`, with hashlib."""
+    kept = _subtrees_of(size, subtrees, leaves)
+    for more, at in enumerate(range(0, len(leaves), HASH_BYTES)):
+        _add_leaf(kept, size + more, leaves[at : at + HASH_BYTES])
+    return b"".join(kept)
 
 
 def roots_plainly(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     """As `roots`, with hashlib."""
-    sha256 = hashlib.sha256
-    _require_tree(size, subtrees, leaves)
-    kept = [subtrees[at : at + HASH_BYTES] for at in range(0, len(subtrees), HASH_BYTES)]
+    kept = _subtrees_of(size, subtrees, leaves)
     found = []
     at = 0
     for wanted in sizes:
         if wanted < max(size, 1) or (wanted - size) * HASH_BYTES > len(leaves) - at:
             raise ValueError(f"found size {wanted}, expected more, and leaves for it")
         while size < wanted:
-            node, rest = leaves[at : at + HASH_BYTES], size
-            while rest & 1:
-                node, rest = sha256(b"\x01" + kept.pop() + node).digest(), rest >> 1
-            kept.append(node)
+            _add_leaf(kept, size, leaves[at : at + HASH_BYTES])
             size, at = size + 1, at + HASH_BYTES
         root = kept[-1]
         for subtree in reversed(kept[:-1]):
-            root = sha256(b"\x01" + subtree + root).digest()
+            root = hashlib.sha256(b"\x01" + subtree + root).digest()
         found.append(root)
     return b"".join(found)
 
