@@ -64,7 +64,7 @@ def path(tmp_path: Path) -> Path:
 # --- the same events ---
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_however_runs_are_cut_sealed_and_compacted_rows_root_and_runs_are_the_same(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -363,7 +363,7 @@ def test_a_torn_end_of_the_journal_is_no_commit_and_the_next_writer_removes_it(p
 @pytest.mark.parametrize("name", [CHAIN, JOURNAL, NODES, INDEX, "checkpoint", "ledger.json"])
 def test_a_changed_byte_anywhere_is_found(path: Path, name: str) -> None:
     data = (path / name).read_bytes()
-    for at in range(0, len(data), max(1, len(data) // 40)):
+    for at in range(0, len(data), max(1, len(data) // 20)):
         (path / name).write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
         report = verify(path)
         assert not report.ok, (name, at)
