@@ -30,8 +30,8 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.rows.small import rows_of
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
-GROUPS = {1: 1_000, 10: 1_000, 100: 2_400, 1_000: 240}
-"""Of each size, how many are stored in a turn; of the larger ones, 14 journals full."""
+GROUPS = {1: 1_000, 10: 1_000, 100: 4_800, 1_000: 480}
+"""Of each size, how many are stored in a turn; 29 journals full of the larger ones; the last is waited for."""
 MOST_ROWS = 60_000
 """Events of a run that are stored; then another one follows."""
 

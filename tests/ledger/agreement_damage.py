@@ -203,7 +203,7 @@ def a_forged_note(path: Path, draw: random.Random, beside: Path) -> Case | None:
         "no empty line": text.replace("\n\n", "\n"),
         "an extension line": text.replace("\n\n", "\nmore\n\n"),
         "another origin": str(Note(checkpoint_of(ORIGIN + "x", tree))),
-        "another size": str(Note(checkpoint_of(ORIGIN, Frontier(tree.size + 1, tree.subtrees)))),
+        "another size": str(Note(checkpoint_of(ORIGIN, Frontier(tree.size + 1, tree.packed)))),
         "another root": text.replace(text.split("\n")[2], "A" * 43 + "="),
         "other base64": text.replace("=\n\n", "\n\n"),
         "a leading zero": text.replace(f"\n{tree.size}\n", f"\n0{tree.size}\n"),

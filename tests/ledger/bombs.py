@@ -125,7 +125,7 @@ def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> No
         number = len(list((path / "commits").iterdir()))
         before = record_of(path, number - 1)
         size = before.tree_size + count
-        tree = Frontier(size, (bytes(32),) * size.bit_count())
+        tree = Frontier(size, bytes(32) * size.bit_count())
         segment_path(path, number).write_bytes(data)
         changes: Values = {
             "number": number,

@@ -9,11 +9,13 @@ from unittest.mock import patch
 from fsar_ledger.errors import FsarLedgerError
 from fsar_ledger.ledger.chain import append
 from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.journal import ALLOTTED
 from fsar_ledger.ledger.chain.sealing import Sealing
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store import growing
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.verify.verify import verify
@@ -76,9 +78,16 @@ def take(writer: ChainWriter, path: Path, step: Step) -> int:
 
 @contextmanager
 def one_way() -> Iterator[None]:
-    """Let a small journal be full, and what is made of it be there when it is waited for, not at any time before."""
+    """Let a small journal be full, and what is made of it be there when it is waited for, not at any time before.
+
+    Room for a journal is made in two pieces, because a fault in any other is like one in these.
+    """
     never = property(lambda _: False)
-    with patch.object(append, "SEAL_ROWS", MOST_ROWS), patch.object(Sealing, "is_done", never):
+    with (
+        patch.object(append, "SEAL_ROWS", MOST_ROWS),
+        patch.object(Sealing, "is_done", never),
+        patch.object(growing, "_ZEROS_AT_ONCE", ALLOTTED // 2),
+    ):
         yield
 
 

@@ -33,6 +33,7 @@ HARMLESS = frozenset(
         "stat",
         "lstat",
         "fstat",
+        "lseek",
         "access",
         "F_OK",
         "fspath",

@@ -132,7 +132,7 @@ def test_both_name_the_event_that_breaks_a_rule_across_commits(
 
 
 def damages(path: Path, count: int, step: int) -> Iterator[tuple[str, dict[str, bytes]]]:
-    """Yield damages: what was done, and the files with what they hold then; of each file so many, of lines each STEP-th."""
+    """Yield damages: what was done, and the files with what they hold then; of each STEP-th line."""
     draw, good = random.Random(7), contents(path)
     for name, data in good.items():
         others = {other: held for other, held in good.items() if other != name}

@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import InvalidRun
+from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.ledger.rows import encoding
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_lines
-from fsar_ledger.ledger.rows.encoding import plain_lines
+from fsar_ledger.ledger.rows.encoding import MARK_OF, OPENING, marks_of, plain_lines
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.ledger.rows.small import rows_of
@@ -40,8 +41,8 @@ def texts_in(value: object) -> Iterator[str]:
         yield from texts_in(one)
 
 
-def in_python(run: LedgerRun) -> bytes:
-    return b"\n".join((*encode_lines([run]), b""))
+def in_python(run: LedgerRun) -> tuple[bytes, int]:
+    return b"\n".join((*encode_lines([run]), b"")), marks_of(run)
 
 
 @compiled
@@ -64,8 +65,8 @@ def test_a_part_of_a_run_is_written_in_c_as_in_python() -> None:
 @given(any_runs())
 def test_any_events_are_written_in_c_as_in_python_or_not_at_all(runs: list[LedgerRun]) -> None:
     for run in runs:
-        rows = in_python(run)
-        assert plain_lines(run) == (rows if is_plain(rows) else None)
+        expected = in_python(run)
+        assert plain_lines(run) == (expected if is_plain(expected[0]) else None)
 
 
 @compiled
@@ -121,9 +122,12 @@ def test_a_call_with_other_things_is_an_error() -> None:
     made: tuple[Any, ...] = (
         [],
         {kind: []},
-        {kind: (1,)},
-        {kind: ((1, 2),)},
-        {kind: ((0, "name", None, None, "x", False, None),)},
+        {kind: ()},
+        {kind: (0, [])},
+        {kind: ("no marks", ())},
+        {kind: (0, (1,))},
+        {kind: (0, ((1, 2),))},
+        {kind: (0, ((0, "name", None, None, "x", False, None),))},
     )
     for wrong in made:
         with pytest.raises(TypeError):
@@ -132,6 +136,49 @@ def test_a_call_with_other_things_is_an_error() -> None:
         lines(types({}), "run-1", 0, tuple(run.times_us), *given_lists[1:])  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="PyCapsule"):
         lines({}, "run-1", 0, *given_lists)  # type: ignore[arg-type]
+
+
+class Plain:
+    """No struct, so where it keeps what it has is not known."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+
+class Refuses(msgspec.Struct, frozen=True):
+    """A struct that cannot be made of anything, so where it keeps its field is not seen."""
+
+    name: str
+
+    def __post_init__(self) -> None:
+        if type(self.name) is not str:
+            raise ValueError
+
+
+class Larger(Refuses, frozen=True, weakref=True):
+    """A struct whose objects hold more than their fields."""
+
+
+@compiled
+@pytest.mark.parametrize("kind", [Plain, Refuses, Larger])
+def test_a_field_is_read_by_its_name_where_its_place_is_not_known(kind: type[Any]) -> None:
+    from fsar_ledger.ledger.rows._encoding import lines, types
+
+    made = types({kind: (4, ((0, b'"x":', "name", None, "name", False, None),))})
+    assert lines(made, "run-1", 7, [0, 0], [0, 0], [kind("a"), kind("b")]) == (b'{"x":"a"}\n{"x":"b"}\n', 4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_marks_of_a_run_are_those_of_its_events_but_the_one_that_begins_it(seed: int) -> None:
+    run = made_up_run("run-1", 40, seed)
+    for first, end in ((0, 1), (0, 40), (3, 4), (3, 40)):
+        part = piece(run, first, end)
+        marks = marks_of(part)
+        assert not marks & OPENING
+        assert {concern for concern, mark in MARK_OF.items() if marks & mark} == {
+            CONCERN_OF[name] for event in part.events if (name := type(event).__name__) in CONCERN_OF
+        }
+    assert marks_of(LedgerRun("run-1", [0, 0], [None, 0], [run.events[0], run.events[0]])) & OPENING
 
 
 @compiled

@@ -10,8 +10,11 @@ from hypothesis import strategies as st
 from fsar_ledger.ledger.log import hashing
 from fsar_ledger.ledger.log.hashing import (
     HASH_BYTES,
+    Added,
     Extended,
     Roots,
+    added,
+    added_plainly,
     digests,
     digests_plainly,
     extended,
@@ -93,6 +96,31 @@ def test_a_tree_grows_by_many_leaves_as_by_one_after_the_other(size: int, more: 
         tree = tree.extend(leaf)
     assert extended(*before) == extended_plainly(*before) == b"".join(tree.subtrees)
     assert tree.root() == root(found)
+
+
+@given(st.integers(0, 70), ROWS.filter(len))
+def test_lines_are_hashed_and_added_to_a_tree_at_once(size: int, rows: list[bytes]) -> None:
+    before = Frontier().extend(b"".join(hashes(size)))
+    lines = b"".join(row + b"\n" for row in rows)
+    after = before.extend(leaves(lines))
+    assert before.add(lines) == (leaves(lines), after, after.root())
+    given_all = size, before.packed, lines
+    assert added(*given_all) == added_plainly(*given_all) == (leaves(lines), after.packed, after.root())
+
+
+@pytest.mark.parametrize("rows", [1, 100, 2_000])
+def test_many_lines_are_hashed_and_added_while_other_threads_run(rows: int) -> None:
+    lines = b"".join(b"%d\n" % number * (number % 7 + 1) for number in range(rows))
+    assert added(3, bytes(64), lines) == added_plainly(3, bytes(64), lines)
+
+
+@pytest.mark.parametrize("added_of", [added, added_plainly])
+@pytest.mark.parametrize(("size", "subtrees", "lines"), [(0, b"", b""), (0, b"", b"a\nb"), (2, b"", b"a\n")])
+def test_lines_that_do_not_end_and_trees_of_no_such_size_are_refused(
+    added_of: Added, size: int, subtrees: bytes, lines: bytes
+) -> None:
+    with pytest.raises(ValueError, match=r"found no lines|does not end|those of a tree"):
+        added_of(size, subtrees, lines)
 
 
 @pytest.mark.parametrize("extended_of", [extended, extended_plainly])

@@ -196,7 +196,7 @@ def check(path: Path, offered: list[list[LedgerRun]], fates: Counter[str]) -> No
     """Append each batch, with a new writer or the one before; then check everything that is there."""
     kept: list[LedgerRun] = []
     writer = Writer(path, ORIGIN)
-    newest: list[LedgerRun] = []
+    accepted: list[list[LedgerRun]] = []
     said: list[str] = []
     for number, batch in enumerate(offered):
         if number % 3 == 2:
@@ -209,8 +209,8 @@ def check(path: Path, offered: list[list[LedgerRun]], fates: Counter[str]) -> No
             assert contents(path) == before, "refused, and yet something is there"
             said.append(str(refused))
         else:
-            kept += [] if batch == newest else batch
-            newest = batch
+            kept += [] if batch in accepted else batch  # a segment that is there already changes nothing
+            accepted.append(batch)
             fates["accepted"] += 1
     writer.close()
     fates["refused"] += len(said)

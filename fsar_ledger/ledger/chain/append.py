@@ -33,7 +33,7 @@ from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.chain.sealing import Sealing
 from fsar_ledger.ledger.chain.tables import require_staged, stage_made
-from fsar_ledger.ledger.log import hashing, pack
+from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Signer
@@ -80,6 +80,7 @@ class ChainWriter:
         self._segments = ledger / SEGMENTS
         self._turn = disk.Turns(self._segments)
         self._is_broken = False
+        self._chain = growing.Watched(ledger / paths.CHAIN)
         self._journal = JournalFile(ledger / paths.JOURNAL)
         self._sealing = Sealing()
         self._lock = -1
@@ -123,6 +124,7 @@ class ChainWriter:
         """Release the lock, after the checkpoint covers what is in the journal. What was appended stays."""
         if self._lock < 0:
             self._turn.close()
+            self._chain.close()
             return
         try:
             if (self._journal.is_open or self._sealing.is_begun) and not self._is_broken:
@@ -137,6 +139,7 @@ class ChainWriter:
         finally:
             self._sealing.close()
             self._journal.close()
+            self._chain.close()
             self._turn.close()
             disk.close(self._lock)
             self._lock = -1
@@ -182,7 +185,9 @@ class ChainWriter:
             continues = self._continued(staged)
             self._seal_all()
             tree, nodes = pack.grow(self._view.tree(), staged.leaves)
-            commit = self._commit(staged.rows, tree, continues, staged.goes_on, staged.release, signature)
+            commit = self._commit(
+                staged.rows, tree.size, tree.root(), continues, staged.goes_on, staged.release, signature
+            )
             self._place(staged, [canonical.document(commit)], tree, nodes, staged.blocks)
             self._runs().add(staged.blocks)
         return self._view.head
@@ -204,7 +209,6 @@ class ChainWriter:
                 f"found {count} events of {len(rows)} bytes, expected at most {SEAL_ROWS} events and {SEAL_BYTES} "
                 "bytes in one commit of a journal; stage them and append them as a segment"
             )
-        leaves = hashing.leaves(rows)
         goes_on = tuple(sorted(run.run_id for run in runs if run.goes_on))
         with self._turn:
             self._catch_up()
@@ -217,17 +221,28 @@ class ChainWriter:
             ):
                 self._hand_over()
             journal = self._view.journal
-            tree = journal.tree.extend(leaves)
-            commit = self._commit(count, tree, continued(blocks), goes_on)
+            leaves, tree, root = journal.tree.add(rows)
+            commit = self._commit(count, tree.size, root, continued(blocks), goes_on)
             line = canonical.document(commit)
+            frame = Frame(line, commit, rows, leaves)
             self._is_broken = True  # unless everything below succeeds
-            with disk.refusals(self._journal.path, "writing to the journal"):
-                self._journal.write(b"".join((line, b"\n", rows)), journal.end)
-            self._view.chain.add(commit, sha256_hex(line))
-            journal.add(Frame(line, commit, rows, leaves), tree)
-            self._runs().add(blocks)
+            try:
+                self._journal.write(
+                    b"".join((line, b"\n", rows)), journal.end, lambda: self._take_over(frame, tree, blocks)
+                )
+            except BaseException as error:
+                self._view.chain.forget(commit.number, commit.previous_sha256)
+                if isinstance(error, OSError):
+                    raise disk.refusal(self._journal.path, "writing to the journal", error) from error
+                raise
             self._is_broken = False
         return self._view.head
+
+    def _take_over(self, frame: Frame, tree: Frontier, blocks: Sequence[Block]) -> None:
+        """Go on from this frame of the journal, which leads to this tree."""
+        self._view.chain.add(frame.commit, sha256_hex(frame.line))
+        self._view.journal.add(frame, tree)
+        self._runs().add(blocks)
 
     def compact(self) -> int:
         """Put small neighbouring segments together, durably; return how many were put into others.
@@ -249,7 +264,7 @@ class ChainWriter:
     def _merge(self, old: Sequence[Placement]) -> None:
         """Put these neighbouring segments into one, and remove them."""
         staged, chain = merged_segment(self._view, old), self._view.chain
-        placement = self._placement(staged, old[0].first, old[-1].tree(), chain.sha256)
+        placement = chain.placement(staged, old[0].first, old[-1].tree(), chain.sha256)
         self._is_broken = True  # unless everything below succeeds
         self._grow_chain([canonical.document(placement)], 0, self._view.tree())
         with disk.refusals(self._segments, "moving a compacted segment into place"):
@@ -308,7 +323,7 @@ class ChainWriter:
 
     def _catch_up(self) -> None:
         """Take over what other writers have added since the last turn."""
-        if self._view.is_current(self._journal.handle):
+        if self._view.is_current(self._chain, self._journal.handle):
             return
         known = self._view.head.size
         self._journal.close()
@@ -326,19 +341,18 @@ class ChainWriter:
     def _commit(
         self,
         rows: int,
-        tree: Frontier,
+        size: int,
+        root: bytes,
         continues: tuple[tuple[str, int], ...],
         goes_on: tuple[str, ...],
         release: str = RELEASE,
         signature: str = "",
     ) -> Commit:
-        chain, root = self._view.chain, tree.root()
+        chain = self._view.chain
         if self._signer is not None:
-            made = self._signer.sign(Checkpoint(self._origin, tree.size, root))
+            made = self._signer.sign(Checkpoint(self._origin, size, root))
             signature = base64.b64encode(made.key_id + made.data).decode()
-        return Commit(
-            len(chain.commits), chain.sha256, release, rows, tree.size, root.hex(), continues, goes_on, signature
-        )
+        return Commit(len(chain.commits), chain.sha256, release, rows, size, root.hex(), continues, goes_on, signature)
 
     def _place(
         self,
@@ -356,7 +370,7 @@ class ChainWriter:
         chain = self._view.chain
         line = index_line(chain.placed_size, blocks)
         previous = sha256_hex(lines[-1]) if lines else chain.sha256
-        placement = self._placement(staged, chain.placed_size, tree, previous, line)
+        placement = chain.placement(staged, chain.placed_size, tree, previous, line)
         self._is_broken = True  # unless everything below succeeds
         self._grow_chain([*lines, canonical.document(placement)], frames, self._view.tree() if frames else tree)
         try:
@@ -376,24 +390,6 @@ class ChainWriter:
         with disk.refusals(self._path / paths.CHAIN, "writing to the chain"):
             growing.append_durably(self._path / paths.CHAIN, b"\n".join((*lines, b"")), self._view.followed.end)
         self._view = self._view.grown(lines, frames, tree)
-
-    def _placement(
-        self, staged: Staged, first: int, tree: Frontier, previous_sha256: str, line: bytes = b""
-    ) -> Placement:
-        """Return the line for the rows from `first` to the end of this tree, which have this line of the index."""
-        return Placement(
-            len(self._view.chain.placements),
-            previous_sha256,
-            staged.release,
-            staged.schema_sha256,
-            staged.segment_sha256,
-            staged.segment_bytes,
-            first,
-            staged.rows,
-            tuple(subtree.hex() for subtree in tree.subtrees),
-            len(line),
-            sha256_hex(line) if line else "",
-        )
 
     def _write_checkpoint(self) -> None:
         """Write the note of the newest commit, durably. Raises: OSError."""

@@ -8,7 +8,6 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.chain.record import Placement
 from fsar_ledger.ledger.chain.tables import made_of, stage_made
-from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store.append import Staged
 
@@ -42,7 +41,7 @@ def merged_segment(view: ChainView, old: Sequence[Placement]) -> Staged:
     table = pa.concat_tables(tables).combine_chunks()
     leaves = canonical.leaves(table)
     before = view.chain.tree_at(old[0].first)
-    after = Frontier(before.size, before.subtrees).extend(leaves)
+    after = before.extend(leaves)
     if after != old[-1].tree():
         raise LedgerCorrupted(
             f"{view.path}: events {old[0].first} to {old[-1].end - 1}: found rows that lead to root "

@@ -11,9 +11,10 @@ rows.
 
 import os
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from time import perf_counter_ns
 
 import msgspec
 
@@ -28,6 +29,8 @@ from fsar_ledger.ledger.store.record import sha256_hex
 
 ALLOTTED = 1 << 20
 """Bytes by which the file grows: writing over what is there, a disk syncs only the data."""
+_SMALL, _AWAITED_NS = 1 << 14, 20_000
+"""So few bytes begin to be synced early. Many disks have them after this; to sleep until then would take longer."""
 _LARGE = 1 << 17
 """Bytes from which a frame brings no room: to write as many bytes again takes longer than to sync the file's size."""
 
@@ -304,8 +307,8 @@ class JournalFile:
         """Return whether something was written since it was opened or closed."""
         return self.handle >= 0
 
-    def write(self, data: bytes, end: int) -> None:
-        """Write these bytes where the last frame ends, and sync them, once.
+    def write(self, data: bytes, end: int, meanwhile: Callable[[], None]) -> None:
+        """Write these bytes where the last frame ends, and sync them, once; do this while the disk is at it.
 
         When that fails, the file is cut off there, if the disk allows it. Raises: OSError.
         """
@@ -318,16 +321,24 @@ class JournalFile:
             if is_new:
                 disk.sync_folder(self.path.parent)
         after = end + len(data)
-        allots = after > self._room and len(data) < _LARGE
-        room = b"\0" * (after // ALLOTTED * ALLOTTED + ALLOTTED - after) if allots else b""
+        room = after
         try:
-            growing.write_at(self.handle, data + room, end)
+            growing.write_at(self.handle, data, end)
+            if is_small := len(data) < _SMALL:
+                growing.begin_to_sync(self.handle, end, len(data))
+            begun = perf_counter_ns()
+            if after > self._room and len(data) < _LARGE:
+                room = after // ALLOTTED * ALLOTTED + ALLOTTED
+                growing.write_zeros(self.handle, after, room)
+            meanwhile()
+            while is_small and perf_counter_ns() - begun < _AWAITED_NS:
+                pass
             os.fdatasync(self.handle)
         except BaseException:
             with suppress(OSError):
                 os.ftruncate(self.handle, end)
             raise
-        self._room = max(self._room, after + len(room))
+        self._room = max(self._room, room)
 
     def hand_over(self) -> None:
         """Make it the file that is being sealed, durably; the next frame goes into a new one. Raises: OSError."""

@@ -18,8 +18,10 @@ from fsar_ledger.ledger.chain.record import Commit, Placement, Record, parse_lin
 from fsar_ledger.ledger.log.hashing import digests
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
+from fsar_ledger.ledger.store.append import Staged
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import sha256_hex
 
 Doubt = tuple[str, object, object]
 """A field, what was found in it, and what was expected."""
@@ -113,9 +115,29 @@ class Chain:
     def _go_on(self, commit: Commit) -> None:
         if not commit.continues and not commit.goes_on:
             return
+        if len(commit.continues) == len(commit.goes_on) == 1 and commit.continues[0][0] == commit.goes_on[0]:
+            return  # the usual case: one run that went on does so
         ended = {run for run, _ in commit.continues}.difference(commit.goes_on)
         if ended or not self.going_on.issuperset(commit.goes_on):
             self.going_on = self.going_on - ended | frozenset(commit.goes_on)
+
+    def placement(
+        self, staged: Staged, first: int, tree: Frontier, previous_sha256: str, line: bytes = b""
+    ) -> Placement:
+        """Return the next placement: of rows from `first` to the end of this tree, with this line of the index."""
+        return Placement(
+            len(self.placements),
+            previous_sha256,
+            staged.release,
+            staged.schema_sha256,
+            staged.segment_sha256,
+            staged.segment_bytes,
+            first,
+            staged.rows,
+            tuple(subtree.hex() for subtree in tree.subtrees),
+            len(line),
+            sha256_hex(line) if line else "",
+        )
 
     def doubt(self, record: Record) -> Doubt | None:
         """Return the first field that contradicts the record itself, the lines before, or what this version knows."""

@@ -156,24 +156,24 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         """Return the packed leaf hashes of the rows of this segment. Raises: As `segment`."""
         return canonical.leaves(self.table(number))
 
-    def is_current(self, journal: int = -1) -> bool:
-        """Return whether nothing was appended since the ledger was opened. `journal` is the journal, if it is open.
+    def is_current(self, chain: growing.Watched | None = None, journal: int = -1) -> bool:
+        """Return whether nothing was appended since the ledger was opened; `chain` and `journal` are these, if open.
 
         Whoever seals the journal appends to the chain, whoever hands it over renames it, and others write where it
         ends. Its size is not looked at: after that a file system has to give the next change a time of its own.
         """
         try:
-            chain, path, sealing = self._growing
-            if growing.size_of(chain) != self.followed.end or os.access(sealing, os.F_OK) != self.journal.has_sealing:
+            chain_path, path, sealing = self._growing
+            size, end = chain.size() if chain else growing.size_of(chain_path), self.journal.end
+            if size != self.followed.end or os.access(sealing, os.F_OK) != self.journal.has_sealing:
                 return False
-            end = self.journal.end
             return (growing.read_at(path, end, 1) if journal < 0 else os.pread(journal, 1, end)) in (b"", b"\0")
         except OSError:
             return False
 
     @cached_property
-    def _growing(self) -> tuple[str, str, str]:
-        return str(self.path / CHAIN), str(self.path / JOURNAL), str(self.path / SEALING)
+    def _growing(self) -> tuple[str, ...]:
+        return tuple(str(self.path / name) for name in (CHAIN, JOURNAL, SEALING))
 
     def grown(self, lines: Sequence[bytes], placed: int, tree: Frontier) -> "ChainView":
         """Return the view after these lines were appended to the chain: those that it lacks of the journal, and more.

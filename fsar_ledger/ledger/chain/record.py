@@ -108,7 +108,7 @@ class Placement(
 
     def tree(self) -> Frontier:
         """Return the tree that ends with these events."""
-        return Frontier(self.end, tuple(map(bytes.fromhex, self.frontier)))
+        return Frontier(self.end, bytes.fromhex("".join(self.frontier)))
 
 
 Record: TypeAlias = Commit | Placement

@@ -8,9 +8,11 @@
 #define Py_LIMITED_API 0x030b0000
 #include <Python.h>
 #include <stdint.h>
+#include <stdlib.h>
 #include <string.h>
 
 #define HASH_BYTES 32
+#define PAIR_BYTES (2 * HASH_BYTES)
 #define BLOCK_BYTES 64
 #define MAX_SUBTREES 64
 
@@ -67,34 +69,80 @@ static void compress_plainly(uint32_t state[8], const uint8_t *block, size_t blo
 #include <cpuid.h>
 #include <immintrin.h>
 
-/* The instructions take the state as ABEF and CDGH, and do two rounds at a time; so each step below does four. */
-__attribute__((target("sha,sse4.1"))) static void compress_with_extensions(uint32_t state[8], const uint8_t *block,
-                                                                            size_t blocks) {
-    const __m128i order = _mm_set_epi64x(0x0c0d0e0f08090a0bULL, 0x0405060700010203ULL);
+#define WITH_EXTENSIONS __attribute__((target("sha,sse4.1")))
+#define STEPS 16 /* each of 4 rounds: the instructions do two at a time */
+
+/* A hash as the instructions take it, and the words of the schedule that are needed next. */
+typedef struct {
+    __m128i abef, cdgh, w[4];
+} Lane;
+
+WITH_EXTENSIONS static inline Lane lane_of(const uint32_t state[8]) {
     __m128i low = _mm_shuffle_epi32(_mm_loadu_si128((const __m128i *)state), 0xb1);
     __m128i high = _mm_shuffle_epi32(_mm_loadu_si128((const __m128i *)(state + 4)), 0x1b);
-    __m128i abef = _mm_alignr_epi8(low, high, 8), cdgh = _mm_blend_epi16(high, low, 0xf0);
-    for (; blocks; blocks--, block += BLOCK_BYTES) {
-        __m128i abef_before = abef, cdgh_before = cdgh, w[4];
-        for (int i = 0; i < 16; i++) {
-            __m128i words;
-            if (i < 4) {
-                words = _mm_shuffle_epi8(_mm_loadu_si128((const __m128i *)(block + 16 * i)), order);
-            } else {
-                words = _mm_sha256msg1_epu32(w[i % 4], w[(i + 1) % 4]);
-                words = _mm_add_epi32(words, _mm_alignr_epi8(w[(i + 3) % 4], w[(i + 2) % 4], 4));
-                words = _mm_sha256msg2_epu32(words, w[(i + 3) % 4]);
-            }
-            w[i % 4] = words;
-            words = _mm_add_epi32(words, _mm_loadu_si128((const __m128i *)(CONSTANTS + 4 * i)));
-            cdgh = _mm_sha256rnds2_epu32(cdgh, abef, words);
-            abef = _mm_sha256rnds2_epu32(abef, cdgh, _mm_shuffle_epi32(words, 0x0e));
-        }
-        abef = _mm_add_epi32(abef, abef_before), cdgh = _mm_add_epi32(cdgh, cdgh_before);
-    }
-    low = _mm_shuffle_epi32(abef, 0x1b), high = _mm_shuffle_epi32(cdgh, 0xb1);
+    Lane lane = {.abef = _mm_alignr_epi8(low, high, 8), .cdgh = _mm_blend_epi16(high, low, 0xf0)};
+    return lane;
+}
+
+WITH_EXTENSIONS static inline void keep(const Lane *lane, uint32_t state[8]) {
+    __m128i low = _mm_shuffle_epi32(lane->abef, 0x1b), high = _mm_shuffle_epi32(lane->cdgh, 0xb1);
     _mm_storeu_si128((__m128i *)state, _mm_blend_epi16(low, high, 0xf0));
     _mm_storeu_si128((__m128i *)(state + 4), _mm_alignr_epi8(high, low, 8));
+}
+
+WITH_EXTENSIONS static inline void four_rounds(Lane *lane, __m128i words, int step) {
+    words = _mm_add_epi32(words, _mm_loadu_si128((const __m128i *)(CONSTANTS + 4 * step)));
+    lane->cdgh = _mm_sha256rnds2_epu32(lane->cdgh, lane->abef, words);
+    lane->abef = _mm_sha256rnds2_epu32(lane->abef, lane->cdgh, _mm_shuffle_epi32(words, 0x0e));
+}
+
+/* The words of one of the first four steps are those of the block. */
+WITH_EXTENSIONS static inline void begin_with(Lane *lane, int step, const uint8_t *block) {
+    const __m128i order = _mm_set_epi64x(0x0c0d0e0f08090a0bULL, 0x0405060700010203ULL);
+    lane->w[step] = _mm_shuffle_epi8(_mm_loadu_si128((const __m128i *)(block + 16 * step)), order);
+    four_rounds(lane, lane->w[step], step);
+}
+
+/* Those of the others follow from the four steps before, of which the oldest is in this place. */
+WITH_EXTENSIONS static inline void go_on(Lane *lane, int step, int place) {
+    __m128i *w = lane->w, words = _mm_sha256msg1_epu32(w[place], w[(place + 1) % 4]);
+    words = _mm_add_epi32(words, _mm_alignr_epi8(w[(place + 3) % 4], w[(place + 2) % 4], 4));
+    w[place] = _mm_sha256msg2_epu32(words, w[(place + 3) % 4]);
+    four_rounds(lane, w[place], step + place);
+}
+
+WITH_EXTENSIONS static inline void add_state(Lane *lane, const Lane *before) {
+    lane->abef = _mm_add_epi32(lane->abef, before->abef), lane->cdgh = _mm_add_epi32(lane->cdgh, before->cdgh);
+}
+
+WITH_EXTENSIONS static void compress_with_extensions(uint32_t state[8], const uint8_t *block, size_t blocks) {
+    Lane lane = lane_of(state);
+    for (; blocks; blocks--, block += BLOCK_BYTES) {
+        Lane before = lane;
+        begin_with(&lane, 0, block), begin_with(&lane, 1, block), begin_with(&lane, 2, block), begin_with(&lane, 3, block);
+        for (int i = 4; i < STEPS; i += 4) go_on(&lane, i, 0), go_on(&lane, i, 1), go_on(&lane, i, 2), go_on(&lane, i, 3);
+        add_state(&lane, &before);
+    }
+    keep(&lane, state);
+}
+
+/* Each step waits for the one before, so two hashes at a time take little longer than one. */
+WITH_EXTENSIONS static void compress_two_with_extensions(uint32_t state[8], const uint8_t *block, uint32_t other_state[8],
+                                                         const uint8_t *other_block, size_t blocks) {
+    Lane lane = lane_of(state), other = lane_of(other_state);
+    for (; blocks; blocks--, block += BLOCK_BYTES, other_block += BLOCK_BYTES) {
+        Lane before = lane, other_before = other;
+        begin_with(&lane, 0, block), begin_with(&other, 0, other_block);
+        begin_with(&lane, 1, block), begin_with(&other, 1, other_block);
+        begin_with(&lane, 2, block), begin_with(&other, 2, other_block);
+        begin_with(&lane, 3, block), begin_with(&other, 3, other_block);
+        for (int i = 4; i < STEPS; i += 4) {
+            go_on(&lane, i, 0), go_on(&other, i, 0), go_on(&lane, i, 1), go_on(&other, i, 1);
+            go_on(&lane, i, 2), go_on(&other, i, 2), go_on(&lane, i, 3), go_on(&other, i, 3);
+        }
+        add_state(&lane, &before), add_state(&other, &other_before);
+    }
+    keep(&lane, state), keep(&other, other_state);
 }
 
 static int has_sha_extensions(void) {
@@ -104,7 +152,14 @@ static int has_sha_extensions(void) {
 }
 #endif
 
+static void compress_two_plainly(uint32_t state[8], const uint8_t *block, uint32_t other_state[8],
+                                 const uint8_t *other_block, size_t blocks) {
+    compress_plainly(state, block, blocks), compress_plainly(other_state, other_block, blocks);
+}
+
 static void (*compress)(uint32_t state[8], const uint8_t *block, size_t blocks) = compress_plainly;
+static void (*compress_two)(uint32_t state[8], const uint8_t *block, uint32_t other_state[8], const uint8_t *other_block,
+                            size_t blocks) = compress_two_plainly;
 
 #define NOTHING (-1)
 
@@ -135,23 +190,74 @@ static void hash_after(int first, const uint8_t *data, size_t size, uint8_t *out
     for (int i = 0; i < 8; i++) store(out + 4 * i, state[i]);
 }
 
+/* Return how many lines these are. Raises: ValueError (-1) if the last one does not end. */
+static Py_ssize_t count_lines(const char *data, Py_ssize_t size) {
+    Py_ssize_t rows = 0;
+    if (size && data[size - 1] != '\n') return PyErr_Format(PyExc_ValueError, "the last line does not end"), -1;
+    for (const char *at = data; (at = memchr(at, '\n', data + size - at)) != NULL; at++) rows++;
+    return rows;
+}
+
+#define SHORT_BYTES 1000 /* most rows are shorter */
+#define PADDED_BYTES ((SHORT_BYTES + 9) / BLOCK_BYTES * BLOCK_BYTES + BLOCK_BYTES)
+
+/* Put first || data, which is short, into whole blocks as they are hashed; return how many. */
+static size_t pad(uint8_t first, const uint8_t *data, size_t size, uint8_t *padded) {
+    uint64_t bits = (uint64_t)(size + 1) * 8;
+    size_t blocks = (size + 1 + 9 + BLOCK_BYTES - 1) / BLOCK_BYTES, end = blocks * BLOCK_BYTES;
+    memset(padded + end - BLOCK_BYTES, 0, BLOCK_BYTES);
+    if (blocks > 1) memset(padded + end - 2 * BLOCK_BYTES, 0, BLOCK_BYTES);
+    padded[0] = first;
+    memcpy(padded + 1, data, size);
+    padded[size + 1] = 0x80;
+    for (int i = 0; i < 8; i++) padded[end - 1 - i] = (uint8_t)(bits >> 8 * i);
+    return blocks;
+}
+
+/* Write SHA-256(first || data) of two texts. */
+static void hash_two(uint8_t first, const uint8_t *data, size_t size, uint8_t *out, const uint8_t *other, size_t other_size,
+                     uint8_t *other_out) {
+    uint8_t padded[PADDED_BYTES], other_padded[PADDED_BYTES];
+    uint32_t state[8], other_state[8];
+    if (size >= SHORT_BYTES || other_size >= SHORT_BYTES) {
+        hash_after(first, data, size, out), hash_after(first, other, other_size, other_out);
+        return;
+    }
+    size_t blocks = pad(first, data, size, padded), other_blocks = pad(first, other, other_size, other_padded);
+    size_t both = blocks < other_blocks ? blocks : other_blocks, done = both * BLOCK_BYTES;
+    memcpy(state, START, sizeof state), memcpy(other_state, START, sizeof other_state);
+    compress_two(state, padded, other_state, other_padded, both);
+    compress(state, padded + done, blocks - both), compress(other_state, other_padded + done, other_blocks - both);
+    for (int i = 0; i < 8; i++) store(out + 4 * i, state[i]), store(other_out + 4 * i, other_state[i]);
+}
+
+/* Write the leaf hashes of these lines, each ended by a line feed. */
+static void hash_lines(const char *data, Py_ssize_t size, uint8_t *hashes) {
+    const char *before = NULL, *at = data;
+    Py_ssize_t before_size = 0;
+    for (; at < data + size; hashes += HASH_BYTES) {
+        const char *end = memchr(at, '\n', data + size - at);
+        if (before == NULL) {
+            before = at, before_size = end - at;
+        } else {
+            hash_two(0x00, (const uint8_t *)before, before_size, hashes - HASH_BYTES, (const uint8_t *)at, end - at, hashes);
+            before = NULL;
+        }
+        at = end + 1;
+    }
+    if (before != NULL) hash_after(0x00, (const uint8_t *)before, before_size, hashes - HASH_BYTES);
+}
+
 static PyObject *leaves(PyObject *module, PyObject *lines) {
     char *data, *hashes;
-    Py_ssize_t size, rows = 0;
+    Py_ssize_t size, rows;
     (void)module;
-    if (PyBytes_AsStringAndSize(lines, &data, &size) < 0) return NULL;
-    if (size && data[size - 1] != '\n') return PyErr_Format(PyExc_ValueError, "the last line does not end");
-    for (const char *at = data; (at = memchr(at, '\n', data + size - at)) != NULL; at++) rows++;
+    if (PyBytes_AsStringAndSize(lines, &data, &size) < 0 || (rows = count_lines(data, size)) < 0) return NULL;
     PyObject *found = PyBytes_FromStringAndSize(NULL, rows * HASH_BYTES);
     if (found == NULL) return NULL;
     hashes = PyBytes_AsString(found);
     Py_BEGIN_ALLOW_THREADS
-    const char *at = data;
-    for (Py_ssize_t row = 0; row < rows; row++) {
-        const char *end = memchr(at, '\n', data + size - at);
-        hash_after(0x00, (const uint8_t *)at, end - at, (uint8_t *)hashes + row * HASH_BYTES);
-        at = end + 1;
-    }
+    hash_lines(data, size, (uint8_t *)hashes);
     Py_END_ALLOW_THREADS
     return found;
 }
@@ -171,25 +277,31 @@ static PyObject *digests(PyObject *module, PyObject *texts) {
     return found;
 }
 
+/* Write the parents of pairs of nodes; they may be where the nodes are. */
+static void hash_pairs(const uint8_t *nodes, size_t pairs, uint8_t *parents) {
+    for (; pairs >= 2; pairs -= 2, nodes += 2 * PAIR_BYTES, parents += 2 * HASH_BYTES)
+        hash_two(0x01, nodes, PAIR_BYTES, parents, nodes + PAIR_BYTES, PAIR_BYTES, parents + HASH_BYTES);
+    if (pairs) hash_after(0x01, nodes, PAIR_BYTES, parents);
+}
+
 static PyObject *parents(PyObject *module, PyObject *nodes) {
     char *data, *hashes;
     Py_ssize_t size;
     (void)module;
     if (PyBytes_AsStringAndSize(nodes, &data, &size) < 0) return NULL;
-    if (size % (2 * HASH_BYTES)) return PyErr_Format(PyExc_ValueError, "found %zd bytes, expected pairs of hashes", size);
+    if (size % PAIR_BYTES) return PyErr_Format(PyExc_ValueError, "found %zd bytes, expected pairs of hashes", size);
     PyObject *found = PyBytes_FromStringAndSize(NULL, size / 2);
     if (found == NULL) return NULL;
     hashes = PyBytes_AsString(found);
     Py_BEGIN_ALLOW_THREADS
-    for (Py_ssize_t at = 0; at < size; at += 2 * HASH_BYTES)
-        hash_after(0x01, (const uint8_t *)data + at, 2 * HASH_BYTES, (uint8_t *)hashes + at / 2);
+    hash_pairs((const uint8_t *)data, size / PAIR_BYTES, (uint8_t *)hashes);
     Py_END_ALLOW_THREADS
     return found;
 }
 
 /* Write the root of a tree with these complete subtrees, largest first; at least one. */
 static void fold(const uint8_t (*subtrees)[HASH_BYTES], int count, uint8_t *root) {
-    uint8_t pair[2 * HASH_BYTES];
+    uint8_t pair[PAIR_BYTES];
     memcpy(root, subtrees[count - 1], HASH_BYTES);
     for (int at = count - 2; at >= 0; at--) {
         memcpy(pair, subtrees[at], HASH_BYTES), memcpy(pair + HASH_BYTES, root, HASH_BYTES);
@@ -217,13 +329,36 @@ static int begin(Tree *tree, unsigned long long size, const char *subtrees, Py_s
 }
 
 static void add_leaf(Tree *tree, const uint8_t *leaf) {
-    uint8_t pair[2 * HASH_BYTES], *hash = tree->kept[tree->count++];
+    uint8_t pair[PAIR_BYTES], *hash = tree->kept[tree->count++];
     memcpy(hash, leaf, HASH_BYTES);
     for (unsigned long long rest = tree->size++; rest & 1; rest >>= 1, tree->count--) {
         hash = tree->kept[tree->count - 2];
         memcpy(pair, hash, sizeof pair);
         hash_after(0x01, pair, sizeof pair, hash);
     }
+}
+
+#define FEW_LEAVES 4
+
+/* Add packed leaves, level by level if they are many. */
+static void add_leaves(Tree *tree, const uint8_t *leaves, size_t count) {
+    uint8_t *work = count < FEW_LEAVES ? NULL : malloc((count + 1) * HASH_BYTES), made[MAX_SUBTREES][HASH_BYTES];
+    if (work == NULL) {
+        for (; count; count--, leaves += HASH_BYTES) add_leaf(tree, leaves);
+        return;
+    }
+    int found = 0; /* subtrees that are complete now, smallest first */
+    unsigned long long size = tree->size;
+    tree->size += count;
+    memcpy(work + HASH_BYTES, leaves, count * HASH_BYTES);
+    for (; count; size >>= 1, count /= 2) {
+        uint8_t *nodes = work + HASH_BYTES;
+        if (size & 1) nodes = work, count++, memcpy(nodes, tree->kept[--tree->count], HASH_BYTES);
+        if (count & 1) memcpy(made[found++], nodes + (count - 1) * HASH_BYTES, HASH_BYTES);
+        hash_pairs(nodes, count / 2, work + HASH_BYTES);
+    }
+    while (found) memcpy(tree->kept[tree->count++], made[--found], HASH_BYTES);
+    free(work);
 }
 
 static PyObject *extended(PyObject *module, PyObject *args) {
@@ -235,7 +370,7 @@ static PyObject *extended(PyObject *module, PyObject *args) {
     if (!PyArg_ParseTuple(args, "Ky#y#", &size, &before, &before_size, &leaves, &leaves_size)) return NULL;
     if (begin(&tree, size, before, before_size, leaves_size) < 0) return NULL;
     Py_BEGIN_ALLOW_THREADS
-    for (Py_ssize_t at = 0; at < leaves_size; at += HASH_BYTES) add_leaf(&tree, (const uint8_t *)leaves + at);
+    add_leaves(&tree, (const uint8_t *)leaves, leaves_size / HASH_BYTES);
     Py_END_ALLOW_THREADS
     return PyBytes_FromStringAndSize((const char *)tree.kept, (Py_ssize_t)tree.count * HASH_BYTES);
 }
@@ -259,10 +394,36 @@ static PyObject *roots(PyObject *module, PyObject *args) {
         if (PyErr_Occurred()) return Py_DECREF(found), NULL;
         if (wanted < tree.size || !wanted || wanted - tree.size > (unsigned long long)(end - leaf) / HASH_BYTES)
             return Py_DECREF(found), PyErr_Format(PyExc_ValueError, "found size %llu, expected more, and leaves for it", wanted);
-        for (; tree.size < wanted; leaf += HASH_BYTES) add_leaf(&tree, leaf);
+        size_t more = wanted - tree.size;
+        add_leaves(&tree, leaf, more);
+        leaf += more * HASH_BYTES;
         fold((const uint8_t(*)[HASH_BYTES])tree.kept, tree.count, root);
     }
     return found;
+}
+
+/* Few rows are hashed before another thread would have begun. */
+#define FEW_BYTES (1 << 14)
+
+static PyObject *added(PyObject *module, PyObject *args) {
+    const char *before, *data;
+    Py_ssize_t before_size, size, rows;
+    unsigned long long leaves;
+    uint8_t root[HASH_BYTES];
+    Tree tree;
+    (void)module;
+    if (!PyArg_ParseTuple(args, "Ky#y#", &leaves, &before, &before_size, &data, &size)) return NULL;
+    if (begin(&tree, leaves, before, before_size, 0) < 0 || (rows = count_lines(data, size)) < 0) return NULL;
+    if (!rows) return PyErr_Format(PyExc_ValueError, "found no lines, expected at least one");
+    PyObject *found = PyBytes_FromStringAndSize(NULL, rows * HASH_BYTES);
+    if (found == NULL) return NULL;
+    uint8_t *hashes = (uint8_t *)PyBytes_AsString(found);
+    PyThreadState *others = size > FEW_BYTES ? PyEval_SaveThread() : NULL;
+    hash_lines(data, size, hashes);
+    add_leaves(&tree, hashes, rows);
+    fold((const uint8_t(*)[HASH_BYTES])tree.kept, tree.count, root);
+    if (others != NULL) PyEval_RestoreThread(others);
+    return Py_BuildValue("(Ny#y#)", found, tree.kept, (Py_ssize_t)tree.count * HASH_BYTES, root, (Py_ssize_t)HASH_BYTES);
 }
 
 static PyMethodDef METHODS[] = {
@@ -270,6 +431,7 @@ static PyMethodDef METHODS[] = {
     {"digests", digests, METH_O, "Return the packed hashes of these texts."},
     {"parents", parents, METH_O, "Return the packed hashes of pairs of packed hashes."},
     {"extended", extended, METH_VARARGS, "Return the packed subtrees of a tree after these packed leaves are added."},
+    {"added", added, METH_VARARGS, "Return the packed leaf hashes of lines, and the packed subtrees and the root of a tree after them."},
     {"roots", roots, METH_VARARGS, "Return the packed roots of a tree when it has so many leaves."},
     {NULL, NULL, 0, NULL},
 };
@@ -278,7 +440,7 @@ static struct PyModuleDef MODULE = {PyModuleDef_HEAD_INIT, "_hashing", NULL, 0, 
 
 PyMODINIT_FUNC PyInit__hashing(void) {
 #ifdef HAS_SHA_EXTENSIONS
-    if (has_sha_extensions()) compress = compress_with_extensions;
+    if (has_sha_extensions()) compress = compress_with_extensions, compress_two = compress_two_with_extensions;
 #endif
     return PyModule_Create(&MODULE);
 }

@@ -16,6 +16,7 @@ _PAIRS_AT_ONCE = 512  # few enough to stay in the CPU caches
 Hash: TypeAlias = Callable[[bytes], bytes]
 Digests: TypeAlias = Callable[[list[bytes]], bytes]
 Extended: TypeAlias = Callable[[int, bytes, bytes], bytes]
+Added: TypeAlias = Callable[[int, bytes, bytes], tuple[bytes, bytes, bytes]]
 Roots: TypeAlias = Callable[[int, bytes, bytes, list[int]], bytes]
 
 
@@ -72,6 +73,15 @@ def extended_plainly(size: int, subtrees: bytes, leaves: bytes) -> bytes:
     return b"".join(kept)
 
 
+def added_plainly(size: int, subtrees: bytes, lines: bytes) -> tuple[bytes, bytes, bytes]:
+    """As `added`, with hashlib."""
+    found = leaves_plainly(lines)
+    if not found or lines[-1:] != b"\n":
+        raise ValueError("found no lines, or a last one that does not end; expected at least one")
+    after = size + len(found) // HASH_BYTES
+    return found, extended_plainly(size, subtrees, found), roots_plainly(size, subtrees, found, [after])
+
+
 def roots_plainly(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     """As `roots`, with hashlib."""
     kept = _subtrees_of(size, subtrees, leaves)
@@ -121,6 +131,16 @@ def extended(size: int, subtrees: bytes, leaves: bytes) -> bytes:
     return _extended(size, subtrees, leaves)
 
 
+def added(size: int, subtrees: bytes, lines: bytes) -> tuple[bytes, bytes, bytes]:
+    """Return the packed leaf hashes of these lines; and of the tree with them the packed subtrees and the root.
+
+    It was of `size` leaves and these subtrees before.
+
+    Raises: ValueError as `extended`, and if there are no lines, or the last one does not end.
+    """
+    return _added(size, subtrees, lines)
+
+
 def roots(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     """Return the packed roots of a tree when it has so many leaves, for each of these sizes, which rise.
 
@@ -131,21 +151,22 @@ def roots(size: int, subtrees: bytes, leaves: bytes, sizes: list[int]) -> bytes:
     return _roots(size, subtrees, leaves, sizes)
 
 
-def _compiled() -> tuple[Hash, Digests, Hash, Extended, Roots] | None:
+def _compiled() -> tuple[Hash, Digests, Hash, Extended, Added, Roots] | None:
     try:
         from fsar_ledger.ledger.log import _hashing
     except ImportError:  # it was not built, as without a compiler
         return None
-    return _hashing.leaves, _hashing.digests, _hashing.parents, _hashing.extended, _hashing.roots
+    return _hashing.leaves, _hashing.digests, _hashing.parents, _hashing.extended, _hashing.added, _hashing.roots
 
 
 _found = _compiled()
 IS_COMPILED = _found is not None
 """Whether the hashes are made in C."""
-_leaves, _digests, _parents, _extended, _roots = _found or (
+_leaves, _digests, _parents, _extended, _added, _roots = _found or (
     leaves_plainly,
     digests_plainly,
     parents_plainly,
     extended_plainly,
+    added_plainly,
     roots_plainly,
 )

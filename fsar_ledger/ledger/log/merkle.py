@@ -32,24 +32,33 @@ def node_hash(left: bytes, right: bytes) -> bytes:
 
 
 class Frontier(msgspec.Struct, frozen=True):
-    """The state needed to append to a tree: the roots of its complete subtrees, largest first.
+    """The state needed to append to a tree: the packed roots of its complete subtrees, largest first.
 
     There is one for each bit set in `size`; together they determine the root of the tree.
     """
 
     size: int = 0
-    subtrees: tuple[bytes, ...] = ()
+    packed: bytes = b""
+
+    @property
+    def subtrees(self) -> tuple[bytes, ...]:
+        """Return the roots of the complete subtrees, largest first."""
+        return tuple([self.packed[at : at + HASH_BYTES] for at in range(0, len(self.packed), HASH_BYTES)])
 
     def extend(self, leaves: bytes) -> "Frontier":
         """Return the frontier after appending these packed leaf hashes. Costs one hash per leaf.
 
         Raises: ValueError if it is of no tree.
         """
-        packed = hashing.extended(self.size, b"".join(self.subtrees), leaves)
-        return Frontier(
-            self.size + len(leaves) // HASH_BYTES,
-            tuple([packed[at : at + HASH_BYTES] for at in range(0, len(packed), HASH_BYTES)]),
-        )
+        return Frontier(self.size + len(leaves) // HASH_BYTES, hashing.extended(self.size, self.packed, leaves))
+
+    def add(self, lines: bytes) -> tuple[bytes, "Frontier", bytes]:
+        """Return the packed leaf hashes of these lines, the frontier after appending them, and its root.
+
+        Each line ends with a line feed, which is not hashed. Raises: ValueError if there are none, or it is of no tree.
+        """
+        leaves, packed, root = hashing.added(self.size, self.packed, lines)
+        return leaves, Frontier(self.size + len(leaves) // HASH_BYTES, packed), root
 
     def nodes(self) -> dict[tuple[int, int], bytes]:
         """Return the complete subtrees by height, and index among those of that height."""
@@ -63,16 +72,15 @@ class Frontier(msgspec.Struct, frozen=True):
 
     def roots(self, leaves: bytes, sizes: Sequence[int]) -> list[bytes]:
         """Return the roots of the tree at each of these sizes, which rise, as these packed leaf hashes are added."""
-        packed = hashing.roots(self.size, b"".join(self.subtrees), leaves, list(sizes))
+        packed = hashing.roots(self.size, self.packed, leaves, list(sizes))
         return [packed[at : at + HASH_BYTES] for at in range(0, len(packed), HASH_BYTES)]
 
     def root(self) -> bytes:
         """Return the root hash of the tree."""
-        if not self.subtrees:
+        if not self.packed:
             return EMPTY_ROOT
-        packed = b"".join(self.subtrees)
-        if self.size and len(packed) == self.size.bit_count() * HASH_BYTES:
-            return hashing.roots(self.size, packed, b"", [self.size])
+        if self.size and len(self.packed) == self.size.bit_count() * HASH_BYTES:
+            return hashing.roots(self.size, self.packed, b"", [self.size])
         *left, root = self.subtrees  # as somebody wrote them, of no tree
         for subtree in reversed(left):
             root = node_hash(subtree, root)

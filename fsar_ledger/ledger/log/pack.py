@@ -52,7 +52,7 @@ def grow(frontier: Frontier, leaves: bytes) -> tuple[Frontier, bytes]:
             found.append(nodes[pairs:])
         nodes = parents(nodes[:pairs])
         size, height = size >> 1, height + 1
-    after = Frontier(frontier.size + len(leaves) // HASH_BYTES, (*kept, *reversed(found)))
+    after = Frontier(frontier.size + len(leaves) // HASH_BYTES, b"".join([*kept, *reversed(found)]))
     return after, _in_order(made, count(frontier.size), count(after.size))
 
 

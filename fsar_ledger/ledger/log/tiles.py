@@ -103,7 +103,7 @@ class Edge(msgspec.Struct, frozen=True):
                 if len(hashes) & size:
                     found.append(_subtree_root(hashes[at : at + size]))
                     at += size
-        return Frontier(self.size, tuple(found))
+        return Frontier(self.size, b"".join(found))
 
 
 def _tile_roots(hashes: bytes) -> bytes:

@@ -291,9 +291,9 @@ def encode_hashed(runs: Sequence[LedgerRun]) -> tuple[pa.Table, bytes]:
     """
     with _refusals(runs):
         require_runs(runs)
-        lines = plain_rows(runs)
-        if lines is not None and (table := plain_table(lines)) is not None:
-            return table, hashing.leaves(lines)
+        plain = plain_rows(runs)
+        if plain is not None and (table := plain_table(plain.rows)) is not None:
+            return table, hashing.leaves(plain.rows)
         rows = _Rows(runs)
         return rows.table(), rows.leaves()
 

@@ -4,14 +4,19 @@
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, TypeAlias
+from functools import partial, reduce
+from operator import or_
+from typing import Any, NamedTuple, TypeAlias
 
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.rows.schema import ENVELOPE, LAYOUTS, StoredType
+from fsar_ledger.ledger.rows.schema import CONCERNED, ENVELOPE, LAYOUTS, OPENINGS, StoredType
 
 Columns: TypeAlias = tuple[tuple[Any, ...], ...]
 
+OPENING = 1
+"""Marks a type that only the event that begins a run has."""
+MARK_OF = {concern: 2 << place for place, concern in enumerate(CONCERNS)}
 _KINDS = {
     kind: code
     for code, kind in enumerate(
@@ -33,10 +38,19 @@ def _columns(layout: StoredType) -> Columns:
     return tuple((kind, f'"{name}":'.encode(), *rest) for name, (kind, *rest) in sorted(found.items()))
 
 
-_TYPES: dict[type, Columns] = {layout.cls: _columns(layout) for layout in LAYOUTS.values()}
+def _marks(tag: str) -> int:
+    concern = CONCERNED.get(tag)
+    return (OPENING if tag in OPENINGS else 0) | (0 if concern is None else MARK_OF[concern])
 
 
-def _compiled() -> Callable[..., bytes | None] | None:
+MARKS: dict[type, int] = {layout.cls: _marks(tag) for tag, layout in LAYOUTS.items()}
+"""What is told of a run by the types of its events: `OPENING`, and `MARK_OF` each of their concerns."""
+_TYPES: dict[type, tuple[int, Columns]] = {
+    layout.cls: (MARKS[layout.cls], _columns(layout)) for layout in LAYOUTS.values()
+}
+
+
+def _compiled() -> Callable[..., tuple[bytes, int] | None] | None:
     try:
         from fsar_ledger.ledger.rows import _encoding
     except ImportError:  # it was not built, as without a compiler
@@ -49,25 +63,43 @@ IS_COMPILED = _lines is not None
 """Whether events are written in C."""
 
 
-def plain_lines(run: LedgerRun) -> bytes | None:
-    """Return the canonical bytes of the rows of this run, each with a line feed after it, if that is quick and plain.
+class Plain(NamedTuple):
+    """The rows of some runs, the canonical bytes of each with a line feed after it, and what `MARKS` say of each run.
+
+    The event that begins a run does not count for its marks.
+    """
+
+    rows: bytes
+    marks: tuple[int, ...]
+
+
+def plain_lines(run: LedgerRun) -> tuple[bytes, int] | None:
+    """Return the rows and the marks of this run, as `Plain` has those of several, if that is quick and plain.
 
     None says nothing about them: it was not built, or a row has text that is not plain ASCII, or no row can hold it.
     """
     if _lines is None:
         return None
-    return _lines(run.run_id, run.first, _listed(run.times_us), _listed(run.caused_by), _listed(run.events))
+    times, causes, events = run.times_us, run.caused_by, run.events
+    if not (type(times) is list and type(causes) is list and type(events) is list):
+        times, causes, events = list(times), list(causes), list(events)
+    return _lines(run.run_id, run.first, times, causes, events)
 
 
-def plain_rows(runs: Sequence[LedgerRun]) -> bytes | None:
-    """Return the canonical bytes of the rows of these runs, as `plain_lines`; None if those of one are not plain."""
-    found: list[bytes] = []
+def plain_rows(runs: Sequence[LedgerRun]) -> Plain | None:
+    """Return the rows of these runs; None if those of one are not plain, as `plain_lines` says."""
+    if len(runs) == 1:
+        return None if (lines := plain_lines(runs[0])) is None else Plain(lines[0], (lines[1],))
+    rows: list[bytes] = []
+    marks: list[int] = []
     for run in runs:
         if (lines := plain_lines(run)) is None:
             return None
-        found.append(lines)
-    return found[0] if len(found) == 1 else b"".join(found)
+        rows.append(lines[0])
+        marks.append(lines[1])
+    return Plain(b"".join(rows), tuple(marks))
 
 
-def _listed(values: Sequence[Any]) -> list[Any]:
-    return values if type(values) is list else list(values)
+def marks_of(run: LedgerRun) -> int:
+    """Return the marks of this run, as `Plain` has them."""
+    return reduce(or_, map(MARKS.__getitem__, set(map(type, run.events if run.first else run.events[1:]))), 0)

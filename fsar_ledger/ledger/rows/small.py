@@ -1,16 +1,16 @@
 """Check and encode a few events at once, without columns: what goes into a journal."""
 
 from collections.abc import Sequence
-from operator import le
+from functools import lru_cache
 
 from fsar_ledger.errors import InvalidRun
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import encode_coded, encode_lines
-from fsar_ledger.ledger.rows.encoding import plain_rows
+from fsar_ledger.ledger.rows.encoding import MARK_OF, OPENING, Plain, marks_of, plain_rows
 from fsar_ledger.ledger.rows.runs import LedgerRun, overlong, refusal, require_runs, unreadable
-from fsar_ledger.ledger.rows.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE
+from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE
 
 _TAG_OF: dict[type, str] = {layout.cls: tag for tag, layout in LAYOUTS.items()}
 
@@ -22,11 +22,11 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
     """
     if not runs:
         raise InvalidRun("found no runs to commit, expected at least 1")
-    require_runs(runs)
     plain = plain_rows(runs)
-    rows = b"\n".join((*encode_lines(runs), b"")) if plain is None else plain
-    tags = list(map(_tags, runs))
-    if (plain is None and not _is_printable(rows)) or not all(map(_is_in_order, runs, tags)):
+    if plain is None or not plain.rows or len(runs) > 1:
+        require_runs(runs)
+    rows, marks = plain or Plain(b"\n".join((*encode_lines(runs), b"")), tuple(map(marks_of, runs)))
+    if (plain is None and not _is_printable(rows)) or not all(map(_is_in_order, runs, marks)):
         table = encode_coded(runs)
         if flaw := unprintable(table):
             raise InvalidRun(f"{flaw}; give it another name")
@@ -34,7 +34,7 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
             raise refusal(flaw)
     if flaw := unreadable(runs) or overlong(runs):
         raise refusal(flaw)
-    return rows, tuple(map(_block, runs, tags))
+    return rows, tuple(map(_block, runs, marks))
 
 
 def _is_printable(rows: bytes) -> bool:
@@ -46,21 +46,26 @@ def _is_printable(rows: bytes) -> bool:
     return b"\\" not in text and b"\x7f" not in text and (text.isascii() or text.decode().isprintable())
 
 
-def _is_in_order(run: LedgerRun, tags: Sequence[str]) -> bool:
+@lru_cache
+def _concerns(marks: int) -> tuple[str, ...]:
+    return tuple(sorted(concern for concern, mark in MARK_OF.items() if marks & mark))
+
+
+def _is_in_order(run: LedgerRun, marks: int) -> bool:
     """Return whether it is plain that nothing is wrong with the order of these events and the run's beginning."""
-    begins = run.first == 0
-    first, *others = tags
-    if begins != (first in OPENINGS) or any(tag in OPENINGS or tag in STANDS_ALONE for tag in others):
+    if marks & OPENING or list(run.times_us) != sorted(run.times_us):
         return False
-    if begins and len(run.events) > 1 and (first in STANDS_ALONE or type(run.events[0]) in map(type, run.events[1:])):
-        return False
-    observes = _observes(run)
-    return all(map(le, run.times_us, run.times_us[1:])) and (
-        observes is None or (set(observes) <= set(CONCERNS) and set(_concerns(tags)) <= set(observes))
+    if run.first:
+        return True
+    first, observes = _TAG_OF[type(run.events[0])], _observes(run)
+    return (
+        first in OPENINGS
+        and (first not in STANDS_ALONE or len(run.events) == 1)
+        and (observes is None or (set(observes) <= set(CONCERNS) and set(_concerns(marks)) <= set(observes)))
     )
 
 
-def _block(run: LedgerRun, tags: Sequence[str]) -> Block:
+def _block(run: LedgerRun, marks: int) -> Block:
     return Block(
         run.run_id,
         run.first,
@@ -68,21 +73,12 @@ def _block(run: LedgerRun, tags: Sequence[str]) -> Block:
         run.times_us[0],
         run.times_us[-1],
         _observes(run),
-        _concerns(tags) if run.first else (),
-        tags[0] in STANDS_ALONE,
+        _concerns(marks) if run.first else (),
+        not run.first and _TAG_OF[type(run.events[0])] in STANDS_ALONE,
     )
-
-
-def _tags(run: LedgerRun) -> list[str]:
-    """Return the types of the run's events, each once, that of the first one first."""
-    return [_TAG_OF[kind] for kind in dict.fromkeys(map(type, run.events))]
 
 
 def _observes(run: LedgerRun) -> tuple[str, ...] | None:
     """Return what the run's event 0 says that it observes; None if that says nothing, or is not here."""
     found: tuple[str, ...] | None = None if run.first else getattr(run.events[0], "observes", None)
     return found
-
-
-def _concerns(tags: Sequence[str]) -> tuple[str, ...]:
-    return tuple(sorted({CONCERNED[tag] for tag in tags if tag in CONCERNED}))

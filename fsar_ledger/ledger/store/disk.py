@@ -104,17 +104,21 @@ def entries(folder: Path) -> list["os.DirEntry[str]"]:
     return sorted(names, key=lambda entry: entry.name)
 
 
+def refusal(path: Path, doing: str, error: OSError) -> WriteFailed:
+    """Return the error for what the disk refused."""
+    reason = error.strerror or str(error)
+    return WriteFailed(
+        f"{path}: {doing} failed: {reason}; nothing was committed; make room or permit writing there and run it again"
+    )
+
+
 @contextmanager
 def refusals(path: Path, doing: str) -> Iterator[None]:
     """Turn an OSError inside into WriteFailed."""
     try:
         yield
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise WriteFailed(
-            f"{path}: {doing} failed: {reason}; nothing was committed; make room or permit writing there and run it "
-            "again"
-        ) from error
+        raise refusal(path, doing, error) from error
 
 
 def sync_folder(folder: Path) -> None:
@@ -360,12 +364,16 @@ class Turns:
             self._handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
 
     def __enter__(self) -> None:
-        with suppress(OSError):
+        try:  # `suppress` would take as long as the call
             fcntl.flock(self._handle, fcntl.LOCK_EX)
+        except OSError:
+            return
 
     def __exit__(self, *error: object) -> None:
-        with suppress(OSError):
+        try:
             fcntl.flock(self._handle, fcntl.LOCK_UN)
+        except OSError:
+            return
 
     def close(self) -> None:
         """Close the folder, if it is open."""

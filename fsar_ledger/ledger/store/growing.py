@@ -5,11 +5,17 @@ Every change is a plain call of `os`, as in `disk`.
 
 import errno
 import os
+from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.store import disk
+
+_SYNC_FILE_RANGE_WRITE = 2
+"""Of sync_file_range(2): begin to write, wait for nothing."""
+_ZEROS_AT_ONCE = 1 << 16
 
 
 def size_of(path: Path | str) -> int:
@@ -50,6 +56,28 @@ def read_whole(path: Path, most: int) -> bytes:
         raise LedgerCorrupted(
             f"{path}: it cannot be read ({error.strerror or error}); permit reading or restore it"
         ) from error
+
+
+class Watched:
+    """A file whose size is asked for again and again. It is opened once it is there."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = str(path)
+        self._handle = -1
+
+    def size(self) -> int:
+        """Return the bytes of the file; 0 if there is none yet. Raises: OSError."""
+        if self._handle < 0:
+            if not os.access(self._path, os.F_OK):
+                return 0
+            self._handle = os.open(self._path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        return os.lseek(self._handle, 0, os.SEEK_END)
+
+    def close(self) -> None:
+        """Close the file, if it is open."""
+        if self._handle >= 0:
+            disk.close(self._handle)
+            self._handle = -1
 
 
 def append_durably(path: Path, data: bytes, end: int) -> None:
@@ -93,6 +121,40 @@ def write_again(path: Path, start: int, end: int, *, cuts: bool = False) -> None
         os.fdatasync(handle)
     finally:
         os.close(handle)
+
+
+def begin_to_sync(handle: int, place: int, size: int) -> None:
+    """Let the disk begin to write these bytes of an open file, and go on: a sync a little later finds that done.
+
+    Nothing is promised; the sync tells what failed. Where the system has no such call, nothing is done.
+    """
+    if (sync_file_range := _sync_file_range()) is not None:
+        sync_file_range(handle, place, size, _SYNC_FILE_RANGE_WRITE)
+
+
+@cache
+def _sync_file_range() -> Callable[[int, int, int, int], int] | None:
+    import ctypes
+
+    try:
+        found = ctypes.CDLL(None).sync_file_range
+    except (AttributeError, OSError):  # it is one of Linux alone
+        return None
+    found.argtypes = (ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_uint)
+    called: Callable[[int, int, int, int], int] = found
+    return called
+
+
+def write_zeros(handle: int, place: int, end: int) -> None:
+    """Fill an open file with NUL bytes up to there. Raises: OSError.
+
+    Some at a time: a file system keeps together in memory what is written at once, and goes through all of it each time
+    that a few bytes of it are written later.
+    """
+    while place < end:
+        size = min(end - place, _ZEROS_AT_ONCE)
+        write_at(handle, bytes(size), place)
+        place += size
 
 
 def write_at(handle: int, data: bytes | memoryview, place: int) -> None:

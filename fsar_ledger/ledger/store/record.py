@@ -65,7 +65,7 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def tree(self) -> Frontier:
         """Return the tree after this commit. Raises: ValueError if a hash is not hex."""
-        return Frontier(self.tree_size, tuple(map(bytes.fromhex, self.frontier)))
+        return Frontier(self.tree_size, bytes.fromhex("".join(self.frontier)))
 
     def signed_note(self, where: str = "note") -> Note:
         """Parse the note. Raises: LedgerCorrupted if it is not in the form of C2SP."""
