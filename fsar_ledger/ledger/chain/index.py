@@ -65,6 +65,7 @@ class Index:
         self._text = b"".join(lines)
         self._ends = list(accumulate(map(len, lines)))
         self._ordinals: dict[str, int] = {}  # of runs that were asked for
+        self._found: dict[str, list[int]] = {}  # for each of them, the lines that name it
 
     def run_names(self) -> RunNames:
         """Return the names of the runs and plans, in the order of their first events."""
@@ -99,7 +100,9 @@ class Index:
 
     def of_run(self, run: str) -> Iterator[tuple[int, Block]]:
         """Yield the number of each line that names the run, and its block there."""
-        for number in self._lines_with(_of_run(run)):
+        if run not in self._found:
+            self._found[run] = list(self._lines_with(_of_run(run)))
+        for number in self._found[run]:
             yield from ((number, block) for block in _LINE.decode(self._lines[number]).blocks if block.run == run)
 
     def _lines_with(self, name: bytes) -> Iterator[int]:

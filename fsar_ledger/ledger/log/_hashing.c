@@ -190,32 +190,25 @@ static void hash_after(int first, const uint8_t *data, size_t size, uint8_t *out
     for (int i = 0; i < 8; i++) store(out + 4 * i, state[i]);
 }
 
-/* Return how many lines these are. Raises: ValueError (-1) if the last one does not end. */
-static Py_ssize_t count_lines(const char *data, Py_ssize_t size) {
-    Py_ssize_t rows = 0;
-    if (size && data[size - 1] != '\n') return PyErr_Format(PyExc_ValueError, "the last line does not end"), -1;
-    for (const char *at = data; (at = memchr(at, '\n', data + size - at)) != NULL; at++) rows++;
-    return rows;
-}
-
-#define SHORT_BYTES 1000 /* most rows are shorter */
+#define SHORT_BYTES 4000 /* most rows and records are shorter */
 #define PADDED_BYTES ((SHORT_BYTES + 9) / BLOCK_BYTES * BLOCK_BYTES + BLOCK_BYTES)
 
 /* Put first || data, which is short, into whole blocks as they are hashed; return how many. */
-static size_t pad(uint8_t first, const uint8_t *data, size_t size, uint8_t *padded) {
-    uint64_t bits = (uint64_t)(size + 1) * 8;
-    size_t blocks = (size + 1 + 9 + BLOCK_BYTES - 1) / BLOCK_BYTES, end = blocks * BLOCK_BYTES;
+static size_t pad(int first, const uint8_t *data, size_t size, uint8_t *padded) {
+    size_t before = first != NOTHING, blocks = (size + before + 9 + BLOCK_BYTES - 1) / BLOCK_BYTES;
+    size_t end = blocks * BLOCK_BYTES;
+    uint64_t bits = (uint64_t)(size + before) * 8;
     memset(padded + end - BLOCK_BYTES, 0, BLOCK_BYTES);
     if (blocks > 1) memset(padded + end - 2 * BLOCK_BYTES, 0, BLOCK_BYTES);
-    padded[0] = first;
-    memcpy(padded + 1, data, size);
-    padded[size + 1] = 0x80;
+    padded[0] = (uint8_t)first;
+    memcpy(padded + before, data, size);
+    padded[size + before] = 0x80;
     for (int i = 0; i < 8; i++) padded[end - 1 - i] = (uint8_t)(bits >> 8 * i);
     return blocks;
 }
 
-/* Write SHA-256(first || data) of two texts. */
-static void hash_two(uint8_t first, const uint8_t *data, size_t size, uint8_t *out, const uint8_t *other, size_t other_size,
+/* Write SHA-256(first || data) of two texts; `first` is a byte or NOTHING. */
+static void hash_two(int first, const uint8_t *data, size_t size, uint8_t *out, const uint8_t *other, size_t other_size,
                      uint8_t *other_out) {
     uint8_t padded[PADDED_BYTES], other_padded[PADDED_BYTES];
     uint32_t state[8], other_state[8];
@@ -229,6 +222,14 @@ static void hash_two(uint8_t first, const uint8_t *data, size_t size, uint8_t *o
     compress_two(state, padded, other_state, other_padded, both);
     compress(state, padded + done, blocks - both), compress(other_state, other_padded + done, other_blocks - both);
     for (int i = 0; i < 8; i++) store(out + 4 * i, state[i]), store(other_out + 4 * i, other_state[i]);
+}
+
+/* Return how many lines these are. Raises: ValueError (-1) if the last one does not end. */
+static Py_ssize_t count_lines(const char *data, Py_ssize_t size) {
+    Py_ssize_t rows = 0;
+    if (size && data[size - 1] != '\n') return PyErr_Format(PyExc_ValueError, "the last line does not end"), -1;
+    for (const char *at = data; (at = memchr(at, '\n', data + size - at)) != NULL; at++) rows++;
+    return rows;
 }
 
 /* Write the leaf hashes of these lines, each ended by a line feed. */
@@ -268,12 +269,15 @@ static PyObject *digests(PyObject *module, PyObject *texts) {
     PyObject *found = PyBytes_FromStringAndSize(NULL, PyList_Size(texts) * HASH_BYTES);
     if (found == NULL) return NULL;
     uint8_t *hash = (uint8_t *)PyBytes_AsString(found);
-    for (Py_ssize_t at = 0; at < PyList_Size(texts); at++, hash += HASH_BYTES) {
-        char *data;
-        Py_ssize_t size;
+    char *data, *before = NULL;
+    Py_ssize_t size, before_size = 0;
+    for (Py_ssize_t at = 0; at < PyList_Size(texts); at++, before_size = size, hash += HASH_BYTES) {
         if (PyBytes_AsStringAndSize(PyList_GetItem(texts, at), &data, &size) < 0) return Py_DECREF(found), NULL;
-        hash_after(NOTHING, (const uint8_t *)data, size, hash);
+        if (at % 2)
+            hash_two(NOTHING, (const uint8_t *)before, before_size, hash - HASH_BYTES, (const uint8_t *)data, size, hash);
+        before = data;
     }
+    if (PyList_Size(texts) % 2) hash_after(NOTHING, (const uint8_t *)before, before_size, hash - HASH_BYTES);
     return found;
 }
 
