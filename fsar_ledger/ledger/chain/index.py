@@ -58,11 +58,11 @@ def line_of(first: int, table: pa.Table) -> bytes:
 
 
 class Index:
-    """The lines of an index, in order."""
+    """The lines of an index, in order; `data` is these and perhaps more, if that is at hand."""
 
-    def __init__(self, lines: Sequence[bytes]) -> None:
+    def __init__(self, lines: Sequence[bytes], data: bytes = b"") -> None:
         self._lines = lines
-        self._text = b"".join(lines)
+        self._text = data if len(data) == sum(map(len, lines)) else b"".join(lines)
         self._ends = list(accumulate(map(len, lines)))
         self._ordinals: dict[str, int] = {}  # of runs that were asked for
         self._found: dict[str, list[int]] = {}  # for each of them, the lines that name it
@@ -77,13 +77,15 @@ class Index:
     def ordinal_of(self, run: str) -> int:
         """Return the number of this run in `run_names`, from 1; 0 if there is none."""
         if run not in self._ordinals:
-            self._ordinals[run] = self._ordinal(_of_run(run))
+            lines = self._lines_of(run)
+            self._ordinals[run] = self._ordinal(_of_run(run), lines[0]) if lines else 0
         return self._ordinals[run]
 
-    def _ordinal(self, name: bytes) -> int:
-        at = self._text.find(name)
-        first = self._text.rfind(b"{", 0, max(0, at))
-        if at < 0 or not self._text.startswith(_BEGINNING, first) or _PLAN in self._text[first:at]:
+    def _ordinal(self, name: bytes, number: int) -> int:
+        """Return the number of the run that this line is the first to name with these bytes; 0 if it is a plan."""
+        at = self._text.find(name, self._ends[number] - len(self._lines[number]))
+        first = self._text.rfind(b"{", 0, at)
+        if not self._text.startswith(_BEGINNING, first) or _PLAN in self._text[first:at]:
             return 0
         return self._text.count(_BEGINNING, 0, at) - self._text.count(_PLAN, 0, at)
 
@@ -100,10 +102,13 @@ class Index:
 
     def of_run(self, run: str) -> Iterator[tuple[int, Block]]:
         """Yield the number of each line that names the run, and its block there."""
+        for number in self._lines_of(run):
+            yield from ((number, block) for block in _LINE.decode(self._lines[number]).blocks if block.run == run)
+
+    def _lines_of(self, run: str) -> list[int]:
         if run not in self._found:
             self._found[run] = list(self._lines_with(_of_run(run)))
-        for number in self._found[run]:
-            yield from ((number, block) for block in _LINE.decode(self._lines[number]).blocks if block.run == run)
+        return self._found[run]
 
     def _lines_with(self, name: bytes) -> Iterator[int]:
         """Yield the number of each line that has these bytes. All are searched at once, which is quickest."""

@@ -284,10 +284,10 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         lines = list(self.chain.index_lines(data))
         if not all(lines):
             made = [line for number in range(len(self.chain.placed)) for line in self._needed(number, lines)]
-            lines = [line or made.pop(0) for line in lines]
+            lines, data = [line or made.pop(0) for line in lines], b""
         if self.journal.frames:
-            lines.append(line_of(self.chain.placed_size, self.journal_table()))
-        return Index(lines)
+            lines, data = [*lines, line_of(self.chain.placed_size, self.journal_table())], b""
+        return Index(lines, data)
 
     def _needed(self, number: int, lines: Sequence[bytes]) -> list[bytes]:
         """Return the lines for this segment that are empty among those of the whole index, by its rows."""
