@@ -325,7 +325,7 @@ def test_the_process_has_nothing_of_the_callers_and_may_not_write(surrounded: Pa
     assert {line.partition("=")[0] for line in environment} <= {*ENVIRONMENT, *NEEDED}
     assert place == Path("/")
     assert "Max file size 0 0" in may
-    assert "Max open files 64 64" in may
+    assert "Max open files 1024 1024" in may
     assert f"Max address space {4 << 30} {4 << 30}" in may
 
 
