@@ -6,6 +6,7 @@ caller's working folder, and memory, time and open files beyond its limits. Duck
 (`Database.lock`).
 """
 
+import errno
 import os
 import resource
 import signal
@@ -106,6 +107,9 @@ def _refusal(error: Exception, limits: Limits) -> Refusal:
     cause = error.__cause__ if isinstance(error, QueryFailed) else error
     if isinstance(cause, (MemoryError, *OUT_OF_MEMORY)):
         return Refusal(f"SQL: ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less")
+    if os.strerror(errno.EMFILE) in str(cause):  # DuckDB and Arrow hand on the text alone
+        most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+        return Refusal(f"SQL: needed more than the {most:,} files it may have open; raise `ulimit -n` up to {FILES:,}")
     message = (
         str(error)
         if isinstance(error, (QueryFailed, LedgerCorrupted))

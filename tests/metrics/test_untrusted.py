@@ -8,6 +8,7 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed
+from fsar_ledger.metrics import untrusted
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.sandbox import SLICE_BYTES, Limits, slices, weight
 from fsar_ledger.metrics.untrusted import stream_untrusted
@@ -44,6 +45,16 @@ def test_a_missing_ledger_or_segment_is_said(ledger: Path, tmp_path: Path) -> No
     sorted((ledger / "segments").iterdir())[0].unlink()
     with pytest.raises(LedgerCorrupted):
         run_untrusted(ledger, "SELECT 1")
+
+
+def test_too_few_open_files_are_said_and_no_reason_to_look_for_damage(
+    ledger: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    none = "import resource; resource.setrlimit(resource.RLIMIT_NOFILE, (3, 3)); answer("
+    monkeypatch.setattr(untrusted, "START", untrusted.START.replace("answer(", none))
+    monkeypatch.setattr(untrusted, "first_damage", lambda _: pytest.fail("looked for damage"))
+    with pytest.raises(QueryFailed, match="needed more than the 3 files it may have open; raise `ulimit -n`"):
+        run_untrusted(ledger, "SELECT count(*), max(run_id) FROM events")
 
 
 def test_several_may_ask_at_once(ledger: Path) -> None:
