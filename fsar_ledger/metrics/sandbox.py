@@ -109,7 +109,10 @@ def _refusal(error: Exception, limits: Limits) -> Refusal:
         return Refusal(f"SQL: ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less")
     if os.strerror(errno.EMFILE) in str(cause):  # DuckDB and Arrow hand on the text alone
         most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        return Refusal(f"SQL: needed more than the {most:,} files it may have open; raise `ulimit -n` up to {FILES:,}")
+        return Refusal(
+            f"SQL: needed more than the {most:,} files it may have open; raise `ulimit -n` if it is below {FILES:,}, "
+            "or ask for less at once"
+        )
     message = (
         str(error)
         if isinstance(error, (QueryFailed, LedgerCorrupted))
