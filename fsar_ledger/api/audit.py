@@ -61,8 +61,12 @@ def audit_runs(
         there = [str(row["architecture"]) for row in database.rows(_ARCHITECTURES)]
         unreadable = sum(one.runs for one in models(database) if one.parameters is None)
         provenance = of_judgement(database)
-    wanted = known("architecture", architectures, tuple(dict.fromkeys([*REGISTERED, *there])))
-    rows = audit_rows(Slices(view, demanded), queries, wanted, progress)
+        wanted = known("architecture", architectures, tuple(dict.fromkeys([*REGISTERED, *there])))
+        slices = Slices(view, demanded)
+        is_one = len(slices) == 1
+        rows = audit_rows([database], queries, wanted, progress) if is_one else []
+    if not is_one:  # what the first held is no longer in memory
+        rows = audit_rows(slices, queries, wanted, progress)
     holds = False if any(row.holds is False for row in rows) else all_shown(rows) or None
     return Audit(rows, holds, unreadable, provenance)
 

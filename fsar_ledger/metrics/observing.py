@@ -12,7 +12,7 @@ from .database import Database
 from .library import Library, Query
 
 _TYPE = re.compile(r"'([A-Z][A-Za-z]+\.v\d+)'")
-_COMMENT = re.compile(r"--[^\n]*")
+_NOT_READ = re.compile(r"--[^\n]*|\btype NOT IN \([^)]*\)")
 _WIDE = frozenset({"events", "event_principals"})
 """Relations that hold every event, whatever its type."""
 _TIES = frozenset({"event_principals", "keyed_events"})
@@ -31,7 +31,7 @@ def types_read(library: Library, query: Query) -> frozenset[str] | None:
     """Return the event types that the query reads; None if it reads events of every type."""
     found: set[str] = set()
     for one in (*library.needs(query.sources() - {query.relation}), query):
-        named = _TYPE.findall(_COMMENT.sub("", one.sql))
+        named = _TYPE.findall(_NOT_READ.sub("", one.sql))
         if (
             not named
             and _WIDE >= one.sources() & {"events", *library.relations} > set()

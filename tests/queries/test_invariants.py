@@ -1,5 +1,6 @@
 """The ten invariants: real FSAR runs satisfy them, and every seeded defect is caught at its event."""
 
+import re
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -9,7 +10,9 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
+from fsar_ledger.metrics.library import library
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.queries.defects import (
@@ -35,6 +38,7 @@ from tests.queries.defects import (
     where,
     without,
 )
+from tests.queries.histories import answer
 from tests.quick import few
 from tests.recycled import from_rows
 
@@ -193,6 +197,23 @@ def test_every_invariant_has_at_least_three_seeded_defects() -> None:
         query.relation[:2]: sum(defect.invariant == query.relation[:2] for defect in DEFECTS) for query in invariants()
     }
     assert min(count.values()) >= 3, count
+
+
+@pytest.mark.parametrize("relation", ["invariant_cases", "i1_local_agent_coherence"])
+def test_types_that_are_left_out_unread_name_nobody_and_are_counted_nowhere(relation: str) -> None:
+    sql = library().relations[relation].sql
+    [listed] = re.findall(r"type NOT IN \((.*?)\)", sql, re.DOTALL)
+    left_out = set(re.findall(r"'(.*?)'", listed))
+    naming = re.findall(r"(\w+) (?:IS NOT NULL|= on_behalf_of)|len\((\w+)\)", sql)
+    named = {column for columns in naming for column in columns if column}
+    assert {"decided_by", "path"} < named
+    assert left_out == {
+        tag
+        for tag, layout in LAYOUTS.items()
+        if not ({"robot", "on_behalf_of"} | named) & {field.name for field in layout.fields}
+    }
+    assert not any(f"'{tag}'" in sql.replace(listed, "") for tag in left_out)
+    assert left_out.isdisjoint({row[0] for row in answer("facts/event_classes", columns=("type",))})
 
 
 def test_i5_holds_where_the_registry_refuses_an_outsider_and_finds_when_it_does_not_say_whom() -> None:
