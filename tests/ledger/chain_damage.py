@@ -1,15 +1,16 @@
 """Ledgers of format 2 to be damaged, and what the damage to each byte of their files may pass for.
 
-A crash may tear the end of the chain or of the journal (docs/ledger-format-2.md, section 7). So a damage there is not
-found if the note in `checkpoint` does not go beyond what is whole before it. Then the ledger must be told as it was
-before, to the root. Nor is another `release` found in the last record of the journal, of which nothing else tells it;
-then the ledger must be told as it is. Every other damage must be found, with its place.
+A crash may tear the end of the chain or of `journal.jsonl` (docs/ledger-format-2.md, section 7). So a damage there is
+not found if the note in `checkpoint` does not go beyond what is whole before it. Then the ledger must be told as it was
+before, to the root. Nor is another `release` found in the last record of the journal, of which nothing else tells it,
+nor less room after the last frame of `sealing.jsonl`; then the ledger must be told as it is. Every other damage must be
+found, with its place.
 """
 
 import os
 import shutil
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import accumulate, combinations
 from pathlib import Path
 from typing import NamedTuple
 from unittest.mock import patch
@@ -18,7 +19,7 @@ from fsar_ledger.ledger.chain import journal
 from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.checkpoint import behind
 from fsar_ledger.ledger.chain.journal import size_of
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, segment_of
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import pieces
@@ -27,6 +28,7 @@ from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
+from tests.ledger.agreement_chain import hand_over
 from tests.ledger.damage import SIGNER, Case, alone, files_of, is_placed
 from tests.ledger.samples import ORIGIN, made_up_run
 
@@ -77,6 +79,21 @@ def write_open(path: Path) -> None:
         shutil.copytree(other, path)
 
 
+def write_handed_over(path: Path) -> None:
+    """Write a ledger that its writer left open after it had handed over its journal twice: of `sealing.jsonl`, the
+    chain has the first commit and lacks the second."""
+    other = path.with_name("open")
+    with patch.object(journal, "ALLOTTED", ROOM), ChainWriter(other, ORIGIN, SIGNER) as writer:
+        writer.add([piece(1, 0, 2)])
+        hand_over(writer)
+        writer.add([piece(1, 2, 4)])
+        writer.settle()
+        writer.add([piece(1, 4, 6)])
+        hand_over(writer)
+        writer.add([piece(1, 6, 8)])
+        shutil.copytree(other, path)
+
+
 def write_cut_short(path: Path) -> None:
     """Write a ledger whose writer ended right after an append to the chain: nothing that follows from it is there."""
     with ChainWriter(path, ORIGIN, SIGNER) as writer:
@@ -91,7 +108,12 @@ def write_cut_short(path: Path) -> None:
         (path / name).write_bytes(before.get(name, b""))
 
 
-LEDGERS = {"closed": write_closed, "left open": write_open, "cut short": write_cut_short}
+LEDGERS = {
+    "closed": write_closed,
+    "left open": write_open,
+    "handed over": write_handed_over,
+    "cut short": write_cut_short,
+}
 
 
 class Whole(NamedTuple):
@@ -112,17 +134,21 @@ class Allowance:
         self._covered = view.commits[-behind(view) - 1].tree_size
         lines = (path / CHAIN).read_bytes()[: view.followed.last].split(b"\n")
         commits = sum(b'"kind":"commit"' in line for line in lines)
-        before, placed = view.commits[commits - 1], view.commits[-len(view.journal.frames) - 1]
+        own = view.journal.frames[view.journal.sealing :]
+        sealing = list(accumulate(map(size_of, view.journal.frames[: view.journal.sealing]), initial=0))
+        before, others = view.commits[commits - 1], view.commits[-len(own) - 1]
         self._has_journal = bool(view.journal.frames)
         self._wholes = [
             Whole(CHAIN, view.followed.last, before.tree_size, before.tree_root),
-            Whole(JOURNAL, 0, placed.tree_size, placed.tree_root),
+            Whole(JOURNAL, 0, others.tree_size, others.tree_root),
         ]
         end = 0
-        for frame in view.journal.frames:
+        for frame in own:
             end += size_of(frame)
             self._wholes.append(Whole(JOURNAL, end, frame.commit.tree_size, frame.commit.tree_root))
+        self._wholes.append(Whole(SEALING, sealing[-1], view.head.size, view.head.root))
         self._last = {CHAIN: view.followed.last, JOURNAL: view.journal.last}
+        self._handed_over = sealing[:-1]  # where its frames begin
         # Of the chain, no placement with more behind it follows the one before the last.
         self._end = {
             CHAIN: (path / CHAIN).read_bytes().rfind(b"\n", 0, view.followed.last - 1),
@@ -138,7 +164,7 @@ class Allowance:
     def root(self, name: str, at: int, *, is_cut: bool) -> str | None:
         """Return the root of what remains if this file is cut or changed there; None if that must be found."""
         before = [one for one in self._wholes if one.name == name and one.end <= at]
-        if not before or (name == CHAIN and self._has_journal) or not (is_cut or at >= self._last[name]):
+        if not before or (name == CHAIN and self._has_journal) or not (is_cut or at >= self._last.get(name, at + 1)):
             return None
         return before[-1].root if before[-1].size >= self._covered else None
 
@@ -150,8 +176,10 @@ class Allowance:
         """Return the files of which a finding may name one.
 
         Where the end is torn, the checkpoint shows it; and which of the last placement and its segment was altered,
-        nobody knows.
+        nobody knows. What `sealing.jsonl` lacks or tells otherwise at its end shows from the frame that follows.
         """
+        if name == SEALING and (at in self._handed_over if is_cut else at >= self._handed_over[-1]):
+            return {SEALING, JOURNAL}
         if name not in self._end or not (is_cut or at >= self._end[name]):
             return {name}
         return {name, CHECKPOINT} | ({self._newest} if name == CHAIN else set())

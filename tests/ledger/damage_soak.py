@@ -2,10 +2,10 @@
 tests.ledger.damage_soak [FORMAT [STEP]]`, by default of both formats.
 
 Each damage is made alone. `verify` looks at the whole ledger, and must find it and name the file. Of ledgers of format
-2, one was closed, one left open, and one cut short within an append: there, and only there, a damage may pass for one
-that a crash leaves, by the rule in `chain_damage`. With a STEP, only every so many bytes of segments are tried.
-Unchanged segments are decoded only once. Prints counts by kind of file; exits with 1 if a damage is not found or not
-placed.
+2, one was closed, one left open, one left open with a journal that was handed over, and one cut short within an append:
+in all but the first, a damage may pass for one that a crash leaves, by the rule in `chain_damage`. With a STEP, only
+every so many bytes of segments are tried. Unchanged segments are decoded only once. Prints counts by kind of file;
+exits with 1 if a damage is not found or not placed.
 """
 
 import os

@@ -21,7 +21,7 @@ from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.agreement_chain import hand_over
-from tests.ledger.chain_damage import piece
+from tests.ledger.chain_damage import piece, write_handed_over
 from tests.ledger.samples import ORIGIN, contents
 from tests.quick import few
 
@@ -57,19 +57,8 @@ def held_back() -> Iterator[Event]:
 
 @pytest.fixture
 def chained(tmp_path: Path) -> Path:
-    """Return a ledger left by a writer that had handed over its journal twice.
-
-    Of `sealing.jsonl`, the chain has the first commit and lacks the second.
-    """
-    with ChainWriter(tmp_path / "open", ORIGIN) as writer:
-        writer.add([PARTS[0]])
-        hand_over(writer)
-        writer.add([PARTS[1]])
-        writer.settle()
-        writer.add([PARTS[2]])
-        hand_over(writer)
-        writer.add([PARTS[3]])
-        shutil.copytree(tmp_path / "open", tmp_path / "ledger")
+    """Return a ledger whose journal was handed over, and then one more, of which the chain has the first commit."""
+    write_handed_over(tmp_path / "ledger")
     return tmp_path / "ledger"
 
 
