@@ -97,6 +97,7 @@ def paired(run: LedgerRun, group: int, groups: int, turns: int) -> tuple[list[Sp
         connection = stored(Path(name) / "events.db")
         with ChainWriter(path, "example.org/journal") as writer:
             writer.add([LedgerRun("begun", [0], [None], run.events[:1])])
+            writer.seal()  # as in any ledger that is not quite new, there is a chain
             for turn in range(turns):
                 pieces = cut(run, group, groups, turn)
                 parts = [[(row,) for row in rows_of([part])[0].splitlines()] for part in pieces]

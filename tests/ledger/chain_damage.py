@@ -71,7 +71,7 @@ def write_closed(path: Path, snapshots: Path | None = None) -> None:
 
 def write_open(path: Path) -> None:
     """Write a ledger that its writer left open: the checkpoint covers nothing of the journal, which has room."""
-    other = path.with_name("open")
+    other = path.with_name(f"{path.name}-begun")
     with patch.object(journal, "ALLOTTED", ROOM), ChainWriter(other, ORIGIN, SIGNER) as writer:
         writer.append(stage(other, [RUNS[2]]))
         for first in range(3):
@@ -82,7 +82,7 @@ def write_open(path: Path) -> None:
 def write_handed_over(path: Path) -> None:
     """Write a ledger that its writer left open after it had handed over its journal twice: of `sealing.jsonl`, the
     chain has the first commit and lacks the second."""
-    other = path.with_name("open")
+    other = path.with_name(f"{path.name}-begun")
     with patch.object(journal, "ALLOTTED", ROOM), ChainWriter(other, ORIGIN, SIGNER) as writer:
         writer.add([piece(1, 0, 2)])
         hand_over(writer)

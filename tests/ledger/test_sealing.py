@@ -101,6 +101,20 @@ def test_another_writer_fills_the_next_journal_before_the_first_is_sealed(tmp_pa
     assert [(one.first, one.end) for one in view_of(path).chain.placed] == [(0, 4), (4, 8)]
 
 
+def test_a_writer_that_has_the_journal_open_sees_that_another_handed_it_over(tmp_path: Path, held_back: Event) -> None:
+    path = tmp_path / "ledger"
+    with ChainWriter(path, ORIGIN) as writer, ChainWriter(path, ORIGIN) as other:
+        other.add([PARTS[0]])
+        other.add([PARTS[1]])
+        handed_over = (path / JOURNAL).stat().st_ino
+        writer.add([PARTS[2]])
+        assert (path / SEALING).stat().st_ino == handed_over
+        assert (path / SEALING).read_bytes()[-1:] == b"\n"
+        other.add([PARTS[3]])
+        held_back.set()
+    assert (rows_in(path), verify(path).ok) == (ROWS[:8], True)
+
+
 def test_what_a_writer_left_is_read_verified_continued_and_sealed(chained: Path) -> None:
     view = view_of(chained)
     assert (view.journal.sealing, view.journal.chained, view.chain.placed_size) == (2, 1, 2)

@@ -293,7 +293,7 @@ class ChainWriter:
         self._seal(self._view.journal.sealing)
         self._is_broken = True  # unless everything below succeeds
         with disk.refusals(self._journal.path, "handing over the journal"):
-            self._journal.hand_over()
+            self._journal.hand_over(self._view.journal.end)
         self._view.journal.hand_over()
         self._is_broken = False
         self._sealing.begin(self._path, list(self._view.journal.frames), self._view.chain.tree())

@@ -313,13 +313,7 @@ class JournalFile:
         When that fails, the file is cut off there, if the disk allows it. Raises: OSError.
         """
         if self.handle < 0:
-            is_new = not os.path.lexists(self.path)
-            # What a sealed journal left, which could not be removed, goes first.
-            how = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | (0 if end else os.O_TRUNC)
-            self.handle = os.open(self.path, how, 0o666)
-            self._room = os.fstat(self.handle).st_size
-            if is_new:
-                disk.sync_folder(self.path.parent)
+            self._open(end)
         after = end + len(data)
         room = after
         try:
@@ -340,8 +334,24 @@ class JournalFile:
             raise
         self._room = max(self._room, room)
 
-    def hand_over(self) -> None:
-        """Make it the file that is being sealed, durably; the next frame goes into a new one. Raises: OSError."""
+    def _open(self, end: int) -> None:
+        """Open the file, or make it, durably. Raises: OSError."""
+        is_new = not os.path.lexists(self.path)
+        # What a sealed journal left, which could not be removed, goes first.
+        how = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | (0 if end else os.O_TRUNC)
+        self.handle = os.open(self.path, how, 0o666)
+        self._room = os.fstat(self.handle).st_size
+        if is_new:
+            disk.sync_folder(self.path.parent)
+
+    def hand_over(self, end: int) -> None:
+        """Make it the file that is being sealed, durably; the next frame goes into a new one. Raises: OSError.
+
+        Its room is given back before, by which other writers that have it open see that this happened.
+        """
+        if self.handle < 0:
+            self._open(end)
+        os.ftruncate(self.handle, end)
         self.close()
         os.rename(self.path, self.path.with_name(SEALING))
         disk.sync_folder(self.path.parent)

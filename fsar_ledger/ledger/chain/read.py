@@ -159,15 +159,17 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def is_current(self, chain: growing.Watched | None = None, journal: int = -1) -> bool:
         """Return whether nothing was appended since the ledger was opened; `chain` and `journal` are these, if open.
 
-        Whoever seals the journal appends to the chain, whoever hands it over renames it, and others write where it
-        ends. Its size is not looked at: after that a file system has to give the next change a time of its own.
+        Sealing appends to the chain, handing over gives the journal's room back and renames it, and others write where
+        it ends. Its size is not looked at: after that a file system has to give the next change a time of its own.
         """
         try:
             chain_path, path, sealing = self._growing
-            size, end = chain.size() if chain else growing.size_of(chain_path), self.journal.end
-            if size != self.followed.end or os.access(sealing, os.F_OK) != self.journal.has_sealing:
+            if (chain.size() if chain else growing.size_of(chain_path)) != self.followed.end:
                 return False
-            return (growing.read_at(path, end, 1) if journal < 0 else os.pread(journal, 1, end)) in (b"", b"\0")
+            if journal >= 0 and (found := os.pread(journal, 1, self.journal.end)):
+                return found == b"\0"
+            has_same = os.access(sealing, os.F_OK) == self.journal.has_sealing
+            return has_same and growing.read_at(path, self.journal.end, 1) in (b"", b"\0")
         except OSError:
             return False
 
@@ -388,10 +390,8 @@ def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True
             chain = Chain(sha256)
             followed = follow(chain_bytes, chain)
         has_sealing = os.access(path / SEALING, os.F_OK)  # a journal renamed after this is read under its new name too
-        journal_bytes, sealing_bytes = (
-            growing.read_whole(path / name, MAX_JOURNAL_BYTES) for name in (JOURNAL, SEALING)
-        )
-        journal = read_frames(sealing_bytes, journal_bytes, chain, has_sealing=has_sealing)
+        newer, older = (growing.read_whole(path / name, MAX_JOURNAL_BYTES) for name in (JOURNAL, SEALING))
+        journal = read_frames(older, newer, chain, has_sealing=has_sealing)
         problem = followed.problem or journal.problem
         if last or growing.size_of(path / CHAIN) == len(chain_bytes):
             break
