@@ -203,13 +203,13 @@ class ChainWriter:
         """
         self._require_usable()
         rows, blocks = rows_of(runs)
-        count = sum(block.rows for block in blocks)
+        count = sum([block.rows for block in blocks])
         if count > SEAL_ROWS or len(rows) > SEAL_BYTES:
             raise InvalidRun(
                 f"found {count} events of {len(rows)} bytes, expected at most {SEAL_ROWS} events and {SEAL_BYTES} "
                 "bytes in one commit of a journal; stage them and append them as a segment"
             )
-        goes_on = tuple(sorted(run.run_id for run in runs if run.goes_on))
+        goes_on = tuple(sorted([run.run_id for run in runs if run.goes_on]))
         with self._turn:
             self._catch_up()
             if (flaw := self._runs().refused(blocks, self._view)) is not None:

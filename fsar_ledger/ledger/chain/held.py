@@ -98,4 +98,4 @@ class HeldRuns:
 
 def continued(blocks: Sequence[Block]) -> tuple[tuple[str, int], ...]:
     """Return, for the record of a commit, the runs that these blocks continue, and from which seq on."""
-    return tuple(sorted((block.run, block.first) for block in blocks if block.first))
+    return tuple(sorted([(block.run, block.first) for block in blocks if block.first]))
