@@ -17,6 +17,7 @@ from typing import NamedTuple
 import msgspec
 
 from fsar_ledger.errors import UsageError
+from fsar_ledger.garbage import without_collection
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.happenings import happenings
 from fsar_ledger.runtime.ports import Ask, Fact
@@ -25,7 +26,6 @@ from fsar_ledger.runtime.simulation import environment_of
 
 from .bases import Repeated
 from .outcomes import Outcome
-from .whatif import without_collection
 from .words import lines_of
 
 Progress = Callable[[int], None]

@@ -11,6 +11,7 @@ import msgspec
 
 from fsar_ledger.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
+from fsar_ledger.garbage import without_collection
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.happenings import happenings
 from fsar_ledger.runtime.ports import Ask, Environment, Fact
@@ -18,7 +19,6 @@ from fsar_ledger.runtime.simulation import environment_of
 
 from .bases import Repeated
 from .outcomes import Outcome
-from .whatif import without_collection
 
 Progress = Callable[[int, int], None]
 MOMENTS = 24

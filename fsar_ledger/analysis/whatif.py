@@ -1,8 +1,6 @@
 """What if: forks beside their bases, judged by the same SQL, in pairs that share every draw."""
 
-import gc
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +8,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.view import Head
@@ -123,18 +122,6 @@ def forked(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
     """
     for base in bases:
         yield Pair(base, repeated(base).fork(changes))
-
-
-@contextmanager
-def without_collection() -> Iterator[None]:
-    """Collect no garbage inside: a run makes no cycles."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 def effects(pairs: Iterable[Pair], progress: Callable[[int], None] | None = None) -> tuple[list[Parted], list[Effects]]:

@@ -127,9 +127,9 @@ def _lines(database: Database, asked: Asked, *conditions_too: str) -> pa.Table:
 
 def _lines_in(view: View, group: Sequence[int], asked: Asked, first: int) -> pa.Table:
     """Return the lines of the events in these segments from this index on."""
-    segments = [view.segment(number) for number in group]
+    segments, releases = [view.segment(number) for number in group], view.releases
     with Database(view.head, segments) as database:
-        relation.hold_segments(database, segments, [view.releases[number] for number in group])
+        relation.hold_segments(database, segments, [releases[number] for number in group])
         if view.first(group[0]) >= first:
             return _lines(database, asked)
         database.hold("untold", pa.concat_tables(view.tables_from(first, ["run_id", "seq"])))

@@ -96,10 +96,9 @@ def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
     held = segments_of(view, view.parts(run))
     segments = [view.segment(number) for number in held]
     database = Database(view.head, segments, rows_verified=rows_verified)
-    releases = [view.releases[number] for number in held]
-    number = view.ordinal_of(run)
-    numbers = _numbers([run] if number else [], number)
-    _fill(database, segments, releases, relation.Chosen(relation.of_run(run), numbers))
+    ordinal, releases = view.ordinal_of(run), view.releases
+    numbers = _numbers([run] if ordinal else [], ordinal)
+    _fill(database, segments, [releases[number] for number in held], relation.Chosen(relation.of_run(run), numbers))
     return database
 
 

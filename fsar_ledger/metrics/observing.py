@@ -15,7 +15,7 @@ _TYPE = re.compile(r"'([A-Z][A-Za-z]+\.v\d+)'")
 _NOT_READ = re.compile(r"--[^\n]*|\btype NOT IN \([^)]*\)")
 _WIDE = frozenset({"events", "event_principals"})
 """Relations that hold every event, whatever its type."""
-_TIES = frozenset({"event_principals", "keyed_events"})
+_TIES = frozenset({"event_principals", "keyed_events", "naming_events"})
 """Relations that read all events only to tell which belong together; the query names what it is about beside them."""
 
 

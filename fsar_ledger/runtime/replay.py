@@ -25,7 +25,6 @@ The record also holds the length of an execution, as `ends_us`. It is drawn agai
 record would be to believe the decision in question.
 """
 
-import gc
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from itertools import repeat
@@ -36,6 +35,7 @@ import msgspec
 from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
@@ -174,6 +174,7 @@ def _replayed(path: str, files: list[tuple[str, ...]], workers: int, is_recorded
             yield from map(replay_commit, *asked)
 
 
+@without_collection()  # a run makes no cyclic garbage
 def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: bool = False) -> CommitReport:
     """Return the report on the runs of one commit, in these files of the ledger; other arguments as of `replay`.
 
@@ -184,7 +185,6 @@ def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: b
     found: list[Difference] = []
     starts: list[RunStarted] = []
     runs = events = 0
-    gc.disable()  # a run makes no cyclic garbage
     try:
         for record in _records(Path(path), files):
             difference = replay_run(record, is_recorded)
@@ -197,8 +197,6 @@ def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: b
                 found.append(msgspec.structs.replace(difference, commit=number, segment=files[0]))
     except Exception as error:  # a check that fails in an unforeseen way is still a finding
         found.append(Difference(None, None, None, None, "runs that can be replayed", _told(error), number, files[0]))
-    finally:
-        gc.enable()
     return CommitReport(tuple(found), played(starts), runs, events)
 
 

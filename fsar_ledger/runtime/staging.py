@@ -1,6 +1,5 @@
 """Simulate batches of runs and stage them, in this process or in worker processes."""
 
-import gc
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
@@ -12,6 +11,7 @@ import msgspec
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment, InvalidRun
+from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.store.append import Staged, stage
@@ -63,19 +63,17 @@ class Staging(msgspec.Struct, frozen=True):
     def _stream(self, batch: Batch) -> Iterator[Staged]:
         """As `of`, one segment after the other, without garbage collection: a run makes no cyclic garbage."""
         arenas.prepare_for(max(spec.fleet_size for spec in batch))
-        gc.disable()
-        try:
-            if self.spans_commits:
-                for part in self._parts(batch):
-                    yield from self._fitted(part)
-            else:
-                yield stage(self.out, [simulate_run(spec, self.constants) for spec in batch])
-        except ValueError as error:
-            if "in one commit" not in str(error):
-                raise
-            raise InvalidExperiment(f"fleet size {batch[0].fleet_size}: {error}, or a smaller fleet") from error
-        finally:
-            gc.enable()
+        with without_collection():
+            try:
+                if self.spans_commits:
+                    for part in self._parts(batch):
+                        yield from self._fitted(part)
+                else:
+                    yield stage(self.out, [simulate_run(spec, self.constants) for spec in batch])
+            except ValueError as error:
+                if "in one commit" not in str(error):
+                    raise
+                raise InvalidExperiment(f"fleet size {batch[0].fleet_size}: {error}, or a smaller fleet") from error
 
     def _parts(self, batch: Batch) -> Iterator[list[LedgerRun]]:
         """Yield the runs of the batch in parts of `COMMIT_EVENTS` events, the last one of what remains."""

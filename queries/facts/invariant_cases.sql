@@ -7,7 +7,7 @@
 -- NULL: never; without a row there was nothing to judge, which is no pass
 -- Example: fsar-ledger query facts/invariant_cases LEDGER
 -- Stored: audit reads it for each invariant
--- What depends on the type only is judged once a type. Events of some types name nobody and are never a case.
+-- What depends on the type only is judged once a type.
 WITH of_types AS (
     SELECT
         run_id, type,
@@ -20,13 +20,7 @@ WITH of_types AS (
         ) AS naming,
         count(*) FILTER (executed_by IS NOT NULL OR robot IS NOT NULL) AS placed,
         count(*) FILTER (executed_by IS NOT NULL OR robot = 'coordinator' OR starts_with(robot, 'service/')) AS central
-    FROM event_principals
-    WHERE
-        type NOT IN (
-            'RunStarted.v2', 'ExperimentPlanned.v1', 'SyncPhaseSet.v1', 'SupervisorLeft.v1', 'SupervisorReturned.v1',
-            'StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1', 'RegistryCached.v1', 'CopySynced.v1',
-            'WorkQueued.v1', 'CommandRejected.v1'
-        )
+    FROM naming_events
     GROUP BY run_id, type
 ),
 

@@ -36,18 +36,10 @@ named AS (
         unnest(list_distinct(list_concat(
             [decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, [])
         ))) AS principal
-    FROM event_principals
+    FROM naming_events
     WHERE
-        -- Events of these types name nobody, so the columns need not be read.
-        type NOT IN (
-            'RunStarted.v2', 'ExperimentPlanned.v1', 'SyncPhaseSet.v1', 'SupervisorLeft.v1', 'SupervisorReturned.v1',
-            'StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1', 'RegistryCached.v1', 'CopySynced.v1',
-            'WorkQueued.v1', 'CommandRejected.v1'
-        )
-        AND (
-            decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
-            OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR len(path) > 0
-        )
+        decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
+        OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR len(path) > 0
 )
 
 SELECT

@@ -57,6 +57,7 @@ CHAIN_TESTS = tuple(
         "chain_damage",
         "agreement_soak",
         "chain",
+        "chain_links",
         "recover_beside",
     )
 )

@@ -9,10 +9,11 @@ since no crash leaves one.
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate, pairwise
-from operator import lt
+from operator import lt, sub
 
 import msgspec
 
+from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.chain.paths import CHAIN
 from fsar_ledger.ledger.chain.record import Commit, Placement, Record, parse_line, parse_lines
 from fsar_ledger.ledger.log.hashing import digests
@@ -112,6 +113,45 @@ class Chain:
             self.placed[start:end] = [record]
         self.placed_size = self.placed[-1].end
 
+    def adds(self, records: Sequence[Record], hashes: Sequence[str]) -> bool:
+        """Add the records of lines with these SHA-256 if each is a commit or, after it, the placement of its rows.
+
+        That is the usual chain, where this takes a third of the time. Nothing is added where anything may speak against
+        a record.
+        """
+        commits = [record for record in records[::2] if type(record) is Commit]
+        placements = [record for record in records[1::2] if type(record) is Placement]
+        ends = [commit.tree_size for commit in commits]
+        firsts = [self.size, *ends]
+        if not (
+            self._trusts_frontiers
+            and len(commits) == len(placements) == len(records) / 2
+            and self.placed_size == self.size
+            and [record.previous_sha256 for record in records] == [self.sha256, *hashes][:-1]
+            and FINGERPRINTS.keys() >= {commit.release for commit in commits}
+            and FINGERPRINTS.items() >= {(one.release, one.schema_sha256) for one in placements}
+            and [one.number for one in commits] == list(range(len(self.commits), len(self.commits) + len(commits)))
+            and [one.number for one in placements] == [len(self.placements) + at for at in range(len(placements))]
+            and [one.first for one in placements] == firsts[:-1]
+            and [one.rows for one in commits] == [one.rows for one in placements] == [*map(sub, ends, firsts)]
+            and all(one.index_bytes for one in placements)
+        ):
+            return False
+        before = self.going_on
+        for commit in commits:
+            if (commit.continues or commit.goes_on) and self._of_runs(commit) is not None:
+                self.going_on = before
+                return False
+            self._go_on(commit)
+        if placements:
+            self.sha256, self.settled, self.placed_size = hashes[-1], placements[-1].first, ends[-1]
+        self.commits += commits
+        self.placements += placements
+        self.placed += placements
+        self.added += placements
+        self.index_bytes += sum(one.index_bytes for one in placements)
+        return True
+
     def _go_on(self, commit: Commit) -> None:
         if not commit.continues and not commit.goes_on:
             return
@@ -159,8 +199,9 @@ class Chain:
             return "number", commit.number, len(self.commits)
         if (rows := commit.tree_size - self.size) != commit.rows:
             return "rows", commit.rows, rows
-        if not commit.continues and not commit.goes_on:
-            return None
+        return self._of_runs(commit) if commit.continues or commit.goes_on else None
+
+    def _of_runs(self, commit: Commit) -> Doubt | None:
         runs = [run for run, _ in commit.continues]
         if not _is_sorted(runs) or not all(first for _, first in commit.continues):
             return "continues", f"{commit.continues!r:.200}", "each run once, sorted, each from a seq after 0"
@@ -229,8 +270,12 @@ def follow(data: bytes, chain: Chain) -> Followed:
     sha256 = chain.sha256
     problem: Problem | None = None
     *lines, rest = data.split(b"\n")
-    records = _parsed(data[: len(data) - len(rest)], lines)
-    for line, record, line_sha256 in zip(lines, records, digests(lines), strict=True):
+    hashes = digests(lines)
+    with without_collection():
+        records = _parsed(data[: len(data) - len(rest)], lines)
+        if not rest and isinstance(records, list) and chain.adds(records, hashes):
+            return Followed(len(data), last=len(data) - sum([len(line) + 1 for line in lines[-2:]]))
+    for line, record, line_sha256 in zip(lines, records, hashes, strict=True):
         number = len(chain.commits)
         if isinstance(record, ValueError):
             problem = Problem(CHAIN, f"no record ({record})", "one as it is written", commit=number)

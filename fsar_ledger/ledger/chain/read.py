@@ -80,7 +80,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     @property
     def releases(self) -> list[str]:
         """Return for each segment the release that has its columns."""
-        return [*(placement.release for placement in self.chain.placed), *([RELEASE] if self.journal.frames else [])]
+        return [placement.release for placement in self.chain.placed] + [RELEASE] * bool(self.journal.frames)
 
     def first(self, number: int) -> int:
         """Return the index in the ledger of the first event of this segment."""

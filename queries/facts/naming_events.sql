@@ -1,0 +1,18 @@
+-- Title: Events of the types that have a place for a robot or a principal, and whom each names
+-- Paper: sec:model:invariants (I1)
+-- Grain: one row per event of such a type
+-- Key: run_id, seq
+-- Units: time_us microseconds of run time
+-- NULL: the event's type has no such field, or the record does not name it
+-- Example: fsar-ledger query facts/naming_events LEDGER
+-- The types are those left out, so that the columns of their events are not read.
+SELECT
+    run_id, seq, time_us, type, action_id, robot, on_behalf_of, decided_by, requested_by, executed_by, supervised_by,
+    claimant, sender, receiver, path
+FROM event_principals
+WHERE
+    type NOT IN (
+        'RunStarted.v2', 'ExperimentPlanned.v1', 'SyncPhaseSet.v1', 'SupervisorLeft.v1', 'SupervisorReturned.v1',
+        'StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1', 'RegistryCached.v1', 'CopySynced.v1',
+        'WorkQueued.v1', 'CommandRejected.v1'
+    )
