@@ -5,8 +5,9 @@
     python benchmarks/one_run.py --cache DIR    the ledgers are kept in DIR, and copied from there the next time
 
 Both are in format 2. Asked of each in turns: prove an event, list the requests of a run, tell a run, how it stood, and
-append one run. Each time it is a run of another scenario and architecture, of the same ones in both ledgers: the one in
-the middle of these. Printed are the medians of wall time and of processor time, and of the differences.
+append one run. Each time it is a run of another scenario and architecture, the same run in both ledgers: the one in the
+middle of these in the smaller ledger. Printed are the medians of wall time and of processor time, and of the
+differences.
 """
 
 import argparse
@@ -30,16 +31,20 @@ from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 WANTED_MS = 20
 
 
-def questions(path: Path) -> dict[str, Callable[[int], object]]:
-    """Return what is asked of a ledger; the number tells repeats apart."""
-    ledger = fsar_ledger.Ledger(path)
+def middle_runs(path: Path) -> list[str]:
+    """Return the run in the middle of each scenario and architecture of a ledger."""
     kinds: dict[str, list[str]] = {}
     for name in open_for_answers(path).run_names.runs:
         kinds.setdefault(name.partition(".n4.")[0], []).append(name)
-    middle = [names[len(names) // 2] for _, names in sorted(kinds.items())]
+    return [names[len(names) // 2] for _, names in sorted(kinds.items())]
+
+
+def questions(path: Path, runs: Sequence[str]) -> dict[str, Callable[[int], object]]:
+    """Return what is asked of a ledger about these runs; the number tells repeats apart."""
+    ledger = fsar_ledger.Ledger(path)
 
     def run(number: int) -> str:
-        return middle[number % len(middle)]
+        return runs[number % len(runs)]
 
     def append(number: int) -> object:
         made = simulate_run(RunSpec(1_000_000 + number, "fsar", "full", "door-relay", 4, 0), Constants())
@@ -77,13 +82,14 @@ def main() -> int:
     parser.add_argument("--cache", type=Path, help="a folder that keeps the ledgers")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="fsar-ledger-") as folder:
-        asked = []
+        paths = []
         for runs in options.runs:
             path = Path(folder) / f"{runs}"
             make(path, runs, options.cache)
             head = open_for_answers(path).head
             print(f"{runs:,} runs of each scenario: {head.size:,} events in {head.commits:,} commits")
-            asked.append(questions(path))
+            paths.append(path)
+        asked = [questions(path, middle_runs(paths[0])) for path in paths]
         print(f"load {os.getloadavg()[0]:.1f}")
         for name in asked[0]:
             taken: tuple[list[float], list[float]] = ([], [])
