@@ -227,7 +227,7 @@ class ChainWriter:
             frame = Frame(line, commit, rows, leaves)
             self._is_broken = True  # unless everything below succeeds
             try:
-                self._journal.write(
+                head = self._journal.write(
                     b"".join((line, b"\n", rows)), journal.end, lambda: self._take_over(frame, tree, blocks)
                 )
             except BaseException as error:
@@ -236,13 +236,14 @@ class ChainWriter:
                     raise disk.refusal(self._journal.path, "writing to the journal", error) from error
                 raise
             self._is_broken = False
-        return self._view.head
+        return head
 
-    def _take_over(self, frame: Frame, tree: Frontier, blocks: Sequence[Block]) -> None:
-        """Go on from this frame of the journal, which leads to this tree."""
+    def _take_over(self, frame: Frame, tree: Frontier, blocks: Sequence[Block]) -> Head:
+        """Go on from this frame of the journal, which leads to this tree; return how far the ledger goes then."""
         self._view.chain.add(frame.commit, sha256_hex(frame.line))
         self._view.journal.add(frame, tree)
         self._runs().add(blocks)
+        return self._view.head
 
     def compact(self) -> int:
         """Put small neighbouring segments together, durably; return how many were put into others.

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import perf_counter_ns
+from typing import TypeVar
 
 import msgspec
 
@@ -26,6 +27,8 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import sha256_hex
+
+Result = TypeVar("Result")
 
 ALLOTTED = 1 << 20
 """Bytes by which the file grows: writing over what is there, a disk syncs only the data."""
@@ -307,8 +310,8 @@ class JournalFile:
         """Return whether something was written since it was opened or closed."""
         return self.handle >= 0
 
-    def write(self, data: bytes, end: int, meanwhile: Callable[[], None]) -> None:
-        """Write these bytes where the last frame ends, and sync them, once; do this while the disk is at it.
+    def write(self, data: bytes, end: int, meanwhile: Callable[[], Result]) -> Result:
+        """Write these bytes where the last frame ends, and sync them, once; return what is done while the disk is at it.
 
         When that fails, the file is cut off there, if the disk allows it. Raises: OSError.
         """
@@ -324,7 +327,7 @@ class JournalFile:
             if after > self._room and len(data) < _LARGE:
                 room = after // ALLOTTED * ALLOTTED + ALLOTTED
                 growing.write_zeros(self.handle, after, room)
-            meanwhile()
+            result = meanwhile()
             while is_small and perf_counter_ns() - begun < _AWAITED_NS:
                 pass
             os.fdatasync(self.handle)
@@ -333,6 +336,7 @@ class JournalFile:
                 os.ftruncate(self.handle, end)
             raise
         self._room = max(self._room, room)
+        return result
 
     def _open(self, end: int) -> None:
         """Open the file, or make it, durably. Raises: OSError."""
