@@ -311,7 +311,7 @@ class JournalFile:
         return self.handle >= 0
 
     def write(self, data: bytes, end: int, meanwhile: Callable[[], Result]) -> Result:
-        """Write these bytes where the last frame ends, and sync them, once; return what is done while the disk is at it.
+        """Write these bytes where the last frame ends, and sync them, once; return the result of `meanwhile`.
 
         When that fails, the file is cut off there, if the disk allows it. Raises: OSError.
         """
