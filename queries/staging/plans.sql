@@ -6,6 +6,7 @@
 --   planned_count runs in all; parameters_sha256 the digest of all constants of the world and of structure
 -- NULL: never
 -- Example: fsar-ledger query staging/plans LEDGER
+-- Stored: every answer says whether all planned runs are there
 SELECT
     run_id AS plan,
     seed, fleet_size,
