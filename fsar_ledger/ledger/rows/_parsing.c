@@ -86,7 +86,7 @@ static uint32_t hash_of(const char *at, size_t size) {
         hash ^= hash >> 32;
     }
     hash = (hash ^ few(at, size)) * 0xc4ceb9fe1a85ec53u;
-    return (uint32_t)(hash ^ hash >> 32);
+    return (uint32_t)((hash ^ hash >> 32) * 0xff51afd7ed558ccdu >> 32); /* else the last bytes would not move the slot */
 }
 
 static int grow_texts(Texts *all) {
