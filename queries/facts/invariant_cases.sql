@@ -14,10 +14,7 @@ WITH of_types AS (
         count(*) AS events,
         count(*) FILTER (robot = on_behalf_of) AS own,
         count(*) FILTER (type = 'ExecutionHeld.v1' AND len(path) > 0) AS held_on_path,
-        count(*) FILTER (
-            decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
-            OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR len(path) > 0
-        ) AS naming,
+        count(*) FILTER (names_somebody) AS naming,
         count(*) FILTER (executed_by IS NOT NULL OR robot IS NOT NULL) AS placed,
         count(*) FILTER (executed_by IS NOT NULL OR robot = 'coordinator' OR starts_with(robot, 'service/')) AS central
     FROM naming_events

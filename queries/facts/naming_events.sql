@@ -2,13 +2,16 @@
 -- Paper: sec:model:invariants (I1)
 -- Grain: one row per event of such a type
 -- Key: run_id, seq
--- Units: time_us microseconds of run time
+-- Units: time_us microseconds of run time; names_somebody whether a principal is named
 -- NULL: the event's type has no such field, or the record does not name it
 -- Example: fsar-ledger query facts/naming_events LEDGER
 -- The types are those left out, so that the columns of their events are not read.
 SELECT
     run_id, seq, time_us, type, action_id, robot, on_behalf_of, decided_by, requested_by, executed_by, supervised_by,
-    claimant, sender, receiver, path
+    claimant, sender, receiver, path,
+    decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
+    OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR coalesce(len(path) > 0, FALSE)
+        AS names_somebody
 FROM event_principals
 WHERE
     type NOT IN (

@@ -37,9 +37,7 @@ named AS (
             [decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, [])
         ))) AS principal
     FROM naming_events
-    WHERE
-        decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
-        OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR len(path) > 0
+    WHERE names_somebody
 )
 
 SELECT

@@ -7,9 +7,11 @@ nor less room after the last frame of `sealing.jsonl`; then the ledger must be t
 found, with its place.
 """
 
+import math
 import os
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import accumulate, combinations
 from pathlib import Path
 from typing import NamedTuple
@@ -69,21 +71,27 @@ def write_closed(path: Path, snapshots: Path | None = None) -> None:
     keep(path, snapshots)
 
 
-def write_open(path: Path) -> None:
-    """Write a ledger that its writer left open: the checkpoint covers nothing of the journal, which has room."""
+@contextmanager
+def left_open(path: Path) -> Iterator[tuple[ChainWriter, Path]]:
+    """Yield a writer and its ledger, which becomes `path` as the writer leaves it open; its journal has room."""
     other = path.with_name(f"{path.name}-begun")
     with patch.object(journal, "ALLOTTED", ROOM), ChainWriter(other, ORIGIN, SIGNER) as writer:
+        yield writer, other
+        shutil.copytree(other, path)
+
+
+def write_open(path: Path) -> None:
+    """Write a ledger that its writer left open: the checkpoint covers nothing of the journal, which has room."""
+    with left_open(path) as (writer, other):
         writer.append(stage(other, [RUNS[2]]))
         for first in range(3):
             writer.add([piece(1, 2 * first, 2 * first + 2)])
-        shutil.copytree(other, path)
 
 
 def write_handed_over(path: Path) -> None:
     """Write a ledger that its writer left open after it had handed over its journal twice: of `sealing.jsonl`, the
     chain has the first commit and lacks the second."""
-    other = path.with_name(f"{path.name}-begun")
-    with patch.object(journal, "ALLOTTED", ROOM), ChainWriter(other, ORIGIN, SIGNER) as writer:
+    with left_open(path) as (writer, _):
         writer.add([piece(1, 0, 2)])
         hand_over(writer)
         writer.add([piece(1, 2, 4)])
@@ -91,7 +99,6 @@ def write_handed_over(path: Path) -> None:
         writer.add([piece(1, 4, 6)])
         hand_over(writer)
         writer.add([piece(1, 6, 8)])
-        shutil.copytree(other, path)
 
 
 def write_cut_short(path: Path) -> None:
@@ -147,7 +154,7 @@ class Allowance:
             end += size_of(frame)
             self._wholes.append(Whole(JOURNAL, end, frame.commit.tree_size, frame.commit.tree_root))
         self._wholes.append(Whole(SEALING, sealing[-1], view.head.size, view.head.root))
-        self._last = {CHAIN: view.followed.last, JOURNAL: view.journal.last}
+        self._last = {CHAIN: view.followed.last, JOURNAL: view.journal.last, SEALING: math.inf}  # only cut, not changed
         self._handed_over = sealing[:-1]  # where its frames begin
         # Of the chain, no placement with more behind it follows the one before the last.
         self._end = {
@@ -164,7 +171,7 @@ class Allowance:
     def root(self, name: str, at: int, *, is_cut: bool) -> str | None:
         """Return the root of what remains if this file is cut or changed there; None if that must be found."""
         before = [one for one in self._wholes if one.name == name and one.end <= at]
-        if not before or (name == CHAIN and self._has_journal) or not (is_cut or at >= self._last.get(name, at + 1)):
+        if not before or (name == CHAIN and self._has_journal) or not (is_cut or at >= self._last[name]):
             return None
         return before[-1].root if before[-1].size >= self._covered else None
 

@@ -139,7 +139,7 @@ class Chain:
             return False
         before = self.going_on
         for commit in commits:
-            if (commit.continues or commit.goes_on) and self._of_runs(commit) is not None:
+            if self._of_runs(commit) is not None:
                 self.going_on = before
                 return False
             self._go_on(commit)
@@ -199,9 +199,11 @@ class Chain:
             return "number", commit.number, len(self.commits)
         if (rows := commit.tree_size - self.size) != commit.rows:
             return "rows", commit.rows, rows
-        return self._of_runs(commit) if commit.continues or commit.goes_on else None
+        return self._of_runs(commit)
 
     def _of_runs(self, commit: Commit) -> Doubt | None:
+        if not commit.continues and not commit.goes_on:
+            return None
         runs = [run for run, _ in commit.continues]
         if not _is_sorted(runs) or not all(first for _, first in commit.continues):
             return "continues", f"{commit.continues!r:.200}", "each run once, sorted, each from a seq after 0"
