@@ -4,7 +4,8 @@ tests.ledger.crash_soak [KILLS [PAIRS [FORMAT]]]`, by default of both formats.
 Tries every kind of fault at every call of two appends (format 2: appends, the journal, sealing, compaction), each
 followed by power failures; a fault at every call of the recovery from each state that a kill leaves; pairs of faults,
 the second during the recovery from the first; processes killed at every call; KILLS processes (2,000) killed at random
-moments, two to eight at a time on one ledger. Prints counts, and exits with 1 if anything was lost or torn.
+moments, two to eight at a time on one ledger. Prints counts after each part, and the first complaints as they come;
+exits with 1 if anything was lost or torn.
 """
 
 import random
@@ -114,12 +115,20 @@ def soak(folder: Path, kills: int, pairs: int, version: int) -> Tally:
     """Run all parts on ledgers of this format, and print a line on each."""
     start = time.monotonic()
 
-    def say(text: str) -> None:
+    def tell(text: str) -> None:
         print(f"{time.monotonic() - start:6.0f} s  format {version}: {text}", flush=True)
+
+    def tell_complaint(complaint: str) -> None:
+        if len(tally.complaints) <= MAX_COMPLAINTS:
+            tell(complaint)
+
+    def say(text: str) -> None:
+        tell(f"{text}; lost {tally.lost}, torn {tally.torn}, complaints in all {len(tally.complaints)}")
 
     folder.mkdir()
     laboratory = LABORATORY[version](folder)
     tally, root = laboratory.tally, folder / "calls"
+    tally.tells = tell_complaint
     root.mkdir()
     calls = calls_of(root, lambda: laboratory.append(FaultyOs(root), root / "out" / "ledger"))
     single_faults(laboratory, calls)
@@ -156,8 +165,6 @@ def main(arguments: list[str]) -> int:
             f"{len(tally.complaints) - tally.lost - tally.torn}",
             flush=True,
         )
-        for complaint in tally.complaints[:MAX_COMPLAINTS]:
-            print(complaint)
         is_clean = is_clean and tally.is_clean
     return 0 if is_clean else 1
 

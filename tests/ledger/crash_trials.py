@@ -39,7 +39,10 @@ TOKEN = re.compile(r"[0-9a-f]{16}(?=\.tmp$)")
 
 @dataclass
 class Tally:
-    """What was tried and found. `lost` and `torn` count trials; `complaints` describe what was wrong in each."""
+    """What was tried and found. `lost` and `torn` count trials; `complaints` describe what was wrong in each.
+
+    Each complaint goes to `tells` when it is made.
+    """
 
     faults: int = 0
     faults_in_recovery: int = 0
@@ -48,6 +51,7 @@ class Tally:
     lost: int = 0
     torn: int = 0
     complaints: list[str] = field(default_factory=list)
+    tells: Callable[[str], None] | None = None
 
     @property
     def is_clean(self) -> bool:
@@ -58,6 +62,8 @@ class Tally:
         self.lost += what.startswith("lost")
         self.torn += what.startswith("torn")
         self.complaints.append(f"{where}: {what}")
+        if self.tells is not None:
+            self.tells(self.complaints[-1])
 
 
 def _state(path: Path) -> str:

@@ -50,9 +50,25 @@ def test_a_system_that_cannot_begin_early_writes_the_same(tmp_path: Path, monkey
         with ChainWriter(tmp_path / name, ORIGIN) as writer:
             writer.add([piece(RUN, 0, 3)])
             writer.add([piece(RUN, 3, 4)])
-        monkeypatch.setattr(growing, "_sync_file_range", lambda: None)
+        monkeypatch.setattr(growing, "_TAKES_ADVICE", False)
     found, expected = ((tmp_path / name / JOURNAL).read_bytes() for name in ("without", "with"))
     assert found == expected
+
+
+def test_a_file_system_that_refuses_the_advice_makes_no_difference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+
+    def refused(_: int, __: int, size: int, ___: int) -> None:
+        asked.append(size)
+        raise OSError(22, "Invalid argument")
+
+    monkeypatch.setattr(os, "posix_fadvise", refused)
+    with ChainWriter(tmp_path / "ledger", ORIGIN) as writer:
+        assert writer.add([piece(RUN, 0, 3)]).size == 3
+    assert len(asked) == 1
+    assert verify(tmp_path / "ledger").remarks == ()
 
 
 def test_a_commit_that_could_not_be_synced_does_not_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -209,7 +209,9 @@ class ChainWriter:
                 f"found {count} events of {len(rows)} bytes, expected at most {SEAL_ROWS} events and {SEAL_BYTES} "
                 "bytes in one commit of a journal; stage them and append them as a segment"
             )
-        goes_on = tuple(sorted([run.run_id for run in runs if run.goes_on]))
+        goes_on = tuple([run.run_id for run in runs if run.goes_on])
+        if len(runs) > 1:
+            goes_on = tuple(sorted(goes_on))
         with self._turn:
             self._catch_up()
             if (flaw := self._runs().refused(blocks, self._view)) is not None:

@@ -8,7 +8,7 @@ from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import encode_coded, encode_lines
-from fsar_ledger.ledger.rows.encoding import MARK_OF, OPENING, Plain, marks_of, plain_rows
+from fsar_ledger.ledger.rows.encoding import MARK_OF, OPENING, Plain, marks_of, plain_lines, plain_rows
 from fsar_ledger.ledger.rows.runs import LedgerRun, overlong, refusal, require_runs, unreadable
 from fsar_ledger.ledger.rows.schema import LAYOUTS, OPENINGS, STANDS_ALONE
 
@@ -22,6 +22,8 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
     """
     if not runs:
         raise InvalidRun("found no runs to commit, expected at least 1")
+    if len(runs) == 1 and (found := _going_on(runs[0])) is not None:
+        return found
     plain = plain_rows(runs)
     if plain is None or not plain.rows or len(runs) > 1:
         require_runs(runs)
@@ -36,6 +38,17 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
     if begun and (flaw := unreadable(begun) or overlong(begun)):  # of the others, the ledger holds the name
         raise refusal(flaw)
     return rows, tuple(map(_block, runs, marks))
+
+
+def _going_on(run: LedgerRun) -> tuple[bytes, tuple[Block]] | None:
+    """Return, as `rows_of`, what follows of a run that has begun; None unless it is plain that nothing is wrong."""
+    first, times = run.first, run.times_us
+    if not first or (lines := plain_lines(run)) is None:
+        return None
+    rows, marks = lines
+    if not rows or marks & OPENING or (len(times) > 1 and list(times) != sorted(times)):
+        return None
+    return rows, (Block(run.run_id, first, len(times), times[0], times[-1], None, _concerns(marks)),)
 
 
 def _is_printable(rows: bytes) -> bool:

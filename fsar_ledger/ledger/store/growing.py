@@ -5,16 +5,13 @@ Every change is a plain call of `os`, as in `disk`.
 
 import errno
 import os
-from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.store import disk
 
-_SYNC_FILE_RANGE_WRITE = 2
-"""Of sync_file_range(2): begin to write, wait for nothing."""
+_TAKES_ADVICE = hasattr(os, "posix_fadvise")
 _ZEROS_AT_ONCE = 1 << 16
 
 
@@ -126,23 +123,14 @@ def write_again(path: Path, start: int, end: int, *, cuts: bool = False) -> None
 def begin_to_sync(handle: int, place: int, size: int) -> None:
     """Let the disk begin to write these bytes of an open file, and go on: a sync a little later finds that done.
 
-    Nothing is promised; the sync tells what failed. Where the system has no such call, nothing is done.
+    Linux begins to write what it is told is not needed again; here that is changed, so it stays in memory. Nothing is
+    promised: the sync tells what failed. Where the system takes no such advice, nothing is done.
     """
-    if (sync_file_range := _sync_file_range()) is not None:
-        sync_file_range(handle, place, size, _SYNC_FILE_RANGE_WRITE)
-
-
-@cache
-def _sync_file_range() -> Callable[[int, int, int, int], int] | None:
-    import ctypes
-
-    try:
-        found = ctypes.CDLL(None).sync_file_range
-    except (AttributeError, OSError):  # it is one of Linux alone
-        return None
-    found.argtypes = (ctypes.c_int, ctypes.c_int64, ctypes.c_int64, ctypes.c_uint)
-    called: Callable[[int, int, int, int], int] = found
-    return called
+    if _TAKES_ADVICE:
+        try:  # `suppress` would take as long as the call
+            os.posix_fadvise(handle, place, size, os.POSIX_FADV_DONTNEED)
+        except OSError:
+            return
 
 
 def write_zeros(handle: int, place: int, end: int) -> None:
@@ -159,9 +147,11 @@ def write_zeros(handle: int, place: int, end: int) -> None:
 
 def write_at(handle: int, data: bytes | memoryview, place: int) -> None:
     """Write all these bytes at this place of an open file. Raises: OSError."""
-    rest = memoryview(data).cast("B")
+    written = os.pwrite(handle, data, place)
+    rest = data[written:]  # nothing, as good as always
     while rest:
-        written = os.pwrite(handle, rest, place)
         if written == 0:
             raise OSError(errno.EIO, "the disk took no more bytes")
-        rest, place = rest[written:], place + written
+        place += written
+        written = os.pwrite(handle, rest, place)
+        rest = rest[written:]
