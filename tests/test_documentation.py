@@ -316,9 +316,7 @@ ELSEWHERE = (
 do."""
 
 
-MADE = {shlex.split(example)[2]: example for name, example in examples() if name == "simulate"} | {
-    "out/ledger2": "fsar-ledger upgrade out/ledger --into out/ledger2"
-}
+MADE = {shlex.split(example)[2]: example for name, example in examples() if name == "simulate"}
 """The example that makes each ledger that other examples read."""
 
 

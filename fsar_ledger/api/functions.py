@@ -69,7 +69,7 @@ def simulate(
         task_sets: How often each team gets the tasks of its scenario, 30 s apart.
         without: Mechanisms to remove, a configuration for each; names joined by + are removed together.
         origin: The name under which the ledger is published.
-        format: The format of a new ledger, 1 or 2; None: 1. In format 2 runs may span commits.
+        format: The format of a new ledger, 1 or 2; None: 2. In format 1 a commit holds whole runs.
         key: A file of `key_new`, to sign with.
         adopt: Continue a ledger that another key signed, or none.
         workers: Processes at once; None: one per core, if there is enough to do. The ledger does not depend on it.

@@ -17,7 +17,7 @@ VERSIONS = (VERSION, CHAINED)
 def open_writer(
     ledger: Path, origin: str, signer: Signer | None = None, *, adopts: bool = False, version: int | None = None
 ) -> Writer | ChainWriter:
-    """Open a ledger to append to it. If there is none, it is made in this format version, by default the first.
+    """Open a ledger to append to it. If there is none, it is made in this format version, by default the newest.
 
     Raises:
         UsageError: As `version_for`, and as the writer of its version.
@@ -35,7 +35,7 @@ def version_for(ledger: Path, version: int | None = None) -> int:
         UsageError: It has another one.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: What is there is no ledger that this version writes.
     """
-    found = version_of(ledger) if os.path.lexists(ledger / MANIFEST) else version or VERSION
+    found = version_of(ledger) if os.path.lexists(ledger / MANIFEST) else version or CHAINED
     if version is not None and found != version:
         raise UsageError(
             f"{ledger}: found a ledger of format {found}, expected {version}; a ledger is continued in its own format, "

@@ -324,7 +324,7 @@ def carry_out(
     canonical order, in `batches`. Each commit follows from those before it, so neither `workers` nor an interruption
     changes a byte. `progress` is called with (batches done, batches in all). New commits are signed by `signer`, whose
     key stays in this process; with `adopts` even where another key or none signed the existing ones. A new ledger gets
-    `origin`, else the name of the signer, else `ORIGIN`, and this format `version`, by default the first.
+    `origin`, else the name of the signer, else `ORIGIN`, and this format `version`, by default the newest.
 
     Raises:
         InvalidExperiment: a commit cannot hold this many runs of so large a fleet.

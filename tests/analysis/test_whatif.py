@@ -9,8 +9,8 @@ from scipy import stats
 from fsar_ledger.analysis.bases import Base, base_of_record, repeated
 from fsar_ledger.analysis.whatif import Effect, Pair, effects, forked, keep
 from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
-from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.runtime.change_texts import parsed

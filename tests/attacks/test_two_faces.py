@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from tests.attacks.conftest import Attack
+from tests.attacks.conftest import OF_FORMAT_1, Attack
 from tests.cli.conftest import Called
 from tests.ledger.forgery import forge_segment, table_of
 from tests.ledger.parts import two_faced
@@ -36,6 +36,7 @@ def ledger(command: Attack, tmp_path: Path) -> Path:
         "key",
         "--origin",
         "example.org/fleet",
+        *OF_FORMAT_1,
     )
     assert command("key", "new", "key", "--name", "example.org/fleet").code == 0
     assert command("simulate", "ledger", *call).code == 0

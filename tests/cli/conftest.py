@@ -57,15 +57,25 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
     return run
 
 
-@pytest.fixture(scope="session")
-def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small ledger that tests may read but not change: two scenarios, two runs, three architectures; its rows are
-    known to be those under its root."""
-    path = tmp_path_factory.mktemp("cli") / "out" / "ledger"
-    for command in (("simulate", path, *SMALL), ("verify", path)):
+def made_in(folder: Path, *options: str) -> Path:
+    """Make a small ledger: two scenarios, two runs, three architectures. Its rows are known to be those of its root."""
+    path = folder / "out" / "ledger"
+    for command in (("simulate", path, *SMALL, *options), ("verify", path)):
         called = in_a_process(*command)
         assert called.code == 0, called.err
     return path
+
+
+@pytest.fixture(scope="session")
+def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small ledger that tests may read but not change."""
+    return made_in(tmp_path_factory.mktemp("cli"))
+
+
+@pytest.fixture(scope="session")
+def older(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same events in format 1."""
+    return made_in(tmp_path_factory.mktemp("cli-older"), "--format", "1")
 
 
 def one_message(called: Called, code: int, *parts: str) -> None:

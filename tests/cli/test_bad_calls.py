@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,19 @@ def copy(ledger: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(ledger, tmp_path / "copy"))
 
 
+@pytest.fixture
+def older_copy(older: Path, tmp_path: Path) -> Path:
+    """One of format 1 that a test may damage."""
+    return Path(shutil.copytree(older, tmp_path / "copy"))
+
+
+@pytest.fixture(params=["copy", "older_copy"])
+def either(request: pytest.FixtureRequest) -> Path:
+    """One of each format."""
+    found: Path = request.getfixturevalue(request.param)
+    return found
+
+
 def contents_of(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
@@ -39,7 +53,10 @@ def contents_of(folder: Path) -> dict[str, bytes]:
         (("--runs", "many"), ("--runs", "'many'", "fsar-ledger simulate --help")),
         (("--fleet-size", "6"), ("6", "4")),
         (("--fleet-size", "0"), ("0",)),
-        (("--fleet-size", "1024"), ("fleet size: found 1024", "expected at most", "fewer --teams-working")),
+        (
+            ("--fleet-size", "1024", "--format", "1"),
+            ("fleet size: found 1024", "expected at most", "fewer --teams-working"),
+        ),
         (("--teams-working", "2"), ("teams working: found 2", "expected 1 to 1")),
         (("--task-sets", "9"), ("task sets: found 9", "expected 1 to 5")),
         (("--seed", "-1"), ("seed", "-1")),
@@ -184,18 +201,21 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
 
 
 @pytest.mark.parametrize("command", ["info", "metrics", "simulate"])
-def test_a_ledger_of_another_format_version_is_refused(call: Call, copy: Path, command: str) -> None:
-    manifest = copy / "ledger.json"
-    manifest.write_text(manifest.read_text().replace('"version":1', '"version":99'))
-    before = contents_of(copy)
-    one_message(call(command, copy), 2, "99", "version")
-    assert contents_of(copy) == before
+def test_a_ledger_of_another_format_version_is_refused(call: Call, either: Path, command: str) -> None:
+    of_another_version(either)
+    before = contents_of(either)
+    one_message(call(command, either), 2, "99", "version")
+    assert contents_of(either) == before
 
 
-def test_verify_doubts_another_format_version(call: Call, copy: Path) -> None:
-    manifest = copy / "ledger.json"
-    manifest.write_text(manifest.read_text().replace('"version":1', '"version":99'))
-    called = call("verify", copy)
+def of_another_version(ledger: Path) -> None:
+    manifest = ledger / "ledger.json"
+    manifest.write_text(re.sub('"version":[12]', '"version":99', manifest.read_text()))
+
+
+def test_verify_doubts_another_format_version(call: Call, either: Path) -> None:
+    of_another_version(either)
+    called = call("verify", either)
     assert called.code == 3
     assert "format version 99" in called.err
 
@@ -239,13 +259,18 @@ def test_an_unreadable_segment_is_named(call: Call, copy: Path) -> None:
     assert "Traceback" not in called.err
 
 
-def test_verify_names_each_place_and_ends_with_3(call: Call, copy: Path) -> None:
-    record = copy / "commits" / "000000000000.json"
-    record.write_bytes(record.read_bytes().replace(b"rows", b"rowz"))
-    called = call("verify", copy)
+@pytest.mark.parametrize(
+    ("which", "place"), [("copy", "chain.jsonl"), ("older_copy", "commits/000000000000.json")], ids=["chain", "commits"]
+)
+def test_verify_names_each_place_and_ends_with_3(
+    call: Call, request: pytest.FixtureRequest, which: str, place: str
+) -> None:
+    ledger: Path = request.getfixturevalue(which)
+    (ledger / place).write_bytes((ledger / place).read_bytes().replace(b"rows", b"rowz", 1))
+    called = call("verify", ledger)
     assert called.code == 3
     assert called.out == ""
-    assert "000000000000.json" in called.err
+    assert place in called.err
     assert "found" in called.err
     assert "Traceback" not in called.err
 
@@ -318,6 +343,8 @@ WRITERS = [
     ("reproduce", "--out", "PLACE"),
 ]
 
+SHARED = ("ledger.json", "segments")
+
 
 @pytest.mark.parametrize("command", WRITERS)
 def test_no_command_writes_into_any_ledger(
@@ -325,24 +352,30 @@ def test_no_command_writes_into_any_ledger(
 ) -> None:
     (tmp_path / "link").symlink_to(copy / "segments")
     before = contents_of(copy)
-    for place in (copy / "x", copy / "new" / "x", copy / "tile" / ".." / "x", tmp_path / "link" / "x"):
+    for place in (copy / "x", copy / "new" / "x", copy / "staging" / ".." / "x", tmp_path / "link" / "x"):
         arguments = [argument.replace("LEDGER", str(ledger)).replace("PLACE", str(place)) for argument in command]
         one_message(call(*arguments), 2, "inside the ledger", str(copy), "outside")
         assert contents_of(copy) == before
 
 
-@pytest.mark.parametrize("lost", ["ledger.json", "commits", "segments"])
-def test_a_damaged_ledger_is_written_into_no_more_than_a_whole_one(call: Call, copy: Path, lost: str) -> None:
-    (copy / lost).rename(copy.parent / "lost")
-    before = contents_of(copy)
-    one_message(call("key", "new", copy / "fleet.key"), 2, "inside the ledger")
-    assert contents_of(copy) == before
+@pytest.mark.parametrize(
+    ("which", "lost"),
+    [(which, lost) for which, file in (("copy", "chain.jsonl"), ("older_copy", "commits")) for lost in (file, *SHARED)],
+)
+def test_a_damaged_ledger_is_written_into_no_more_than_a_whole_one(
+    call: Call, request: pytest.FixtureRequest, which: str, lost: str
+) -> None:
+    ledger: Path = request.getfixturevalue(which)
+    (ledger / lost).rename(ledger.parent / "lost")
+    before = contents_of(ledger)
+    one_message(call("key", "new", ledger / "fleet.key"), 2, "inside the ledger")
+    assert contents_of(ledger) == before
 
 
 def test_a_link_that_leads_into_a_ledger_is_no_way_around(call: Call, ledger: Path, copy: Path, tmp_path: Path) -> None:
     (tmp_path / "events.csv").symlink_to(copy / "events.csv")
-    (copy / "tile" / "out.csv").symlink_to(tmp_path / "elsewhere.csv")
-    for out in (tmp_path / "events.csv", copy / "tile" / "out.csv"):
+    (copy / "staging" / "out.csv").symlink_to(tmp_path / "elsewhere.csv")
+    for out in (tmp_path / "events.csv", copy / "staging" / "out.csv"):
         one_message(call("export", ledger, "--out", out), 2, "inside the ledger")
         assert out.is_symlink()
     assert not (tmp_path / "elsewhere.csv").exists()

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.keys import read_verifier
-from fsar_ledger.ledger.store.paths import segment_path
-from fsar_ledger.ledger.store.read import open_ledger
 from tests.cli.conftest import SMALL, Call, Called, in_a_process, one_message
 
 RUN = "fsar.full.door-relay.n4.s7.r0000"
@@ -236,9 +235,10 @@ def test_verify_ends_with_3_where_the_key_or_the_anchor_does_not_agree(
 
 
 def test_a_quick_look_finds_a_flipped_byte_and_says_that_it_was_quick(call: Call, copy: Path) -> None:
-    data = bytearray(segment_path(copy, 0).read_bytes())
+    segment = max((copy / "segments").iterdir())
+    data = bytearray(segment.read_bytes())
     data[5000] ^= 1
-    segment_path(copy, 0).write_bytes(data)
+    segment.write_bytes(data)
     called = call("verify", copy, "--quick")
     assert called.code == 3
     assert "1 problem at a quick look" in called.err
@@ -353,9 +353,9 @@ def test_a_proof_goes_to_a_new_file_outside_the_ledger(call: Call, copy: Path, t
 
 
 def test_a_damaged_ledger_gives_no_proof(call: Call, copy: Path, tmp_path: Path) -> None:
-    tile = copy / "tile" / "0" / "003"
-    data = tile.read_bytes()
-    tile.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    nodes = bytearray((copy / "nodes").read_bytes())
+    nodes[::32] = bytes(len(nodes[::32]))  # the first byte of each hash
+    (copy / "nodes").write_bytes(nodes)
     one_message(
         call("prove", copy, "1000", "--out", tmp_path / "x.tlog-proof"), 3, "fsar-ledger verify", "fsar-ledger recover"
     )

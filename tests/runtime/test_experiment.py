@@ -9,8 +9,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages, Range, Structure, WorldConstants
 from fsar_ledger.errors import InvalidExperiment, NotALedger
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.ledger.writing import VERSIONS
 from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, carry_out, simulate

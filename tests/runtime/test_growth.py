@@ -19,6 +19,7 @@ from fsar_ledger.events.world import ObstructionAppeared, PeersMet, RoutineDue, 
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store import append
+from fsar_ledger.ledger.store.record import VERSION
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.runtime.capacity import expected
@@ -222,7 +223,7 @@ def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_
         InvalidExperiment,
         match=f"fleet size: found 256, expected at most [0-9]+: a commit holds 25 runs at once and {MAX_ROWS:,} events",
     ) as refused:
-        simulate(tmp_path / "ledger", asked(256), workers=1)
+        simulate(tmp_path / "ledger", asked(256), workers=1, version=VERSION)
     assert not (tmp_path / "ledger").exists()
     largest = int(str(refused.value).split("at most ")[1].split(":")[0])
     asked(largest).require_fits()
@@ -265,4 +266,4 @@ def test_what_was_not_expected_is_refused_as_plainly_when_it_is_staged(
     with pytest.raises(
         InvalidExperiment, match=r"fleet size 4: found [0-9]+ events in 3 runs, expected at most 500 in one commit"
     ):
-        simulate(tmp_path / "ledger", Experiment(ARCHITECTURES, ("door-relay",), 1), workers=1)
+        simulate(tmp_path / "ledger", Experiment(ARCHITECTURES, ("door-relay",), 1), workers=1, version=VERSION)

@@ -11,9 +11,9 @@ from fsar_ledger.events import UPCASTS
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.retired import RunStartedV1
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS
-from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.projections import fleet

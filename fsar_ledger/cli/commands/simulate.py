@@ -45,6 +45,7 @@ EXAMPLES = examples(
         "--teams-working 2 --runs 2"
     ),
     "fsar-ledger simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
+    "fsar-ledger simulate out/old --scenario door-relay --runs 1 --format 1",
 )
 AFTER_INTERRUPTION = "what is committed stays, and the same command continues there"
 
@@ -72,8 +73,8 @@ def simulate(
             metavar="N",
             min=1,
             max=2,
-            help="The format of a new ledger: in format 2 runs may span commits, and fleets have any size.",
-            show_default="1",
+            help="The format of a new ledger: in format 1 a commit holds whole runs, so fleets are small.",
+            show_default="2",
         ),
     ] = None,
     workers: WorkersOption = None,

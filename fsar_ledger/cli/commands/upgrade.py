@@ -11,7 +11,7 @@ from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples(
-    "fsar-ledger upgrade out/ledger --into out/ledger2", "fsar-ledger upgrade out/ledger --into out/ledger2 --json"
+    "fsar-ledger upgrade out/old --into out/upgraded", "fsar-ledger upgrade out/old --into out/upgraded --json"
 )
 AFTER_INTERRUPTION = "the commits written so far stay; run it again to go on"
 

@@ -1,9 +1,9 @@
 """Where the files of a ledger of format 2 are."""
 
 from fsar_ledger.ledger.chain.record import Placement
+from fsar_ledger.ledger.store.paths import CHAIN as CHAIN
+from fsar_ledger.ledger.store.paths import JOURNAL as JOURNAL
 
-CHAIN = "chain.jsonl"
-JOURNAL = "journal.jsonl"
 SEALING = "sealing.jsonl"
 """What was the journal, while its rows are put into a segment and further commits go into another one."""
 NODES = "nodes"

@@ -10,6 +10,9 @@ from fsar_ledger.ledger.store import disk
 MANIFEST = "ledger.json"
 CHECKPOINT = "checkpoint"
 COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
+CHAIN, JOURNAL = "chain.jsonl", "journal.jsonl"
+_PARTS = (MANIFEST, SEGMENTS, COMMITS, CHAIN, JOURNAL)
+"""What shows a ledger of either format, even if some of it is lost."""
 
 
 def commit_name(number: int) -> str:
@@ -94,8 +97,8 @@ def is_unfinished(ledger: Path) -> bool:
 def require_outside(out: Path, what: str) -> None:
     """Refuse an output file inside any ledger, even one that the command does not read.
 
-    Messages call it `what`, as the user did. A folder counts as a ledger if two of its three parts are there: a damaged
-    one is evidence, too.
+    Messages call it `what`, as the user did. A folder counts as a ledger if two of the parts of one are there: a
+    damaged one is evidence, too.
 
     Raises:
         UsageError: The file, or what it links to, would be inside a ledger.
@@ -103,7 +106,7 @@ def require_outside(out: Path, what: str) -> None:
     named, led_to = Path(os.path.realpath(out.parent)) / out.name, Path(os.path.realpath(out))
     for place in (named, led_to):
         for folder in (place, *place.parents):
-            if sum(os.path.lexists(folder / part) for part in (MANIFEST, COMMITS, SEGMENTS)) > 1:
+            if sum(os.path.lexists(folder / part) for part in _PARTS) > 1:
                 raise UsageError(
                     f"{what}: found a place inside the ledger {folder}, which holds nothing but its own files; choose "
                     "one outside"

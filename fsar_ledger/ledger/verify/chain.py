@@ -21,7 +21,7 @@ from fsar_ledger.ledger.chain.tables import table_of
 from fsar_ledger.ledger.log import merkle, pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
-from fsar_ledger.ledger.log.note import Checkpoint, Signed
+from fsar_ledger.ledger.log.note import Checkpoint, VerifierKey
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import disk, growing
@@ -29,7 +29,7 @@ from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMEN
 from fsar_ledger.ledger.store.problem import Problem, refusal
 from fsar_ledger.ledger.store.record import CHAINED, VERSION, sha256_hex
 from fsar_ledger.ledger.store.walk import MISSING, Names, check_manifest, names_in
-from fsar_ledger.ledger.verify.notes import Anchor, Signatures, check_anchor, check_signatures
+from fsar_ledger.ledger.verify.notes import Anchor, Signatures, check_anchor, check_signatures, not_compared
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
@@ -308,9 +308,8 @@ class ChainVerification:
         anchored = self._check_anchors(view)
         ok = not self.problems
         quick = self.asked.is_quick
-        state: Signed = signed.state
         if ok and quick:
-            remarks += ("rows were not compared with the recorded roots",)
+            remarks += (not_compared(anchored, view.head.size, view.head.size),)
         return VerifyReport(
             ok,
             tuple(self.problems[:MAX_PROBLEMS]),
@@ -318,7 +317,7 @@ class ChainVerification:
             view.head.size if quick and ok else self.events,
             sum(not known.is_alone for known in self.runs.known.values()),
             view.head.root if ok else None,
-            signature=state,
+            signature=signed.state,
             signer=signed.signer,
             signed=signed.commits,
             is_quick=quick,
@@ -335,33 +334,38 @@ class ChainVerification:
 
     def _check_anchors(self, view: ChainView) -> int | None:
         """Check the anchors; return the events that the user's one vouches for."""
-        origin, size = view.manifest.origin, view.head.size
         for witnessed in self.asked.witnessed:
-            self.problems += check_anchor(witnessed, origin, size, self._root_then(view, witnessed), None)
-        anchor = self.asked.anchor
-        if anchor is None:
+            self._check_anchor(view, witnessed, None)
+        if (anchor := self.asked.anchor) is None:
             return None
-        self.problems += check_anchor(anchor, origin, size, self._root_then(view, anchor), self.asked.trusted)
+        self._check_anchor(view, anchor, self.asked.trusted)
         return anchor.note.checkpoint.size if anchor.note is not None else None
 
-    def _root_then(self, view: ChainView, anchor: Anchor) -> bytes | None:
-        """Return the root of the ledger when it had as many events as the anchor counts, if it is known."""
+    def _check_anchor(self, view: ChainView, anchor: Anchor, trusted: VerifierKey | None) -> None:
+        root, missing = self._root_then(view, anchor)
+        self.problems += check_anchor(anchor, view.manifest.origin, view.head.size, root, trusted, missing, NODES)
+
+    def _root_then(self, view: ChainView, anchor: Anchor) -> tuple[bytes | None, str]:
+        """Return the ledger's root when it had as many events as the anchor; if unknown, what hashes are missing."""
         then = anchor.note.checkpoint if anchor.note is not None else None
         if then is None or then.size > view.head.size:
-            return None
-        if then.size in self.roots:
-            return self.roots[then.size]
-        return (view.chain.root_at(then.size) or _proven(view, then)) if self.asked.is_quick else None
+            return None, ""
+        if then.size in self.roots or not self.asked.is_quick:
+            return self.roots.get(then.size), ""
+        return _proven(view, then)
 
 
-def _proven(view: ChainView, then: Checkpoint) -> bytes | None:
-    """Return the root of this checkpoint if the stored hashes prove that the ledger begins with its events."""
+def _proven(view: ChainView, then: Checkpoint) -> tuple[bytes | None, str]:
+    """Return the root of this checkpoint if the stored hashes prove that the ledger begins with its events.
+
+    A commit with this root proves nothing: who rewrote the rows may have left its record. Else return what is missing.
+    """
     size, root = view.head.size, bytes.fromhex(view.head.root)
-    with suppress(LedgerCorrupted):
+    try:
         proof = consistency_proof(view.node(size), then.size, size)
-        if is_consistent(then.size, then.root, size, root, proof):
-            return then.root
-    return None
+    except LedgerCorrupted as error:
+        return None, str(error).removeprefix(f"{view.path}/").partition(", expected")[0]
+    return (then.root if is_consistent(then.size, then.root, size, root, proof) else None), ""
 
 
 def _within(commits: Sequence[Commit], first: int, end: int) -> list[Commit]:

@@ -116,6 +116,7 @@ def check_anchor(
     root_then: bytes | None,
     trusted: VerifierKey | None,
     missing: str = "",
+    hashes: str = TILE,
 ) -> list[Problem]:
     """Check that the ledger, of this origin and size, begins with the events of the anchor.
 
@@ -125,7 +126,8 @@ def check_anchor(
         size: The ledger's, in events.
         root_then: The root of the ledger when it had as many events as the anchor counts; None if unknown.
         trusted: The key that must have signed the anchor too.
-        missing: The missing tile, if it is the only reason why that root is unknown.
+        missing: What of the stored hashes is missing, if that is the only reason why that root is unknown.
+        hashes: Where those are.
     """
     if anchor.note is None:
         return [Problem(anchor.file, anchor.reason, "a checkpoint of this ledger")]
@@ -149,7 +151,7 @@ def check_anchor(
             f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger "
             f"recover, or verify without {option('quick')}"
         )
-        return [Problem(TILE, f"one that cannot be read ({missing})", expected)]
+        return [Problem(hashes, f"one that cannot be read ({missing})", expected)]
     if root_then is None:
         found = f"no way from its {then.size} events to the ledger's {size}"
         return [
@@ -168,3 +170,19 @@ def check_anchor(
             )
         ]
     return []
+
+
+def not_compared(anchored: int | None, proved: int, size: int) -> str:
+    """Say what a quick look leaves open.
+
+    The anchor's events begin the tree of `proved` events; the newest tree has `size`.
+    """
+    if anchored is None:
+        return "rows were not compared with the recorded roots"
+    if proved == size:
+        return f"the recorded roots only grew since the anchor's {anchored:,} events; rows were not compared with them"
+    return (
+        f"the recorded roots only grew from the anchor's {anchored:,} events to {proved:,}, those before the newest "
+        "commit, whose tiles are missing; "
+        "neither its root nor any rows were compared with them"
+    )

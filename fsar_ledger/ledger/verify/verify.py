@@ -37,7 +37,15 @@ from fsar_ledger.ledger.store.walk import (
 )
 from fsar_ledger.ledger.verify.chain import ChainVerification, chain_moment, is_chained
 from fsar_ledger.ledger.verify.derived import BEHIND, TileCheck
-from fsar_ledger.ledger.verify.notes import Anchor, ByTiles, Signatures, check_anchor, check_signatures, root_by_tiles
+from fsar_ledger.ledger.verify.notes import (
+    Anchor,
+    ByTiles,
+    Signatures,
+    check_anchor,
+    check_signatures,
+    not_compared,
+    root_by_tiles,
+)
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.walk import RowWalk, Standing
 
@@ -143,7 +151,7 @@ class _Verification:
         anchored, proved = self._check_anchor(origin, records)
         ok = not self.problems
         if ok and self.asked.is_quick:
-            remarks += (_not_compared(anchored, proved, records[-1].tree_size if records else 0),)
+            remarks += (not_compared(anchored, proved, records[-1].tree_size if records else 0),)
         root = (self.rows.tree.root() if self.rows.tree is not None else merkle.EMPTY_ROOT).hex() if ok else None
         return VerifyReport(
             ok,
@@ -197,22 +205,6 @@ class _Verification:
         if then is not None and self.asked.is_quick:
             return root_by_tiles(self.path, then, records[: -3 if self.is_behind else -2 : -1])
         return ByTiles(self.rows.roots.get(then.size) if then is not None else None, size)
-
-
-def _not_compared(anchored: int | None, proved: int, size: int) -> str:
-    """Say what a quick look leaves open.
-
-    The anchor's events begin the tree of `proved` events; the newest tree has `size`.
-    """
-    if anchored is None:
-        return "rows were not compared with the recorded roots"
-    if proved == size:
-        return f"the recorded roots only grew since the anchor's {anchored:,} events; rows were not compared with them"
-    return (
-        f"the recorded roots only grew from the anchor's {anchored:,} events to {proved:,}, those before the newest "
-        "commit, whose tiles are missing; "
-        "neither its root nor any rows were compared with them"
-    )
 
 
 def _check_strays(path: Path, count: int) -> Iterator[Problem]:

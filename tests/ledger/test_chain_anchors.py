@@ -1,0 +1,70 @@
+"""A quick look at a ledger of format 2 believes an anchor only if the stored hashes prove that it just grew."""
+
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.paths import NODES
+from fsar_ledger.ledger.rows.pieces import piece
+from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
+from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.verify import verify
+from tests.ledger.agreement import with_value
+from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of
+from tests.ledger.samples import ORIGIN, made_up_run
+
+RUN = made_up_run("run-0", 120, 1)
+THEN = 40
+"""The events of the first commit, of which somebody keeps the checkpoint."""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A ledger of three commits, in one segment."""
+    path = tmp_path / "ledger"
+    with ChainWriter(path, ORIGIN) as writer:
+        for first in range(0, 120, 40):
+            writer.append(stage(path, [piece(RUN, first, first + 40)]))
+        assert writer.compact() == 3
+    return path
+
+
+@pytest.fixture
+def anchor(path: Path) -> Anchor:
+    return read_anchor(anchor_at(path, THEN, None, path.with_name("anchor")))
+
+
+def looked(path: Path, anchor: Anchor | None, *, is_quick: bool = True) -> VerifyReport:
+    return verify(path, asked=Asked(is_quick=is_quick, anchor=anchor))
+
+
+def test_a_ledger_that_only_grew_is_said_to_have_grown(path: Path, anchor: Anchor) -> None:
+    report = looked(path, anchor)
+    assert (report.ok, report.anchored) == (True, THEN)
+    said = f"the recorded roots only grew since the anchor's {THEN} events; rows were not compared with them"
+    assert said in report.remarks
+    assert "rows were not compared with the recorded roots" in looked(path, None).remarks
+
+
+def test_that_the_record_of_the_anchors_commit_is_there_proves_nothing(path: Path, anchor: Anchor) -> None:
+    records, _ = records_of(path)
+    root = records[0]["tree_root"]
+    tables = tables_of(path)
+    rewrite(path, [with_value(tables[0], "time_us", 0, -1)])
+    records, frames = records_of(path)
+    assert (records[0]["tree_size"], records[0]["tree_root"] != root) == (THEN, True)
+    records[0]["tree_root"] = root
+    relink(path, records, frames)
+    assert looked(path, None).ok  # which reads no rows
+    report = looked(path, anchor)
+    assert [problem.found for problem in report.problems] == ["no way from its 40 events to the ledger's 120"]
+    assert not looked(path, anchor, is_quick=False).ok
+
+
+def test_hashes_that_are_missing_are_said_to_be_missing(path: Path, anchor: Anchor) -> None:
+    (path / NODES).write_bytes(b"")
+    report = looked(path, anchor)
+    assert {problem.where for problem in report.problems} == {NODES}
+    assert "fsar-ledger recover" in report.problems[-1].expected
