@@ -1,5 +1,6 @@
 """A quick look at a ledger of format 2 believes an anchor only if the stored hashes prove that it just grew."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,13 +10,14 @@ from fsar_ledger.ledger.chain.paths import NODES
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
+from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import with_value
 from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of
 from tests.ledger.samples import ORIGIN, made_up_run
 
-RUN = made_up_run("run-0", 120, 1)
+RUN = made_up_run("run-0", 144, 1)
 THEN = 40
 """The events of the first commit, of which somebody keeps the checkpoint."""
 
@@ -68,3 +70,45 @@ def test_hashes_that_are_missing_are_said_to_be_missing(path: Path, anchor: Anch
     report = looked(path, anchor)
     assert {problem.where for problem in report.problems} == {NODES}
     assert "fsar-ledger recover" in report.problems[-1].expected
+
+
+# --- what recover says of an anchor ---
+
+
+@pytest.fixture
+def damaged(tmp_path: Path) -> Path:
+    """A ledger of three commits of 48 events, of which the last segment is damaged; `all` is its checkpoint."""
+    path = tmp_path / "damaged"
+    with ChainWriter(path, ORIGIN) as writer:
+        for first in range(0, 144, 48):
+            writer.append(stage(path, [piece(RUN, first, first + 48)]))
+    shutil.copy(path / "checkpoint", tmp_path / "all")
+    anchor_at(path, 50, None, tmp_path / "fifty")
+    anchor_at(path, 97, None, tmp_path / "one-more")
+    segment = max((path / "segments").iterdir())
+    segment.write_bytes(segment.read_bytes()[:-9] + b"x" * 9)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "vouched"),
+    [
+        ("fifty", 50),
+        ("all", 96),  # the stored hashes lead from 96 events, a multiple of 16, to it
+        ("one-more", None),  # for its last event, the hash of a row is needed
+    ],
+)
+def test_recover_says_how_far_an_anchor_vouches_for_what_can_be_trusted(
+    damaged: Path, name: str, vouched: int | None
+) -> None:
+    found = recover(damaged, asked=Asked(anchor=read_anchor(damaged.with_name(name))))
+    assert (found.outcome, found.head.size, found.anchored) == ("damaged", 96, vouched)
+
+
+def test_recover_says_that_another_history_vouches_for_nothing(damaged: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    with ChainWriter(other, ORIGIN) as writer:
+        writer.append(stage(other, [piece(made_up_run("run-1", 60, 2), 0, 60)]))
+    for size in (50, 60):
+        file = anchor_at(other, size, None, tmp_path / f"other-{size}")
+        assert recover(damaged, asked=Asked(anchor=read_anchor(file))).anchored is None

@@ -145,8 +145,8 @@ def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
         yield f"  the anchor vouches for the first {found.anchored:,} events"
     elif note.checkpoint.size > head.size:
         yield (
-            f"  the anchor knows of {note.checkpoint.size:,} events, and the stored hashes do not prove that it begins with "
-            f"these {head.size:,}"
+            f"  the anchor knows of {note.checkpoint.size:,} events, and the stored hashes do not prove that it begins "
+            f"with these {head.size:,}"
         )
     else:
         yield "  the anchor contradicts it"

@@ -3,6 +3,7 @@
 import os
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Literal
 
@@ -19,7 +20,7 @@ from fsar_ledger.ledger.chain.prepare import repair
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Placement, Record
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import doubt
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store import disk, growing
@@ -29,6 +30,7 @@ from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest, sha256_he
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
 from fsar_ledger.ledger.store.walk import names_in
 from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, ChainVerification
+from fsar_ledger.ledger.verify.notes import check_anchor
 from fsar_ledger.ledger.verify.rederive import checkpoint_note
 from fsar_ledger.ledger.verify.report import Asked, Progress
 
@@ -78,7 +80,24 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ask
             placements -= 1
     if problems:
         commits = min(commits, _commits_to(view, view.chain.placed[placements - 1].end if placements else 0))
-    return Found(view, placements, commits, tuple(problems), report.anchored)
+    anchored = _anchored(view, look, asked, commits) if report.problems else report.anchored
+    return Found(view, placements, commits, tuple(problems), anchored)
+
+
+def _anchored(view: ChainView, look: ChainVerification, asked: Asked, commits: int) -> int | None:
+    """Count the events of the first so many commits that the anchor vouches for; None if it cannot."""
+    anchor, origin, size = asked.anchor, view.manifest.origin, _size(view, commits)
+    if anchor is None or anchor.note is None:
+        return None
+    then = anchor.note.checkpoint
+    if then.size <= size:
+        return None if check_anchor(anchor, origin, size, look.roots.get(then.size), asked.trusted) else then.size
+    if not size or check_anchor(anchor, origin, then.size, then.root, asked.trusted):
+        return None
+    with suppress(LedgerCorrupted):
+        proof = consistency_proof(view.node(then.size), size, then.size)
+        return size if is_consistent(size, look.roots[size], then.size, then.root, proof) else None
+    return None
 
 
 def _size(view: ChainView, commits: int) -> int:
