@@ -10,8 +10,9 @@ import pyarrow.compute as pc
 
 from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
-from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.writing import open_writer
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import typed
 from fsar_ledger.metrics.sides import beside
@@ -204,9 +205,9 @@ def keep(out: Path, pairs: Iterable[Pair]) -> Head:
     What it holds already is left out.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: See `Writer`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: See `open_writer`.
     """
-    with Writer(out, ORIGIN) as writer, without_collection():
+    with open_writer(out, ORIGIN) as writer, without_collection():
         held = {*writer.held().runs}
         waiting: list[LedgerRun] = []
         for record in (record for pair in pairs for record in (pair.base.record, pair.fork.record)):

@@ -100,16 +100,14 @@ def seen_of(
                 "witnesses"
             )
         return None
-    from fsar_ledger.ledger.store.paths import MANIFEST
-    from fsar_ledger.ledger.store.read import read_manifest
-    from fsar_ledger.ledger.store.record import parse_manifest
+    from fsar_ledger.ledger.opening import manifest_of
     from fsar_ledger.witness.evidence import ask_witnesses, read_cosigned
     from fsar_ledger.witness.policy import read_policy
 
     read = read_policy(policy)
     logs = _logs_of(read, trusted)
     try:
-        origin = parse_manifest(ledger / MANIFEST, read_manifest(ledger)).origin
+        origin = manifest_of(ledger).origin
     except LedgerCorrupted:
         return None  # `verify` reports it, with whatever else is wrong
     logs = tuple(key for key in logs if key.name == origin)

@@ -15,16 +15,21 @@ from fsar_ledger.ledger.store import disk, read
 from fsar_ledger.ledger.store.derived import check_checkpoint
 from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import CHAINED, VERSION, parse_manifest
+from fsar_ledger.ledger.store.record import CHAINED, VERSION, Manifest, parse_manifest
 from fsar_ledger.ledger.store.view import View
 
 
-def version_of(path: Path) -> int:
-    """Return the format version of the ledger at this path.
+def manifest_of(path: Path) -> Manifest:
+    """Return what the ledger at this path says of itself.
 
     Raises: NotALedger, FormatVersionMismatch, LedgerCorrupted as `open_ledger`.
     """
-    return parse_manifest(path / MANIFEST, read.read_manifest(path), (VERSION, CHAINED)).version
+    return parse_manifest(path / MANIFEST, read.read_manifest(path), (VERSION, CHAINED))
+
+
+def version_of(path: Path) -> int:
+    """Return the format version of the ledger at this path. Raises: As `manifest_of`."""
+    return manifest_of(path).version
 
 
 def open_ledger(path: Path) -> View:

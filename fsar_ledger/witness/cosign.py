@@ -8,9 +8,7 @@ import msgspec
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.merkle import consistency_proof
 from fsar_ledger.ledger.log.note import Note, Signature
-from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.store.derived import tile_reader
 from fsar_ledger.ledger.store.view import View
 from fsar_ledger.witness.client import NoAnswer, ask, ask_all
 from fsar_ledger.witness.cosignature import parse_cosigned
@@ -59,8 +57,9 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
     asked = [witness for witness in policy.witnesses if witness.url is not None]
     if not asked:
         raise UsageError(f"{policy.file}: found no witness with a URL, expected at least one")
-    note = published_note(open_ledger(ledger))
-    answers = ask_all(lambda witness: _obtain(ledger, note, witness), asked)
+    view = open_ledger(ledger)
+    note = published_note(view)
+    answers = ask_all(lambda witness: _obtain(view, note, witness), asked)
     silent = {
         witness.name: f"the policy has no URL for {witness.name}" for witness in policy.witnesses if witness.url is None
     }
@@ -75,12 +74,12 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
     return Cosigned(Note(note.checkpoint, (*note.signatures, *cosignatures)), times, silent)
 
 
-def _obtain(ledger: Path, note: Note, witness: Witness) -> tuple[int, Signature]:
+def _obtain(view: View, note: Note, witness: Witness) -> tuple[int, Signature]:
     """Return the time at which this witness cosigned the note, and its cosignature. Raises: NoAnswer."""
     url, size = witness.url or "", note.checkpoint.size
     old = 0
     for _ in range(_TRIES):
-        answer = ask(url, ADD_CHECKPOINT, str(Request(old, _proof(ledger, old, size), note)).encode())
+        answer = ask(url, ADD_CHECKPOINT, str(Request(old, _proof(view, old, size), note)).encode())
         if answer.status == HTTPStatus.OK:
             return _cosignature(answer, note, witness)
         known = answer.text.removesuffix("\n")
@@ -109,10 +108,10 @@ _MEANINGS: dict[int, str] = {
 }
 
 
-def _proof(ledger: Path, old: int, new: int) -> tuple[bytes, ...]:
-    """Compute the consistency proof from the ledger's tiles. Raises: NoAnswer if a tile is missing."""
+def _proof(view: View, old: int, new: int) -> tuple[bytes, ...]:
+    """Compute the consistency proof from the ledger's stored hashes. Raises: NoAnswer if one is missing."""
     try:
-        return consistency_proof(node_of(tile_reader(ledger), new), old, new)
+        return consistency_proof(view.node(new), old, new)
     except LedgerCorrupted as error:
         raise NoAnswer(str(error)) from error
 

@@ -44,7 +44,7 @@ def test_an_interrupted_simulation_can_be_continued(
     )
     deadline = time.monotonic() + 60
     while (
-        process.poll() is None and len(list(out.glob("commits/*.json"))) < 2 and time.monotonic() < deadline
+        process.poll() is None and len(list(out.glob("segments/*.parquet"))) < 2 and time.monotonic() < deadline
     ):  # the plan, and a batch
         time.sleep(0.005)
     os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the workers too
@@ -62,7 +62,7 @@ def test_an_interrupted_simulation_can_be_continued(
         180,
         180,
     )
-    assert 25 <= plan["there_count"] < 180
+    assert 0 < plan["there_count"] < 180
     continued = in_a_process(*shlex.split(plan["continues_with"])[1:], "--workers", workers, "--json")
     assert json.loads(continued.out)["head"] == whole
 
@@ -142,7 +142,7 @@ def test_an_interrupted_whatif_keeps_whole_pairs_and_the_same_call_goes_on(call:
     arguments = [*COMMAND, "whatif", str(ledger), "--all-runs", "--change", "drop window:*", "--out", str(out)]
     process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
-    while process.poll() is None and len(list(out.glob("commits/*.json"))) < 2 and time.monotonic() < deadline:
+    while process.poll() is None and len(list(out.glob("segments/*.parquet"))) < 2 and time.monotonic() < deadline:
         time.sleep(0.005)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)

@@ -160,10 +160,10 @@ def test_follow_ends_when_its_reader_has_gone(growing: Path) -> None:
 def test_follow_ends_with_the_error_of_a_damaged_ledger(growing: Path) -> None:
     with following(growing, "--json") as process:
         read(process, Ledger(growing).head.size)
-        (growing / "commits" / "000000000001.json").unlink()
+        (growing / "chain.jsonl").unlink()
         rest, err = process.communicate(timeout=60)
     assert (process.returncode, rest, "Traceback" in err) == (3, "", False)
-    assert "commits" in err.splitlines()[-1]
+    assert "commits were removed" in err.splitlines()[-1]
 
 
 @pytest.mark.slow

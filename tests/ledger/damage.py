@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import VERSION
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.writing import open_writer
 from tests.ledger.samples import ORIGIN, made_up_run
 
 SIGNER = Signer(ORIGIN, bytes(range(32)))
@@ -25,10 +27,10 @@ class Case(NamedTuple):
     places: frozenset[str]
 
 
-def write_ledger(path: Path, sizes: Sequence[int], snapshots: Path | None = None) -> None:
+def write_ledger(path: Path, sizes: Sequence[int], snapshots: Path | None = None, version: int = VERSION) -> None:
     """Write a signed ledger with one run of this many events per commit; `snapshots/N` holds it after N commits."""
     for number, size in enumerate(sizes):
-        with Writer(path, ORIGIN, SIGNER) as writer:
+        with open_writer(path, ORIGIN, SIGNER, version=version) as writer:
             writer.append(stage(path, [made_up_run(f"run-{number:04d}", size, seed=number)]))
         if snapshots is not None:
             shutil.copytree(path, snapshots / str(number + 1))

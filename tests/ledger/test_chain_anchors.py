@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.ledger.chain.append import ChainWriter
-from fsar_ledger.ledger.chain.paths import NODES
+from fsar_ledger.ledger.chain.paths import CHAIN, NODES
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
+from fsar_ledger.ledger.verify.trusted_prefix import FITS, NO_SEGMENT
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import with_value
 from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of
@@ -103,6 +104,16 @@ def test_recover_says_how_far_an_anchor_vouches_for_what_can_be_trusted(
 ) -> None:
     found = recover(damaged, asked=Asked(anchor=read_anchor(damaged.with_name(name))))
     assert (found.outcome, found.head.size, found.anchored) == ("damaged", 96, vouched)
+
+
+def test_recover_says_what_each_later_commit_shows_alone(damaged: Path) -> None:
+    with ChainWriter(damaged, ORIGIN) as writer:
+        writer.add([piece(made_up_run("run-1", 3, 2), 0, 3)])
+    name = max(file.name for file in (damaged / "segments").iterdir())
+    (of_segment, of_journal) = recover(damaged).later
+    assert (of_segment.number, of_segment.found, of_segment.file) == (2, NO_SEGMENT, f"segments/{name}")
+    assert f'"segment_sha256":"{of_segment.restore}"' in (damaged / CHAIN).read_text()
+    assert (of_journal.number, of_journal.found, of_journal.file) == (3, FITS, None)
 
 
 def test_recover_says_that_another_history_vouches_for_nothing(damaged: Path, tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_a_killed_simulation_resumes_to_the_same_bytes(tmp_path: Path, expected:
         )
         deadline = time.monotonic() + 60
         while process.poll() is None and time.monotonic() < deadline:
-            if len(list((out / "commits").glob("0*.json")) if (out / "commits").is_dir() else []) >= commits:
+            if len(list(out.glob("segments/*.parquet"))) >= commits:
                 os.killpg(process.pid, signal.SIGKILL)
                 kills += 1
                 break
@@ -114,7 +114,7 @@ def test_a_killed_enlargement_resumes_to_the_bytes_of_one_that_nobody_killed(tmp
         process = subprocess.Popen(
             arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
         )
-        while process.poll() is None and len(list((tmp_path / "killed" / "commits").glob("0*.json"))) < commits:
+        while process.poll() is None and len(list(tmp_path.glob("killed/segments/*.parquet"))) < commits:
             time.sleep(0.001)
         kills += process.poll() is None
         with suppress(ProcessLookupError):

@@ -164,8 +164,6 @@ def _later(later: "Sequence[Later]") -> Iterator[str]:
 
 def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
     """Yield how to go on."""
-    from fsar_ledger.ledger.store.paths import segment_path
-
     if into is not None:
         yield (
             f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it as "
@@ -174,10 +172,8 @@ def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
         yield f"  fsar-ledger simulate {printable.word(into)} with the options of {ledger} continues there"
         return
     yield f"  keep {ledger} as it is: it is the evidence"
-    lost = [
-        (segment_path(ledger, commit.number), commit.restore) for commit in found.later if commit.restore is not None
-    ]
-    yield from _some([f"  {file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost])
+    lost = dict.fromkeys((commit.file, commit.restore) for commit in found.later if commit.file is not None)
+    yield from _some([f"  {ledger / file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost])
     if found.head.commits:
         yield (
             f"  fsar-ledger recover {printable.word(ledger)} --into NEW copies what can be trusted to a new ledger; "

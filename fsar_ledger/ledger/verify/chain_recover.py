@@ -2,8 +2,10 @@
 
 import os
 import shutil
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from operator import attrgetter
 from pathlib import Path
 from typing import Literal
 
@@ -33,6 +35,7 @@ from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, ChainVerification
 from fsar_ledger.ledger.verify.notes import check_anchor
 from fsar_ledger.ledger.verify.rederive import checkpoint_note
 from fsar_ledger.ledger.verify.report import Asked, Progress
+from fsar_ledger.ledger.verify.trusted_prefix import FITS, NO_SEGMENT, Later
 
 SetAside = Callable[[str], None]
 Done = Callable[[Literal["moved into place", "made again", "set aside"], str, str], None]
@@ -49,6 +52,24 @@ class Found(msgspec.Struct, frozen=True):
     commits: int
     problems: tuple[Problem, ...]
     anchored: int | None = None
+
+    def later(self) -> Iterator[Later]:
+        """Yield each commit after the trusted ones, with what its segment, or the journal, shows of it alone."""
+        view, chain = self.view, self.view.chain
+        for number, placement in enumerate(chain.placed[self.placements :], start=self.placements):
+            own = self._after(placement.first, placement.end)
+            try:
+                view.segment(number)
+            except LedgerCorrupted:
+                yield from (Later(one, NO_SEGMENT, placement.segment_sha256, segment_of(placement)) for one in own)
+            else:
+                yield from (Later(one, FITS) for one in own)
+        yield from (Later(one, FITS) for one in self._after(chain.placed_size, view.head.size))
+
+    def _after(self, first: int, end: int) -> range:
+        """Return the commits after the trusted ones that end after this event and no later than that."""
+        start, stop = (bisect_right(self.view.commits, size, key=attrgetter("tree_size")) for size in (first, end))
+        return range(max(start, self.commits), stop)
 
     @property
     def head(self) -> Head:

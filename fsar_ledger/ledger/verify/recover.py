@@ -276,7 +276,7 @@ def _recover_chain(path: Path, workers: int, progress: Progress | None, asked: A
             else _copy(path, found.problems[0], found.head, partial(write_copy, found), into, workers, progress, asked)
         )
         outcome: Outcome = "damaged" if into is None else "continued"
-        return Recovery(outcome, found.head, (), found.problems, (), found.anchored, report)
+        return Recovery(outcome, found.head, (), found.problems, tuple(found.later()), found.anchored, report)
     mending = _Mending(path)
     with disk.refusals(path, "mending"):
         mend(found, mending.set_aside, mending.did)

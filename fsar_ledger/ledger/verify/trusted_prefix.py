@@ -45,12 +45,13 @@ class Later(msgspec.Struct, frozen=True):
     """A commit after the trusted ones, judged on its own.
 
     `restore` is the SHA-256 of its segment if that is lost or altered and all records up to this one are whole: whoever
-    has the file with this SHA-256 can put it back.
+    has the file with this SHA-256 can put it back as `file` of the ledger.
     """
 
     number: int
     found: str
     restore: str | None = None
+    file: str | None = None
 
 
 class TrustedPrefix(msgspec.Struct, frozen=True):
@@ -239,7 +240,7 @@ class _Search:
                 continue
             is_known = number < len(self.chain) and not is_cut
             yield (
-                Later(number, NO_SEGMENT, record.segment_sha256 if is_known else None)
+                Later(number, NO_SEGMENT, *((record.segment_sha256, segment_file(number)) if is_known else ()))
                 if examine_file(str(self.path), number, record).problems
                 else Later(number, FITS)
             )
