@@ -89,8 +89,8 @@ def test_the_workers_of_a_simulation_that_was_killed_die_with_it(tmp_path: Path,
     ledger = tmp_path / "ledger"
     with begun("simulate", ledger, *MANY) as process:
         for _ in until(time.monotonic(), 60):
-            commits = len(list(ledger.glob("segments/*.parquet")))
-            if commits > 1 or process.poll() is not None:  # the workers start after the plan is committed
+            segments = len(list(ledger.glob("segments/*.parquet")))
+            if segments > 1 or process.poll() is not None:  # the workers start after the plan is committed
                 break
         left = children(process.pid)
         process.kill()

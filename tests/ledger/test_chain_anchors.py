@@ -23,13 +23,19 @@ THEN = 40
 """The events of the first commit, of which somebody keeps the checkpoint."""
 
 
+def grown(path: Path, size: int) -> Path:
+    """Make a ledger of three commits of so many events, each in its segment."""
+    with ChainWriter(path, ORIGIN) as writer:
+        for first in range(0, 3 * size, size):
+            writer.append(stage(path, [piece(RUN, first, first + size)]))
+    return path
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     """A ledger of three commits, in one segment."""
-    path = tmp_path / "ledger"
+    path = grown(tmp_path / "ledger", 40)
     with ChainWriter(path, ORIGIN) as writer:
-        for first in range(0, 120, 40):
-            writer.append(stage(path, [piece(RUN, first, first + 40)]))
         assert writer.compact() == 3
     return path
 
@@ -79,10 +85,7 @@ def test_hashes_that_are_missing_are_said_to_be_missing(path: Path, anchor: Anch
 @pytest.fixture
 def damaged(tmp_path: Path) -> Path:
     """A ledger of three commits of 48 events, of which the last segment is damaged; `all` is its checkpoint."""
-    path = tmp_path / "damaged"
-    with ChainWriter(path, ORIGIN) as writer:
-        for first in range(0, 144, 48):
-            writer.append(stage(path, [piece(RUN, first, first + 48)]))
+    path = grown(tmp_path / "damaged", 48)
     shutil.copy(path / "checkpoint", tmp_path / "all")
     anchor_at(path, 50, None, tmp_path / "fifty")
     anchor_at(path, 97, None, tmp_path / "one-more")

@@ -42,13 +42,10 @@ def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
 
 def _going_on(run: LedgerRun) -> tuple[bytes, tuple[Block]] | None:
     """Return, as `rows_of`, what follows of a run that has begun; None unless it is plain that nothing is wrong."""
-    first, times = run.first, run.times_us
-    if not first or (lines := plain_lines(run)) is None:
+    if not run.first or (lines := plain_lines(run)) is None:
         return None
     rows, marks = lines
-    if not rows or marks & OPENING or (len(times) > 1 and list(times) != sorted(times)):
-        return None
-    return rows, (Block(run.run_id, first, len(times), times[0], times[-1], None, _concerns(marks)),)
+    return (rows, (_block(run, marks),)) if rows and _is_in_order(run, marks) else None
 
 
 def _is_printable(rows: bytes) -> bool:

@@ -147,11 +147,8 @@ def write_zeros(handle: int, place: int, end: int) -> None:
 
 def write_at(handle: int, data: bytes | memoryview, place: int) -> None:
     """Write all these bytes at this place of an open file. Raises: OSError."""
-    written = os.pwrite(handle, data, place)
-    rest = data[written:]  # nothing, as good as always
-    while rest:
+    while data:
+        written = os.pwrite(handle, data, place)
         if written == 0:
             raise OSError(errno.EIO, "the disk took no more bytes")
-        place += written
-        written = os.pwrite(handle, rest, place)
-        rest = rest[written:]
+        data, place = data[written:], place + written

@@ -20,8 +20,8 @@ from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.chain.tables import table_of
 from fsar_ledger.ledger.log import merkle, pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
-from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
-from fsar_ledger.ledger.log.note import Checkpoint, VerifierKey
+from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.note import VerifierKey
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import disk, growing
@@ -29,7 +29,15 @@ from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMEN
 from fsar_ledger.ledger.store.problem import Problem, refusal
 from fsar_ledger.ledger.store.record import CHAINED, VERSION, sha256_hex
 from fsar_ledger.ledger.store.walk import MISSING, Names, check_manifest, names_in
-from fsar_ledger.ledger.verify.notes import Anchor, Signatures, check_anchor, check_signatures, not_compared
+from fsar_ledger.ledger.verify.notes import (
+    Anchor,
+    ByHashes,
+    Signatures,
+    check_anchor,
+    check_signatures,
+    not_compared,
+    root_by_hashes,
+)
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
@@ -342,30 +350,17 @@ class ChainVerification:
         return anchor.note.checkpoint.size if anchor.note is not None else None
 
     def _check_anchor(self, view: ChainView, anchor: Anchor, trusted: VerifierKey | None) -> None:
-        root, missing = self._root_then(view, anchor)
-        self.problems += check_anchor(anchor, view.manifest.origin, view.head.size, root, trusted, missing, NODES)
+        origin, size, found = view.manifest.origin, view.head.size, self._look_then(view, anchor)
+        self.problems += check_anchor(anchor, origin, size, found.root, trusted, found.missing, NODES)
 
-    def _root_then(self, view: ChainView, anchor: Anchor) -> tuple[bytes | None, str]:
-        """Return the ledger's root when it had as many events as the anchor; if unknown, what hashes are missing."""
+    def _look_then(self, view: ChainView, anchor: Anchor) -> ByHashes:
+        """Return the root of the ledger when it had as many events as the anchor counts, if it is known."""
         then = anchor.note.checkpoint if anchor.note is not None else None
         if then is None or then.size > view.head.size:
-            return None, ""
+            return ByHashes()
         if then.size in self.roots or not self.asked.is_quick:
-            return self.roots.get(then.size), ""
-        return _proven(view, then)
-
-
-def _proven(view: ChainView, then: Checkpoint) -> tuple[bytes | None, str]:
-    """Return the root of this checkpoint if the stored hashes prove that the ledger begins with its events.
-
-    A commit with this root proves nothing: who rewrote the rows may have left its record. Else return what is missing.
-    """
-    size, root = view.head.size, bytes.fromhex(view.head.root)
-    try:
-        proof = consistency_proof(view.node(size), then.size, size)
-    except LedgerCorrupted as error:
-        return None, str(error).removeprefix(f"{view.path}/").partition(", expected")[0]
-    return (then.root if is_consistent(then.size, then.root, size, root, proof) else None), ""
+            return ByHashes(self.roots.get(then.size))
+        return root_by_hashes(view.path, view.node, then, view.head.size, bytes.fromhex(view.head.root))
 
 
 def _within(commits: Sequence[Commit], first: int, end: int) -> list[Commit]:

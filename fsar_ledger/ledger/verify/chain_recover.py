@@ -4,7 +4,6 @@ import os
 import shutil
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
 from typing import Literal
@@ -22,7 +21,7 @@ from fsar_ledger.ledger.chain.prepare import repair
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.chain.record import Placement, Record
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
+from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import doubt
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store import disk, growing
@@ -33,7 +32,7 @@ from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
 from fsar_ledger.ledger.store.walk import names_in
 from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, ChainVerification
 from fsar_ledger.ledger.verify.notes import check_anchor
-from fsar_ledger.ledger.verify.rederive import checkpoint_note
+from fsar_ledger.ledger.verify.rederive import begins_with, checkpoint_note
 from fsar_ledger.ledger.verify.report import Asked, Progress
 from fsar_ledger.ledger.verify.trusted_prefix import FITS, NO_SEGMENT, Later
 
@@ -113,12 +112,9 @@ def _anchored(view: ChainView, look: ChainVerification, asked: Asked, commits: i
     then = anchor.note.checkpoint
     if then.size <= size:
         return None if check_anchor(anchor, origin, size, look.roots.get(then.size), asked.trusted) else then.size
-    if not size or check_anchor(anchor, origin, then.size, then.root, asked.trusted):
-        return None
-    with suppress(LedgerCorrupted):
-        proof = consistency_proof(view.node(then.size), size, then.size)
-        return size if is_consistent(size, look.roots[size], then.size, then.root, proof) else None
-    return None
+    is_own = not check_anchor(anchor, origin, then.size, then.root, asked.trusted)
+    root = view.commits[commits - 1].tree_root if commits else ""
+    return size if is_own and begins_with(view.node, then, size, root) else None
 
 
 def _size(view: ChainView, commits: int) -> int:

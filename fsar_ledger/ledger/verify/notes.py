@@ -2,12 +2,14 @@
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
-from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
+from fsar_ledger.ledger.log.merkle import Node, consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, names, parse_note, signers_of
 from fsar_ledger.ledger.log.tiles import TILE, node_of
 from fsar_ledger.ledger.store import disk
@@ -78,10 +80,14 @@ def check_signatures(
     return [], Signatures("signed", trusted.key, sum(1 for note in notes if names(note, trusted)))
 
 
-class ByTiles(msgspec.Struct, frozen=True):
-    """What the tiles prove about an anchor.
+Nodes: TypeAlias = Callable[[int], Node]
+"""Returns, for a size in events, where the complete subtrees of the tree of that size come from."""
 
-    Its root, None if they prove nothing; the size in events of the tree that begins with it; the tile that was missing.
+
+class ByHashes(msgspec.Struct, frozen=True):
+    """What the stored hashes prove about an anchor.
+
+    Its root, None if they prove nothing; the size in events of the tree that begins with it; what was missing.
     """
 
     root: bytes | None = None
@@ -89,24 +95,32 @@ class ByTiles(msgspec.Struct, frozen=True):
     missing: str = ""
 
 
-def root_by_tiles(ledger: Path, then: Checkpoint, records: Sequence[CommitRecord]) -> ByTiles:
-    """Return the root of an earlier checkpoint if the tiles prove that the ledger begins with its events.
+def root_by_hashes(ledger: Path, nodes: Nodes, then: Checkpoint, size: int, root: bytes) -> ByHashes:
+    """Return the root of an earlier checkpoint if the ledger's hashes prove that the tree of this size begins with it.
 
-    The first of these records whose tiles are there gives the tree. The checkpoint is not empty. Only the proof counts:
-    an attacker who rewrote history may have left old tiles in place.
+    Only the proof counts: an attacker who rewrote history may have left old hashes, and old records, in place.
     """
-    missing = ""
+    try:
+        proof = consistency_proof(nodes(size), then.size, size)
+    except LedgerCorrupted as error:
+        return ByHashes(missing=str(error).removeprefix(f"{ledger}/").partition(", expected")[0])
+    return ByHashes(then.root, size) if is_consistent(then.size, then.root, size, root, proof) else ByHashes()
+
+
+def root_by_tiles(ledger: Path, then: Checkpoint, records: Sequence[CommitRecord]) -> ByHashes:
+    """Return the root of an earlier checkpoint, which is not empty, as `root_by_hashes`.
+
+    The first of these records whose tiles are there gives the tree.
+    """
+    found = ByHashes()
     for record in records:
+        if then.size > record.tree_size:
+            continue
         size, root = record.tree_size, bytes.fromhex(record.tree_root)
-        if then.size > size:
-            continue
-        try:
-            proof = consistency_proof(node_of(tile_reader(ledger), size), then.size, size)
-        except LedgerCorrupted as error:
-            missing = str(error).removeprefix(f"{ledger}/").partition(", expected")[0]
-            continue
-        return ByTiles(then.root, size) if is_consistent(then.size, then.root, size, root, proof) else ByTiles()
-    return ByTiles(missing=missing)
+        found = root_by_hashes(ledger, partial(node_of, tile_reader(ledger)), then, size, root)
+        if not found.missing:
+            break
+    return found
 
 
 def check_anchor(

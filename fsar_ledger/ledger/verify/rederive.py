@@ -9,13 +9,14 @@ import msgspec
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, parse_note
-from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, node_of, tile_named
+from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, tile_named
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.derived import read_checkpoint, tile_files, tile_reader
+from fsar_ledger.ledger.store.derived import read_checkpoint, tile_files
 from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import LedgerView
 from fsar_ledger.ledger.store.view import Head
+from fsar_ledger.ledger.verify.notes import Nodes
 
 SetAside = Callable[[str], None]
 """Moves the file with this name within the ledger out of it, to where nothing is lost."""
@@ -127,18 +128,18 @@ def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[s
     return list(wrong)
 
 
-def begins_with(ledger: Path, then: Checkpoint, head: Head) -> bool:
-    """Return whether the tiles prove that a checkpoint's tree begins with the events of this head, at least one.
+def begins_with(nodes: Nodes, then: Checkpoint, size: int, root: str) -> bool:
+    """Return whether these hashes prove that a checkpoint's tree begins with the tree of so many events, at least one.
 
-    Only the proof counts, not the tiles as such.
+    Only the proof counts, not the hashes as such.
     """
-    if not 0 < head.size <= then.size:
+    if not 0 < size <= then.size:
         return False
     try:
-        proof = consistency_proof(node_of(tile_reader(ledger), then.size), head.size, then.size)
+        proof = consistency_proof(nodes(then.size), size, then.size)
     except LedgerCorrupted:
         return False
-    return is_consistent(head.size, bytes.fromhex(head.root), then.size, then.root, proof)
+    return is_consistent(size, bytes.fromhex(root), then.size, then.root, proof)
 
 
 # --- what the tree must not have ---

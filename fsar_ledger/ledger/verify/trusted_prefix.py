@@ -7,13 +7,16 @@ piece by piece.
 
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.note import VerifierKey, names
+from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.store.derived import tile_reader
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, commit_file, segment_file
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import FORMAT, VERSION, CommitRecord, Manifest, parse_manifest, sha256_hex
@@ -214,8 +217,9 @@ class _Search:
         then = note.checkpoint
         if then.size <= head.size:
             return None if self._ask(self.anchor, is_whole=True)[0] else then.size
+        nodes = partial(node_of, tile_reader(self.path))
         is_own = not check_anchor(self.anchor, self.origin, then.size, then.root, self.trusted)
-        return head.size if is_own and begins_with(self.path, then, head) else None
+        return head.size if is_own and begins_with(nodes, then, head.size, head.root) else None
 
     def _grown_beyond(self, head: Head) -> Iterator[Problem]:
         """Yield the evidence that the newest commits were removed."""

@@ -39,7 +39,7 @@ from fsar_ledger.ledger.verify.chain import ChainVerification, chain_moment, is_
 from fsar_ledger.ledger.verify.derived import BEHIND, TileCheck
 from fsar_ledger.ledger.verify.notes import (
     Anchor,
-    ByTiles,
+    ByHashes,
     Signatures,
     check_anchor,
     check_signatures,
@@ -197,14 +197,14 @@ class _Verification:
         self.problems += check_anchor(anchor, origin, size, found.root, self.asked.trusted, found.missing)
         return (anchor.note.checkpoint.size if anchor.note is not None else None), found.size
 
-    def _look_then(self, anchor: Anchor, records: list[CommitRecord], size: int) -> ByTiles:
+    def _look_then(self, anchor: Anchor, records: list[CommitRecord], size: int) -> ByHashes:
         """Return the root of the ledger when it had as many events as the anchor counts, if it is known."""
         then = anchor.note.checkpoint if anchor.note is not None else None
         if then is not None and then.size == 0:
-            return ByTiles(merkle.EMPTY_ROOT, size)
+            return ByHashes(merkle.EMPTY_ROOT, size)
         if then is not None and self.asked.is_quick:
             return root_by_tiles(self.path, then, records[: -3 if self.is_behind else -2 : -1])
-        return ByTiles(self.rows.roots.get(then.size) if then is not None else None, size)
+        return ByHashes(self.rows.roots.get(then.size) if then is not None else None, size)
 
 
 def _check_strays(path: Path, count: int) -> Iterator[Problem]:
