@@ -231,10 +231,14 @@ class ChainVerifier:
         ahead, at, end = whole.copy(), 0, 0
         while at < len(data):
             stop, is_read = data.find(b"\n", at), False
+            is_hidden = stop < 0 and data.endswith(b"\0")
             try:
-                if stop < 0:
+                if stop < 0 and not is_hidden:
                     raise ValueError("a line without end")
+                stop = len(data) - 1 if is_hidden else stop
                 record = read_record(data[at:stop])
+                if is_hidden and record["kind"] == "commit":
+                    raise ValueError("a line without end")
                 is_read = True
                 ahead.add(data[at:stop], record)
             except ValueError as error:
@@ -246,6 +250,7 @@ class ChainVerifier:
                 whole, end = ahead.copy(), at
         if end < len(data):
             self.remarks.append("torn")
+        self.remarks += ["hidden"] if data and end == len(data) and data.endswith(b"\0") else []
         return whole
 
     def read_journal(self, chain: Chain) -> list[tuple[str, Row, list[Row]]]:
@@ -255,7 +260,10 @@ class ChainVerifier:
         self.frames: list[tuple[str, Row, list[Row]]] = []
         self.grown = self.tree_of(chain)
         for name in ("sealing.jsonl", "journal.jsonl"):
-            lines = self.bytes_of(name).rstrip(b"\0").split(b"\n")
+            data = self.bytes_of(name).rstrip(b"\0")
+            if name == "journal.jsonl":
+                data = self.with_hidden(data)
+            lines = data.split(b"\n")
             try:
                 first = read_record(lines[0])
             except ValueError:
@@ -268,6 +276,22 @@ class ChainVerifier:
         if len(self.frames) < len(self.known):
             raise ProblemError("journal.jsonl", "no rows of it", "a frame", self.known[len(self.frames)]["number"])
         return self.frames
+
+    def with_hidden(self, data: bytes) -> bytes:
+        """Put back the first bytes of whole frames that are hidden (section 4)."""
+        at = data.find(b"\0")
+        while at >= 0 and data[at : at + 1] == b"\0":
+            lines = data[at + 1 :].split(b"\n")
+            try:
+                record = read_record(b"{" + lines[0])
+            except ValueError:
+                break
+            if record["kind"] != "commit" or len(lines) < record["rows"] + 2:
+                break
+            data = data[:at] + b"{" + data[at + 1 :]
+            at += 1 + sum(len(line) + 1 for line in lines[: record["rows"] + 1])
+            self.remarks.append("hidden")
+        return data
 
     def read_frames(self, name: str, lines: list[bytes], chain: Chain) -> None:
         at = 0

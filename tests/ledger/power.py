@@ -1,7 +1,7 @@
 """What a disk holds after a power failure: a model that is told every change and every sync.
 
 Of a file, what was synced remains; what was written since may remain in full, in part, as rubbish or not at all.
-Sectors that a write does not change stay as they are.
+Bytes that a write does not change stay as they are, those beside it in a sector too ("powersafe overwrite" in SQLite).
 Of a folder, the names as of its last sync remain; each change since then may remain or not, independently.
 A change of two folders (a rename) is one change, as on every file system that keeps a journal.
 What was written before a failed `fsync` of a file is never sure to remain, whatever is synced later, unless it is
@@ -10,6 +10,7 @@ written again.
 
 import random
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 GARBAGE = b"\xa5rubbish\x00"
@@ -37,10 +38,23 @@ class File:
 
     @property
     def unchanged(self) -> int:
-        """Return how many bytes at the beginning are as they were synced."""
+        """Return how many bytes at the beginning are as they were synced, and will stay so."""
         pairs = enumerate(zip(self.cached, self.durable, strict=False))
         same = next((at for at, (one, other) in pairs if one != other), min(len(self.cached), len(self.durable)))
         return same if self.doomed is None else min(same, self.doomed)
+
+    def rubbish(self) -> bytes:
+        """Return the file with rubbish in place of the bytes that are not as they were synced.
+
+        A byte that alone was changed is as it was: no disk writes half of it.
+        """
+        found, synced = bytearray(self.cached), self.durable
+        changed = [at for at in range(self.unchanged, len(found)) if found[at : at + 1] != synced[at : at + 1]]
+        neighbours = {at for one, other in pairwise(changed) if other == one + 1 for at in (one, other)}
+        for at in changed:
+            is_alone = at not in neighbours and at < len(synced)
+            found[at] = synced[at] if is_alone else GARBAGE[at % len(GARBAGE)]
+        return bytes(found)
 
 
 @dataclass(eq=False)
@@ -199,12 +213,12 @@ class Choice:
             case "kept":
                 return file.cached
             case "rubbish":
-                kept, size = file.unchanged, len(file.cached) - file.unchanged
-                return file.cached[:kept] + (GARBAGE * (size // len(GARBAGE) + 1))[:size]
+                return file.rubbish()
             case "part":
-                return file.cached[: self.draw.randrange(file.unchanged, len(file.cached) + 1)]
+                end = self.draw.randrange(file.unchanged, len(file.cached) + 1)
+                return file.cached[:end] + file.durable[end:]
             case _:
-                return file.durable[: file.unchanged] if file.is_doomed else file.durable
+                return file.durable
 
 
 def choices(seed: int, random_count: int) -> list[Choice]:

@@ -97,7 +97,7 @@ class ChainWriter:
 
     def _opened(self, *, is_alone: bool = False, settles: bool = True) -> ChainView:
         """Open the ledger, finish what an interrupted writer left, and check who signed it."""
-        view = open_chain(self._path, read_manifest(self._path))
+        view = open_chain(self._path, read_manifest(self._path), has_turn=True)
         if view.manifest.origin != self._origin:
             raise NotALedger(
                 f"{self._path}: found a ledger of origin {view.manifest.origin!r}, expected {self._origin!r}; give "
@@ -271,6 +271,7 @@ class ChainWriter:
         self._is_broken = True  # unless everything below succeeds
         self._grow_chain([canonical.document(placement)], 0, self._view.tree())
         with disk.refusals(self._segments, "moving a compacted segment into place"):
+            growing.sync(self._path / paths.CHAIN)
             disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
         for one in old:
             disk.remove(self._path / paths.segment_of(one))
@@ -377,6 +378,7 @@ class ChainWriter:
         self._is_broken = True  # unless everything below succeeds
         self._grow_chain([*lines, canonical.document(placement)], frames, self._view.tree() if frames else tree)
         try:
+            growing.sync(self._path / paths.CHAIN)
             disk.move(staged_path(self._path, staged.segment_sha256), self._path / paths.segment_of(placement))
             append_derived(self._path, paths.NODES, nodes, pack.count(placement.first) * HASH_BYTES)
             append_derived(self._path, paths.INDEX, line, chain.index_bytes - len(line))

@@ -8,7 +8,6 @@ import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.read import ChainView
-from fsar_ledger.ledger.store.derived import read_checkpoint
 from fsar_ledger.ledger.store.paths import CHECKPOINT
 from fsar_ledger.ledger.store.problem import Problem
 
@@ -26,11 +25,8 @@ def behind(view: ChainView) -> int:
 
 def covered(view: ChainView) -> int | Problem:
     """Return how many of the newest commits the checkpoint does not cover, or why it is no note that a crash leaves."""
-    try:
-        found = read_checkpoint(view.path)
-    except LedgerCorrupted as error:
-        reason = error.__cause__.strerror if isinstance(error.__cause__, OSError) else "not text"
-        return Problem(CHECKPOINT, f"an unreadable file ({reason})", "the note of a commit")
+    if isinstance(found := view.checkpoint, Problem):
+        return found
     commits, origin = view.commits, view.manifest.origin
     for back in range(len(commits) + 1):
         number = len(commits) - back

@@ -1,8 +1,9 @@
 """The journal: commits whose rows are not in a segment yet.
 
 `journal.jsonl` holds frames, one for each commit: its record, as in the chain, and then its rows, each the canonical
-bytes of an event. It continues the chain. Room for more frames is allotted ahead, as NUL bytes. A frame is written at
-once and synced once, so only the last one can be torn; the root in its record shows whether it is.
+bytes of an event. It continues the chain. Room for more frames is allotted ahead, as NUL bytes. A frame is hidden by a
+NUL in place of its first byte until the rest of it was synced, once, so readers see only what is on disk. After a crash
+the last frames may be torn, or whole and hidden still; the roots in their records show which. Whole ones count.
 
 A full journal becomes `sealing.jsonl`, and further commits go into a new one, while its rows are put into a segment.
 The placement comes after the commits of the new one so far, whose records the chain has before a segment has their
@@ -29,6 +30,9 @@ from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import sha256_hex
 
 Result = TypeVar("Result")
+
+FIRST = b"{"
+"""The first byte of every frame."""
 
 ALLOTTED = 1 << 20
 """Bytes by which the file grows: writing over what is there, a disk syncs only the data."""
@@ -57,7 +61,8 @@ class Journal(msgspec.Struct):
     those of the others, in `journal.jsonl`. The chain has the records of the first `chained` frames.
 
     `problem` says where it contradicts the chain or itself, if not merely its last frame is torn. Files that were
-    `sealed` hold nothing any more; as long as they are there, their sealing may not be finished.
+    `sealed` hold nothing any more; as long as they are there, their sealing may not be finished. `hidden` says where in
+    `journal.jsonl` frames begin that count and are hidden.
     """
 
     frames: list[Frame]
@@ -70,11 +75,17 @@ class Journal(msgspec.Struct):
     torn: int = 0
     problem: Problem | None = None
     sealed: tuple[str, ...] = ()
+    hidden: tuple[int, ...] = ()
 
     @property
     def last(self) -> int:
         """Return where the last frame of `journal.jsonl` begins."""
         return self.end - (size_of(self.frames[-1]) if self.end else 0)
+
+    @property
+    def unsure(self) -> int:
+        """Return where the frames of `journal.jsonl` begin that may not be on disk: the last, and those hidden."""
+        return min((self.last, *self.hidden))
 
     def add(self, frame: Frame, tree: Frontier) -> None:
         """Add a frame that was written at the end."""
@@ -102,6 +113,36 @@ def lines_of(frames: Sequence[Frame]) -> bytes:
 def leaves_in(frames: Sequence[Frame]) -> bytes:
     """Return the packed leaf hashes of the rows of these frames."""
     return b"".join([frame.leaves for frame in frames])
+
+
+def with_hidden(text: bytes) -> tuple[bytes, tuple[int, ...]]:
+    """Return the bytes of `journal.jsonl` with its whole hidden frames shown, and where each of these begins.
+
+    There are two if the power failed before the first byte of a frame, and a later frame, were on disk.
+    """
+    places: list[int] = []
+    at = text.find(b"\0")  # neither records nor rows have any
+    while at >= 0 and (end := _end_of_hidden(text, at)):
+        text = text[:at] + FIRST + text[at + 1 :]
+        places.append(at)
+        at = end if text[end : end + 1] == b"\0" else -1
+    return text, tuple(places)
+
+
+def _end_of_hidden(text: bytes, at: int) -> int:
+    """Return where the hidden frame that begins there ends; 0 if there is none, or not all of it."""
+    end = text.find(b"\n", at) + 1
+    if not end or text[at + 1 : at + 2] == b"\0":
+        return 0
+    try:
+        record = parse_line(FIRST + text[at + 1 : end - 1])
+    except ValueError:
+        return 0
+    for _ in range(record.rows if isinstance(record, Commit) else 0):
+        end = text.find(b"\n", end) + 1
+        if not end:
+            return 0
+    return end if isinstance(record, Commit) else 0
 
 
 def read_frames(sealing: bytes, journal: bytes, chain: Chain, *, has_sealing: bool) -> Journal:
@@ -311,31 +352,31 @@ class JournalFile:
         return self.handle >= 0
 
     def write(self, data: bytes, end: int, meanwhile: Callable[[], Result]) -> Result:
-        """Write these bytes where the last frame ends, and sync them, once; return the result of `meanwhile`.
+        """Write this frame where the last one ends, sync it, once, and show it; return the result of `meanwhile`.
 
-        When that fails, the file is cut off there, if the disk allows it. Raises: OSError.
+        When the disk refuses, the file is cut off there. Raises: OSError; Uncertain if it refuses that, too.
         """
         if self.handle < 0:
             self._open(end)
         after = end + len(data)
-        room = after
         try:
-            growing.write_at(self.handle, data, end)
+            if after > self._room and len(data) < _LARGE:
+                room = after // ALLOTTED * ALLOTTED + ALLOTTED
+                growing.write_zeros(self.handle, self._room, room)
+                self._room = room
+            growing.write_at(self.handle, memoryview(data)[1:], end + 1)
             if is_small := len(data) < _SMALL:
                 growing.begin_to_sync(self.handle, end, len(data))
             begun = perf_counter_ns()
-            if after > self._room and len(data) < _LARGE:
-                room = after // ALLOTTED * ALLOTTED + ALLOTTED
-                growing.write_zeros(self.handle, after, room)
             result = meanwhile()
             while is_small and perf_counter_ns() - begun < _AWAITED_NS:
                 pass
             os.fdatasync(self.handle)
-        except BaseException:
-            with suppress(OSError):
-                os.ftruncate(self.handle, end)
+            growing.write_at(self.handle, FIRST, end)
+        except BaseException as error:
+            growing.take_back(self.handle, end, end, error)
             raise
-        self._room = max(self._room, room)
+        self._room = max(self._room, after)
         return result
 
     def _open(self, end: int) -> None:
@@ -356,6 +397,7 @@ class JournalFile:
         if self.handle < 0:
             self._open(end)
         os.ftruncate(self.handle, end)
+        os.fdatasync(self.handle)  # the byte that shows the last frame
         self.close()
         os.rename(self.path, self.path.with_name(SEALING))
         disk.sync_folder(self.path.parent)

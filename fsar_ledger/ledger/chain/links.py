@@ -257,19 +257,20 @@ class Followed(msgspec.Struct, frozen=True):
     """How far the bytes of a chain were followed: the bytes up to the last whole append, and why no further.
 
     The last append begins at `last`. `problem` is None where the bytes end, or where an append was interrupted; then
-    `torn` counts the bytes of it.
+    `torn` counts the bytes of it. The last append `is_hidden` if only its last line feed is not there yet, and counts.
     """
 
     end: int
     torn: int = 0
     problem: Problem | None = None
     last: int = 0
+    is_hidden: bool = False
 
 
 def follow(data: bytes, chain: Chain) -> Followed:
     """Add the lines in these bytes to the chain, up to the last whole append."""
-    at = last = end = commits = 0
-    sha256 = chain.sha256
+    at = last = end = 0
+    commits, sha256 = len(chain.commits), chain.sha256
     problem: Problem | None = None
     *lines, rest = data.split(b"\n")
     hashes = digests(lines)

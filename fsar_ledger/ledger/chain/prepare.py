@@ -7,6 +7,7 @@ from pathlib import Path
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.ledger.chain.checkpoint import behind
 from fsar_ledger.ledger.chain.derived import append_derived, derived_sizes
+from fsar_ledger.ledger.chain.journal import FIRST
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
 from fsar_ledger.ledger.log import pack
@@ -44,14 +45,19 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
     """
     path = view.path
     covered = behind(view)
-    is_changed = bool(view.followed.torn or view.journal.torn or view.journal.sealed)
+    is_hidden = bool(view.followed.is_hidden or view.journal.hidden)
+    is_changed = bool(view.followed.torn or view.journal.torn or view.journal.sealed or is_hidden)
     with disk.refusals(path, "finishing what an interrupted writer left"):
         disk.sync_folder(path)
         growing.write_again(path / CHAIN, view.followed.last, view.followed.end, cuts=view.followed.torn > 0)
+        if view.followed.is_hidden:
+            growing.show(path / CHAIN, [view.followed.end - 1], b"\n")
         if view.journal.end:
             # What follows is torn, or room that was allotted, of which nobody knows whether it is on disk.
             cuts = view.journal.torn > 0 or (settles and growing.size_of(path / JOURNAL) > view.journal.end)
-            growing.write_again(path / JOURNAL, view.journal.last, view.journal.end, cuts=cuts)
+            growing.write_again(path / JOURNAL, view.journal.unsure, view.journal.end, cuts=cuts)
+            if view.journal.hidden:
+                growing.show(path / JOURNAL, view.journal.hidden, FIRST)
         _roll_forward(view)
         _clean(view, is_alone=is_alone)
         is_covered = not covered or view.commits[-covered].tree_size > view.chain.placed_size
@@ -63,7 +69,7 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
             if is_empty and os.path.lexists(path / name):  # it was sealed, or its first frame is torn
                 os.unlink(path / name)
                 disk.sync_folder(path)
-    return open_chain(path, read_manifest(path)) if is_changed else view
+    return open_chain(path, read_manifest(path), has_turn=True) if is_changed else view
 
 
 def _roll_forward(view: ChainView) -> None:

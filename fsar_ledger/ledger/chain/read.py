@@ -9,6 +9,7 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
+from time import monotonic, sleep
 
 import msgspec
 import pyarrow as pa
@@ -17,7 +18,7 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.derived import holds_nodes, node_reader
 from fsar_ledger.ledger.chain.groups import groups_of
 from fsar_ledger.ledger.chain.index import Index, line_of
-from fsar_ledger.ledger.chain.journal import Journal, leaves_in, lines_of, read_frames
+from fsar_ledger.ledger.chain.journal import Journal, leaves_in, lines_of, read_frames, with_hidden
 from fsar_ledger.ledger.chain.links import Chain, Followed, follow
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, SEALING, segment_of
 from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
@@ -34,7 +35,9 @@ from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import disk, growing
-from fsar_ledger.ledger.store.paths import MANIFEST
+from fsar_ledger.ledger.store.derived import read_checkpoint
+from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS
+from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import CHAINED, Manifest, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Extent, Head, Part, RunNames
 from fsar_ledger.ledger.store.walk import Names, find_segment, read_segment
@@ -42,12 +45,15 @@ from fsar_ledger.ledger.store.walk import Names, find_segment, read_segment
 MAX_CHAIN_BYTES = 1 << 32
 MAX_JOURNAL_BYTES = 1 << 30
 _TRIES = 10
+_PAUSE_S, _PATIENCE_S = 0.0005, 10.0
+"""How long a reader waits for a writer each time, and in all."""
 
 
 class ChainView(msgspec.Struct, frozen=True, dict=True):
     """A ledger of format 2 as it was when it was opened (see `store.view.View`).
 
-    `followed` says how far the chain could be followed, `journal` what is not in a segment yet.
+    `followed` says how far the chain could be followed, `journal` what is not in a segment yet, `checkpoint` what the
+    file of that name held, or why it cannot be read.
     """
 
     path: Path
@@ -56,6 +62,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     chain: Chain
     followed: Followed
     journal: Journal
+    checkpoint: str | Problem | None = None
     checked: dict[int, Path] = msgspec.field(default_factory=dict)
     kept: dict[int, pa.Table] = msgspec.field(default_factory=dict)
 
@@ -166,10 +173,10 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
             chain_path, path, sealing = self._growing
             if (chain.size() if chain else growing.size_of(chain_path)) != self.followed.end:
                 return False
-            if journal >= 0 and (found := os.pread(journal, 1, self.journal.end)):
-                return found == b"\0"
+            if journal >= 0 and (found := os.pread(journal, 2, self.journal.end)):
+                return not found.strip(b"\0")  # the second byte is that of a hidden frame
             has_same = os.access(sealing, os.F_OK) == self.journal.has_sealing
-            return has_same and growing.read_at(path, self.journal.end, 1) in (b"", b"\0")
+            return has_same and not growing.read_at(path, self.journal.end, 2).strip(b"\0")
         except OSError:
             return False
 
@@ -369,32 +376,137 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         return self.journal.tree
 
 
-def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True) -> ChainView:
+def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True, has_turn: bool = False) -> ChainView:
     """Open a ledger of format 2 whose ledger.json holds these bytes.
+
+    Only what stays is seen: a commit that is hidden is on its way to the disk, or was left by a crash. Which of these
+    shows whether a writer is at work; so does whether what does not fit together is damaged.
 
     Args:
         path: Its folder.
         manifest_bytes: What its ledger.json holds.
         is_damage_told: Raise an error for a chain or a journal that contradicts itself; else return what precedes that.
+        has_turn: The caller has the turn of a writer.
 
     Raises:
         LedgerCorrupted: A line of the chain or of the journal is not canonical, or contradicts those before it.
     """
-    manifest = parse_manifest(path / MANIFEST, manifest_bytes, (CHAINED,))
-    sha256 = sha256_hex(manifest_bytes)
-    for last in (*[False] * _TRIES, True):
-        chain = Chain(sha256, trusts_frontiers=is_damage_told)
-        chain_bytes = growing.read_whole(path / CHAIN, MAX_CHAIN_BYTES)
-        followed = follow(chain_bytes, chain)
-        if not chain.has_right_tree():  # which line is wrong?
-            chain = Chain(sha256)
-            followed = follow(chain_bytes, chain)
-        has_sealing = os.access(path / SEALING, os.F_OK)  # a journal renamed after this is read under its new name too
-        newer, older = (growing.read_whole(path / name, MAX_JOURNAL_BYTES) for name in (JOURNAL, SEALING))
-        journal = read_frames(older, newer, chain, has_sealing=has_sealing)
-        problem = followed.problem or journal.problem
-        if last or growing.size_of(path / CHAIN) == len(chain_bytes):
-            break
+    reader = _Reader(path, manifest_bytes, is_damage_told=is_damage_told)
+    view = reader.look(counts_hidden=True) if has_turn else _settled(reader)
+    problem = view.followed.problem or view.journal.problem
     if problem is not None and is_damage_told:
         raise LedgerCorrupted(f"{path}/{problem}; restore the file, or run fsar-ledger verify")
-    return ChainView(path, manifest, sha256, chain, followed, journal)
+    return view
+
+
+def _settled(reader: "_Reader") -> ChainView:
+    """Return what is committed, as soon as that is certain."""
+    first: tuple[int, int] | None = None
+    until = monotonic() + _PATIENCE_S
+    while True:
+        view = reader.look()
+        if not reader.is_steady:
+            if monotonic() > until:
+                with disk.turn(reader.path / SEGMENTS, is_shared=True):
+                    return reader.look(counts_hidden=reader.is_synced())
+            continue
+        is_damaged = bool(view.followed.problem or view.journal.problem)
+        seen = view.followed.end, len(view.commits)
+        # What was hidden at first may have been seen already, if a crash left it; what was hidden later may not.
+        if not is_damaged and (not reader.has_hidden or first not in (None, seen)):
+            return view
+        with disk.free_turn(reader.path / SEGMENTS) as is_free:
+            if is_free:
+                return reader.look(counts_hidden=reader.is_synced())
+        if monotonic() > until:
+            return view
+        first = first or seen
+        sleep(_PAUSE_S)
+
+
+class _Reader:
+    """Looks at a ledger again and again. The part of the chain that was followed is not read again."""
+
+    def __init__(self, path: Path, manifest_bytes: bytes, *, is_damage_told: bool) -> None:
+        self.path = path
+        self.is_steady = True
+        """Whether the chain was the same before and after the last look."""
+        self.has_hidden = False
+        """Whether that saw commits that are hidden."""
+        self._manifest = parse_manifest(path / MANIFEST, manifest_bytes, (CHAINED,))
+        self._sha256 = sha256_hex(manifest_bytes)
+        self._trusts_frontiers = is_damage_told
+        self._begin()
+
+    def _begin(self) -> None:
+        self._chain = Chain(self._sha256, trusts_frontiers=self._trusts_frontiers)
+        self._followed = Followed(0)
+        self._newest = 0, self._sha256  # the commits and the hash of the last line of the chain
+
+    def is_synced(self) -> bool:
+        """Sync what is hidden to the disk, so that it stays; return whether the disk took it."""
+        if self.has_hidden:
+            try:
+                growing.sync(self.path / CHAIN)
+                growing.sync(self.path / JOURNAL)
+            except OSError:
+                return False
+        return True
+
+    def look(self, *, counts_hidden: bool = False) -> ChainView:
+        """Return what the ledger holds now, with or without whole commits that are hidden."""
+        size = self._follow(counts_hidden=counts_hidden)
+        has_sealing = os.access(self.path / SEALING, os.F_OK)  # one renamed after this is read under its new name too
+        note = _note(self.path)  # before the commits that it may be about
+        newer, older = (growing.read_whole(self.path / name, MAX_JOURNAL_BYTES) for name in (JOURNAL, SEALING))
+        shown, places = with_hidden(newer)
+        newer = shown if counts_hidden else newer[: places[0]] if places else newer
+        journal = read_frames(older, newer, self._chain, has_sealing=has_sealing)
+        journal.hidden = places if counts_hidden else ()
+        self.has_hidden = self.has_hidden or bool(places)
+        self.is_steady = growing.size_of(self.path / CHAIN) == size
+        return ChainView(self.path, self._manifest, self._sha256, self._chain, self._followed, journal, note)
+
+    def _follow(self, *, counts_hidden: bool) -> int:
+        """Follow what the chain has beyond what was followed; return the size of the file."""
+        self._chain.forget(*self._newest)  # what the journal added
+        if self._followed.problem or growing.size_of(self.path / CHAIN) < self._followed.end:
+            self._begin()
+        start = self._followed.end
+        data = growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES, start)
+        size = start + len(data)
+        self.has_hidden = data.endswith(b"}\0") and _is_placement(data[data.rfind(b"\n") + 1 : -1])
+        is_hidden = self.has_hidden and counts_hidden
+        followed = follow(data[:-1] + b"\n" if is_hidden else data, self._chain)
+        if not self._chain.has_right_tree():  # which line is wrong?
+            self._begin()
+            self._chain, start = Chain(self._sha256), 0
+            data = growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES)
+            size = len(data)
+            followed, is_hidden = follow(data, self._chain), False
+        self._followed = Followed(
+            start + followed.end,
+            followed.torn,
+            followed.problem,
+            start + followed.last if followed.end else self._followed.last,
+            is_hidden=is_hidden and start + followed.end == size,
+        )
+        self._newest = len(self._chain.commits), self._chain.sha256
+        return size
+
+
+def _is_placement(line: bytes) -> bool:
+    """Return whether this is the whole line of a placement."""
+    try:
+        return isinstance(parse_line(line), Placement)
+    except ValueError:
+        return False
+
+
+def _note(path: Path) -> str | Problem | None:
+    """Return what the file `checkpoint` holds, None if there is none, or why it cannot be read."""
+    try:
+        return read_checkpoint(path)
+    except LedgerCorrupted as error:
+        reason = error.__cause__.strerror if isinstance(error.__cause__, OSError) else "not text"
+        return Problem(CHECKPOINT, f"an unreadable file ({reason})", "the note of a commit")

@@ -47,8 +47,8 @@ def read_document(path: Path | str) -> bytes:
         close(handle)
 
 
-def read_large(path: Path | str, most: int) -> bytes:
-    """Read a regular file of at most this many bytes.
+def read_large(path: Path | str, most: int, start: int = 0) -> bytes:
+    """Read a regular file of at most this many bytes, from `start` on.
 
     Raises: OSError if it is missing, not a regular file (a link is not), larger or unreadable.
     """
@@ -60,7 +60,8 @@ def read_large(path: Path | str, most: int) -> bytes:
         if status.st_size > most:
             raise OSError(0, f"it is larger than {most} bytes")
         parts: list[bytes] = []
-        rest = status.st_size
+        os.lseek(handle, start, os.SEEK_SET)
+        rest = max(0, status.st_size - start)
         while rest and (part := os.read(handle, rest)):
             parts.append(part)
             rest -= len(part)
@@ -104,9 +105,18 @@ def entries(folder: Path) -> list["os.DirEntry[str]"]:
     return sorted(names, key=lambda entry: entry.name)
 
 
+class Uncertain(OSError):
+    """The disk refused a commit and then to take it back, so it may be found there later."""
+
+
 def refusal(path: Path, doing: str, error: OSError) -> WriteFailed:
     """Return the error for what the disk refused."""
     reason = error.strerror or str(error)
+    if isinstance(error, Uncertain):
+        return WriteFailed(
+            f"{path}: {doing} failed: {reason}; nobody can tell whether the commit is there: make room or permit "
+            "writing there, open the ledger again, and append what it lacks"
+        )
     return WriteFailed(
         f"{path}: {doing} failed: {reason}; nothing was committed; make room or permit writing there and run it again"
     )
@@ -349,6 +359,30 @@ def turn(folder: Path, is_shared: bool = False) -> Iterator[None]:
         with suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX)
         yield
+    finally:
+        close(handle)
+
+
+@contextmanager
+def free_turn(folder: Path) -> Iterator[bool]:
+    """Hold a shared lock on this folder, as `turn`, if nobody has it alone; yield whether that is so.
+
+    Yields True also where the file system has no locks, or the folder cannot be opened.
+    """
+    try:
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        yield True
+        return
+    try:
+        is_free = True
+        try:
+            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            is_free = False
+        except OSError:
+            pass
+        yield is_free
     finally:
         close(handle)
 

@@ -5,7 +5,7 @@ Every change is a plain call of `os`, as in `disk`.
 
 import errno
 import os
-from contextlib import suppress
+from collections.abc import Sequence
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
@@ -43,10 +43,13 @@ def read_at(path: Path | str, place: int, most: int) -> bytes:
         disk.close(handle)
 
 
-def read_whole(path: Path, most: int) -> bytes:
-    """Read a file of a ledger; nothing if there is none. Raises: LedgerCorrupted if it cannot be read, or is longer."""
+def read_whole(path: Path, most: int, start: int = 0) -> bytes:
+    """Read a file of a ledger, from `start` on; nothing if there is none.
+
+    Raises: LedgerCorrupted if it cannot be read, or is longer than `most`.
+    """
     try:
-        return disk.read_large(path, most)
+        return disk.read_large(path, most, start)
     except FileNotFoundError:
         return b""
     except OSError as error:
@@ -78,23 +81,65 @@ class Watched:
 
 
 def append_durably(path: Path, data: bytes, end: int) -> None:
-    """Append these bytes to a file that ends there, and sync them, once; make the file if it is new.
+    """Append these lines to a file that ends there, and sync them; make the file if it is new.
 
-    When that fails, the file is cut off again where it ended, if the disk allows it. Raises: OSError.
+    Until all is on disk, NUL takes the place of the last line feed. So what readers see as whole lines stays. That line
+    feed is on disk after `sync`, or with the next append.
+
+    When the disk refuses, the file is cut off again where it ended. Raises: OSError; Uncertain if it refuses that, too.
     """
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
     try:
         try:
-            write_at(handle, data, end)
+            write_at(handle, data[:-1] + b"\0", end)
             os.fdatasync(handle)
             if not end:
                 disk.sync_folder(path.parent)
-        except BaseException:
-            with suppress(OSError):
-                os.ftruncate(handle, end)
+            write_at(handle, memoryview(data)[-1:], end + len(data) - 1)
+        except BaseException as error:
+            take_back(handle, end, end + len(data) - 1, error)
             raise
     finally:
         os.close(handle)
+
+
+def take_back(handle: int, end: int, shown: int, error: BaseException) -> None:
+    """Cut an open file off there because of this error, unless the byte at `shown` has made visible what follows.
+
+    It is not synced: if that failed before, the file is given up, and the next writer cuts it off durably.
+
+    Raises: Uncertain if the error is that of a disk, and the file is not cut off.
+    """
+    try:
+        if os.pread(handle, 1, shown) not in (b"", b"\0"):
+            raise OSError(errno.EIO, "it is visible already")
+        os.ftruncate(handle, end)
+    except OSError as other:
+        if isinstance(error, OSError):
+            raise disk.Uncertain(error.errno, error.strerror or str(error)) from other
+
+
+def show(path: Path, places: Sequence[int], byte: bytes) -> None:
+    """Write this byte at these places of a file, durably, which makes what is there visible. Raises: OSError."""
+    handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
+    try:
+        for place in places:
+            write_at(handle, byte, place)
+        os.fdatasync(handle)
+    finally:
+        os.close(handle)
+
+
+def sync(path: Path) -> None:
+    """Sync a file to the disk, whoever wrote it; do nothing if there is none. Raises: OSError."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except FileNotFoundError:
+        return
+    try:
+        os.fsync(handle)
+    finally:
+        disk.close(handle)
 
 
 def write_again(path: Path, start: int, end: int, *, cuts: bool = False) -> None:

@@ -52,6 +52,10 @@ SEALED = (
     "the journal is there though it was sealed, and what follows from that may be missing, as a crash leaves it; the "
     "next writer, or fsar-ledger recover, goes on from there"
 )
+HIDDEN = (
+    "the newest commit is whole, but its writer was interrupted before it made it visible; it counts, and the next "
+    "writer does so"
+)
 TORN = "an append was interrupted, and what is left of it is no commit; the next writer removes it"
 SUPERSEDED = "segments are there that were compacted, as a crash leaves them; the next writer removes them"
 _SYMBOLIC = "a link or something else than a file"
@@ -297,6 +301,7 @@ class ChainVerification:
         left = any(f"{SEGMENTS}/{name}" not in placed for name in names_in(self.path / SEGMENTS))
         return (
             *((SEALED,) if view.journal.sealed else (BEHIND,) if is_behind else (OPEN,) if back else ()),
+            *((HIDDEN,) if view.followed.is_hidden or view.journal.hidden else ()),
             *((TORN,) if view.followed.torn or view.journal.torn else ()),
             *((SUPERSEDED,) if left else ()),
         )

@@ -197,11 +197,11 @@ def mend(found: Found, set_aside: SetAside, done: Done) -> None:
     _make_again(path, NODES, _nodes(view), set_aside, done)
     _make_again(path, INDEX, _index(view), set_aside, done)
     try:
-        behind(view)
+        is_behind = behind(view) > 0
     except LedgerCorrupted:
         _make_again(path, CHECKPOINT, str(view.note()).encode() if view.commits else b"", set_aside, done)
-    covered = behind(view)
-    if covered:
+        is_behind = False
+    if is_behind:
         disk.write_files({path / CHECKPOINT: str(view.note()).encode()}, path / STAGING)
         done("made again", CHECKPOINT, CHECKPOINT)
     repair(open_chain(path, manifest_of(path)), is_alone=True)
