@@ -1,5 +1,7 @@
 """As `crowd`, of a ledger of format 2: writers that append, journal, seal and compact, and readers beside them."""
 
+import os
+import random
 import select
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -8,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import FsarLedgerError, NotALedger
+from fsar_ledger.errors import FsarLedgerError, NotALedger, WriteFailed
 from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.chain.record import Commit
@@ -19,6 +21,7 @@ from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.crowd import NAMES
+from tests.ledger.faults import Fault, FaultyOs, in_place_of_os
 from tests.ledger.samples import ORIGIN, made_up_run
 
 CUTS = (0, 5, 8, 12)
@@ -59,11 +62,44 @@ def write(path: Path, name: str, steps: int, say: Callable[[str, object], None])
                 writer.add([part(name, number)])
             else:
                 writer.append(stage(path, [part(name, number)]))
+            acknowledge(path, name, number + 1)
             say("acknowledged", number + 1)
             if kind % 7 == 3:
                 writer.seal()
             elif kind % 7 == 6:
                 writer.compact()
+
+
+def write_refused(refusals: int, path: Path, name: str, steps: int, say: Callable[[str, object], None]) -> None:
+    """As `write`, on a disk that refuses something so many times, soon after the writer has begun; then it begins
+    again."""
+    draw = random.Random(f"{path.name} {name} {steps}")
+    elsewhere = path.with_name(name)  # what a power failure would leave is not asked
+    elsewhere.mkdir(exist_ok=True)
+    for _ in range(refusals):
+        kind = draw.choice(("no-space", "io-error", "disk-full", "short-write-no-space"))
+        try:
+            with in_place_of_os(FaultyOs(elsewhere, Fault(draw.randrange(10, 250), kind))):
+                write(path, name, steps, say)
+        except WriteFailed:
+            say("refused", 1)
+    write(path, name, steps, say)
+
+
+def acknowledged_in(path: Path) -> dict[str, int]:
+    """Return how many steps of each writer were acknowledged by now, as `acknowledge` noted."""
+    try:
+        data = path.with_suffix(".acknowledged").read_bytes()
+    except FileNotFoundError:
+        return {}
+    return {name: int.from_bytes(data[8 * at : 8 * at + 8], "big") for at, name in enumerate(NAMES)}
+
+
+def acknowledge(path: Path, name: str, steps: int) -> None:
+    """Note for readers that so many steps of this writer were acknowledged."""
+    handle = os.open(path.with_suffix(".acknowledged"), os.O_WRONLY | os.O_CREAT, 0o666)
+    os.pwrite(handle, steps.to_bytes(8, "big"), 8 * NAMES.index(name))
+    os.close(handle)
 
 
 def steps_in(view: ChainView, commits: Sequence[Commit]) -> list[tuple[str, Sequence[bytes]]]:
@@ -83,22 +119,37 @@ def own_steps(view: object, name: str) -> int:
 
 
 def watch(path: Path, stop: int, say: Callable[[str, object], None]) -> None:
-    """Check that every head is a whole commit and contains the one before, and that all its rows can be read."""
+    """Check that every head is a whole commit and contains the one before and all that was acknowledged by then, each
+    once; now and then, that all its rows can be read and verified."""
     before: ChainView | None = None
+    found = Counter[str]()
+    heads = 0
     while True:
         is_last = bool(select.select([stop], [], [], 0)[0])
         try:
+            known = acknowledged_in(path)
             view = open_for_answers(path)
         except NotALedger:
             if before is not None:
                 raise
         else:
             assert isinstance(view, ChainView)
-            if before is not None and view.commits[: before.head.commits] != before.commits:
+            count = len(before.commits) if before is not None else 0
+            if before is not None and view.commits[:count] != before.commits:
                 say("wrong", f"a reader of {view.head.commits} commits no longer saw those that it had seen")
+            for name, rows in steps_in(view, view.commits[count:]):
+                if rows != rows_of(name, found[name]):
+                    say("wrong", f"a reader saw other rows than step {found[name]} of {name}")
+                found[name] += 1
+            if missed := [name for name, steps in known.items() if found[name] < steps]:
+                say("wrong", f"a reader saw {found[missed[0]]} of {known[missed[0]]} acknowledged steps of {missed[0]}")
             if before is None or view.head != before.head:
+                heads += 1
                 say("head", view.head.commits)
-                for complaint in judge(path, {}):
+                say("seen", f"{view.head.size} {view.head.root}")
+            if is_last or heads % 10 == 1:
+                heads += 1
+                for complaint in judge(path, known):
                     say("wrong", f"while others append: {complaint}")
             before = view
         if is_last:

@@ -37,7 +37,8 @@ class Order(msgspec.Struct, frozen=True):
     """What the nursery does at a path: these writers append this many batches each, while this many readers watch.
 
     `kill_after_us` has a moment for each writer that is killed, counted from its start. With a fault, one process
-    appends the batches of the trials and is killed at that call. In format 2, a batch is a step of `chain_crowd`.
+    appends the batches of the trials and is killed at that call. In format 2, a batch is a step of `chain_crowd`, and
+    the disk refuses each writer something so many times.
     """
 
     path: str
@@ -48,15 +49,21 @@ class Order(msgspec.Struct, frozen=True):
     fault_at: int | None = None
     fault_kind: str = "killed"
     version: int = 1
+    refusals: int = 0
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """The result: batches acknowledged by writer, processes killed, heads that readers saw, and what was wrong."""
+    """The result: batches acknowledged by writer, processes killed, heads that readers saw, and what was wrong.
+
+    Of format 2 also how often something was refused, and each head that a reader saw, as its size and root.
+    """
 
     acknowledged: dict[str, int]
     killed: int
     heads: int
     wrong: tuple[str, ...]
+    refused: int = 0
+    seen: tuple[str, ...] = ()
 
 
 def _child(work: Callable[[Callable[[str, object], None]], None], name: str, pipe: int) -> int:
@@ -92,7 +99,7 @@ def obey(order: Order) -> Outcome:
         fault = Fault(order.fault_at, order.fault_kind)
         writers = [_child(partial(_fail, order.version, path, fault), "trial", pipe)]
     else:
-        write = WRITE[order.version]
+        write = partial(chain_crowd.write_refused, order.refusals) if order.refusals else WRITE[order.version]
         writers = [_child(partial(write, path, name, order.batches), name, pipe) for name in order.writers]
     os.close(pipe)
     os.close(stop)
@@ -112,6 +119,8 @@ def obey(order: Order) -> Outcome:
         ends.count(signal.SIGKILL),
         sum(what == "head" for _, what, _ in said),
         tuple(wrong),
+        sum(what == "refused" for _, what, _ in said),
+        tuple(dict.fromkeys(value for _, what, value in said if what == "seen")),
     )
 
 

@@ -13,6 +13,7 @@ from tests.ledger.crash_writer import Nursery, Order
 from tests.ledger.crowd import NAMES
 from tests.ledger.faults import Fault, FaultyOs, calls_of, faults_at, one_fault_a_call
 from tests.ledger.power import choices
+from tests.ledger.readers_beside_soak import trial
 from tests.ledger.samples import ORIGIN
 from tests.quick import few
 
@@ -109,6 +110,15 @@ def test_processes_killed_at_random_moments_lose_nothing_and_stop_nobody(nursery
         assert judge(path, outcome.acknowledged) == []
         assert outcome.acknowledged[NAMES[2]] == steps
     assert killed > 2, "most processes had ended before they were killed; give them more to do"
+
+
+@pytest.mark.slow
+def test_readers_beside_killed_and_refused_writers_see_what_is_committed_once_and_for_ever(
+    nursery: Nursery, tmp_path: Path
+) -> None:
+    tally = trial(nursery, tmp_path / "ledger", random.Random(3))
+    assert tally.wrong == ()
+    assert min(tally.kills, tally.refusals, tally.seen) > 1
 
 
 def test_the_judge_of_the_crowd_sees_a_lost_step_and_one_out_of_order(tmp_path: Path) -> None:

@@ -15,14 +15,16 @@ from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
+from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.agreement_chain import hand_over
 from tests.ledger.chain_damage import piece, write_handed_over
-from tests.ledger.samples import ORIGIN, contents
+from tests.ledger.samples import ORIGIN, contents, made_up_run
 from tests.quick import few
 
 PARTS = [piece(1, 2 * number, 2 * number + 2) for number in range(6)]
@@ -200,6 +202,30 @@ def test_a_journal_that_is_renamed_between_two_looks_is_read_once(tmp_path: Path
         assert view.rows(0, view.head.size) == ROWS[:2]
         assert not view.is_current()
         assert rows_in(path) == ROWS[:4]
+
+
+def test_a_reader_beside_a_writer_that_never_rests_gets_an_answer(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    run = made_up_run("never-rests", 40, 3)
+    parts = iter([pieces.piece(run, at, at + 1) for at in range(40)])
+    with ChainWriter(path, ORIGIN) as writer:
+        writer.add([next(parts)])
+        real = growing.read_whole
+        reads = 0
+
+        def beside(file: Path, most: int, start: int = 0) -> bytes:
+            nonlocal reads
+            data = real(file, most, start)
+            if file.name == CHAIN and reads < 15:
+                reads += 1
+                writer.append(stage(path, [next(parts)]))
+                writer.add([next(parts)])
+            return data
+
+        with patch.object(growing, "read_whole", beside):
+            assert open_for_answers(path).head.size == 31
+    assert reads == 15
+    assert verify(path).ok
 
 
 def test_a_placement_that_is_lost_takes_nothing_of_the_journal_with_it(chained: Path) -> None:
