@@ -11,6 +11,9 @@ JOBS ?= 2
 OUT ?= fsar-out
 STEPS ?= 100000
 
+# Recipes read it from their environment, quoted, since a folder may have any name.
+export OUT
+
 # Tests start hundreds of processes: keep compiled modules, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -31,14 +34,14 @@ SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-ag
 
 help:
 	@echo "make setup       create .venv with the command fsar-ledger in it"
-	@echo "make reproduce   simulate the paper's experiments, measure them, typeset the report into $(OUT)/"
+	@echo "make reproduce   simulate the paper's experiments, measure them, typeset the report into $$OUT/"
 	@echo "make test        run every check and the tests, 5 minutes; skips tests that need an extra, and says so"
 	@echo "make test-all    install the extras and run all tests but the soaks, 30 minutes; a skipped test is a failure"
 	@echo "make check       run the checks without the tests: style, types, imports, SQL"
 	@echo "make soak        run the long tests, over an hour: $(SOAKS)"
 	@echo "make soak-sensitivity   measure how much each number depends on each constant, most of an hour;"
 	@echo "                 resumes where it was interrupted"
-	@echo "make fleets      measure what coordination costs in fleets of 4 to 4,096 robots, into $(OUT)/fleets.pdf;"
+	@echo "make fleets      measure what coordination costs in fleets of 4 to 4,096 robots, into $$OUT/fleets.pdf;"
 	@echo "                 40 minutes and 9 GiB; resumes where it was interrupted"
 	@echo "make bench       run the benchmarks and print ratios"
 	@echo "make docs        rewrite the pages that show real output"
@@ -69,7 +72,7 @@ $(READY_ALL): requirements-all.txt $(READY_TEST) fsar_ledger/view/src/package-lo
 	@touch $@
 
 reproduce: $(READY)
-	$(BIN)/fsar-ledger reproduce --out $(OUT)
+	$(BIN)/fsar-ledger reproduce --out "$$OUT"
 
 # Two checks at a time: the types take as long as all the others.
 check: $(READY_TEST)
@@ -143,18 +146,18 @@ soak-swaps: $(READY_TEST)
 # Vary every constant, the load and the fleet size: which cell does each move, and how far? Not a test; repeat it after
 # a fit.
 soak-sensitivity: $(READY)
-	$(BIN)/fsar-ledger sensitivity --out $(OUT)/sensitivity.parquet --svg $(OUT)/sensitivity.svg
+	$(BIN)/fsar-ledger sensitivity --out "$$OUT/sensitivity.parquet" --svg "$$OUT/sensitivity.svg"
 
 # Which size breaks which architecture, and what does a request cost there? Not a test; 62 million events, 10 GiB.
 fleets: reproduce
 	for size in 4 16 64 256 1024 4096; do \
-		$(BIN)/fsar-ledger simulate $(OUT)/fleets --runs 1 --scenario door-relay --fleet-size $$size --format 2 || exit; \
+		$(BIN)/fsar-ledger simulate "$$OUT/fleets" --runs 1 --scenario door-relay --fleet-size $$size --format 2 || exit; \
 	done
-	$(BIN)/fsar-ledger report $(OUT)/results --with $(OUT)/fleets --out $(OUT)/fleets.pdf --memory 10240
+	$(BIN)/fsar-ledger report "$$OUT/results" --with "$$OUT/fleets" --out "$$OUT/fleets.pdf" --memory 10240
 
 bench: export FSAR_LEDGER_BENCH := $(OUT)/bench.jsonl
 bench: $(READY_TEST)
-	@mkdir -p $(OUT) && rm -f $(FSAR_LEDGER_BENCH)
+	@mkdir -p "$$OUT" && rm -f "$$FSAR_LEDGER_BENCH"
 	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/simulate_and_append.py
 	$(BIN)/python benchmarks/kernel.py
@@ -169,12 +172,12 @@ bench: $(READY_TEST)
 	$(BIN)/python benchmarks/trust.py
 	$(BIN)/python benchmarks/growth.py --maps
 	$(BIN)/python benchmarks/every_command.py --events 200000
-	$(BIN)/python benchmarks/table.py $(FSAR_LEDGER_BENCH)
+	$(BIN)/python benchmarks/table.py "$$FSAR_LEDGER_BENCH"
 
 docs: reproduce $(READY_TEST)
 	$(BIN)/python docs/write.py
-	$(BIN)/python -c 'from pathlib import Path; from fsar_ledger.report import result_figure_svg; \
-		result_figure_svg(Path("$(OUT)/results"), Path("docs/results.svg"))'
+	$(BIN)/python -c 'import os; from pathlib import Path; from fsar_ledger.report import result_figure_svg; \
+		result_figure_svg(Path(os.environ["OUT"]) / "results", Path("docs/results.svg"))'
 
 # The script and the style of the page that `fsar-ledger view` writes, from their sources.
 page: $(READY)
@@ -189,5 +192,5 @@ sbom: $(READY_TEST)
 	$(BIN)/python .ci/sbom.py dist/fsar-ledger.cdx.json
 
 clean:
-	rm -rf .venv $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv "$$OUT" build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

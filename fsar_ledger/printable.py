@@ -11,6 +11,7 @@ import re
 import shlex
 import unicodedata
 from collections.abc import Collection, Iterable
+from pathlib import PurePath
 from typing import NewType
 
 Shown = NewType("Shown", str)
@@ -78,8 +79,22 @@ def field(text: str) -> str:
 
 
 def word(text: object) -> str:
-    """Quote the text as one word of a shell command that people may copy."""
-    return shlex.quote(value(str(text), len(str(text))))
+    """Quote the text as one word of a shell command that people may paste; a path never as an option.
+
+    Where characters act or cannot be seen it is the bash, ksh and zsh form `$'...'`, of their bytes.
+    """
+    plain = f"./{text}" if isinstance(text, PurePath) and str(text).startswith("-") else str(text)
+    if is_shown(plain):
+        return shlex.quote(plain)
+    return f"$'{''.join(map(_byte, plain.encode(errors='surrogateescape')))}'"
+
+
+def _byte(byte: int) -> str:
+    """Write a byte within `$'...'`."""
+    character = chr(byte)
+    if character in "\\'":
+        return f"\\{character}"
+    return character if " " <= character <= "~" else "\\n" if character == "\n" else f"\\x{byte:02x}"
 
 
 def _without_formula(text: str) -> str:

@@ -4,7 +4,9 @@ import csv
 import io
 import json
 import re
+import subprocess
 import unicodedata
+from pathlib import PurePath
 
 import pytest
 from hypothesis import given, settings
@@ -126,6 +128,26 @@ def test_no_field_is_a_formula(text: str) -> None:
     sheet = io.StringIO()
     csv.writer(sheet).writerow([shown, "robot/A1"])
     assert next(csv.reader(io.StringIO(sheet.getvalue()))) == [shown, "robot/A1"]
+
+
+PASTED = [
+    *"\\'\"!$`~-#*?[]{}()<>|&; \n\t\r\x01\x7f\u202e\u0301\u05d0\ufeffän",
+    *("\\n", "a\\'", "$'\\n'", "-a", "~/a", "\udcff"),
+]
+
+
+@given(st.lists(st.lists(st.sampled_from(PASTED), min_size=1, max_size=6).map("".join), min_size=1, max_size=20))
+@settings(max_examples=20)
+def test_a_word_is_read_by_a_shell_as_it_was_and_shown_as_it_is(texts: list[str]) -> None:
+    words = [*map(printable.word, texts), *(printable.word(PurePath(text)) for text in texts)]
+    assert all(printable.is_shown(word) for word in words)
+    script = f"printf '%s\\0' {' '.join(words)}"
+    read = subprocess.run(["bash", "-c", script], capture_output=True, check=True, env={"LC_ALL": "C"}).stdout
+    *found, _ = read.decode(errors="surrogateescape").split("\0")
+    assert found[: len(texts)] == texts
+    paths = found[len(texts) :]
+    assert [PurePath(path) for path in paths] == list(map(PurePath, texts))
+    assert not any(path.startswith("-") for path in paths)
 
 
 def test_a_line_goes_on_behind_a_mark_on_a_narrow_terminal() -> None:

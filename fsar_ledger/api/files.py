@@ -116,9 +116,12 @@ def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, r
 
 def _write_parquet(place: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> None:
     dictionary, encoding = _parquet_columns(schema)
-    with pq.ParquetWriter(
-        place, schema, compression="zstd", use_dictionary=dictionary, column_encoding=encoding
-    ) as writer:
+    with (
+        place.open("wb") as file,  # pyarrow would expand a leading `~`
+        pq.ParquetWriter(
+            file, schema, compression="zstd", use_dictionary=dictionary, column_encoding=encoding
+        ) as writer,
+    ):
         for table in _in_groups(tables, schema):
             writer.write_table(table)
 
@@ -153,7 +156,7 @@ def _write_csv(place: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, ra
     # Text is quoted and NULL is not, so that an empty text differs from NULL; names of columns need no quotes.
     options = pa_csv.WriteOptions(quoting_header="none")
     empty = fields(pa.RecordBatch.from_pylist([], schema)).schema
-    with pa_csv.CSVWriter(place, empty, write_options=options) as writer:
+    with place.open("wb") as file, pa_csv.CSVWriter(file, empty, write_options=options) as writer:
         for batch in in_turn(fields, _slices(tables)):
             writer.write_batch(batch)
 

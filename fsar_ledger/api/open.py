@@ -1,8 +1,7 @@
 """Write a file of DuckDB through which other programs read a ledger: every relation by its name, at one head."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import duckdb
 import msgspec
@@ -10,8 +9,8 @@ import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed, UsageError, WriteFailed, option
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.memory import unfinished
 from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.paths import literal
 from fsar_ledger.metrics.progress import Progress, each
 
 from .files import whole_file
@@ -47,30 +46,20 @@ def write_database(
     place = ledger.resolve()
     file = Path(f"{place.name}{SUFFIX}") if out is None else out
     _require_ours(file)
-    with whole_file(file) as temporary, _no_log_of(temporary):
+    with whole_file(file) as temporary, TemporaryDirectory(prefix="fsar-ledger-") as folder:
         temporary.touch()
         temporary.unlink()  # the system says better than DuckDB why there is no place for it
+        # DuckDB takes a `?` in a name for the end of it, and leaves its log where the name then leads.
+        link = Path(folder) / f"ledger{SUFFIX}"
+        link.symlink_to(temporary.absolute())
         try:
-            with connect(place, 1, demanded, temporary) as database:
+            with connect(place, 1, demanded, link) as database:
                 return _fill(database, place, file, progress)
         except (duckdb.Error, QueryFailed) as problem:  # our own queries have no mistakes
             said = str(problem).removeprefix("SQL: ").partition("\n")[0]
             raise WriteFailed(
                 f"{file}: cannot be written ({said}); the file is as it was before: make room or choose another place"
             ) from problem
-
-
-@contextmanager
-def _no_log_of(file: Path) -> Iterator[None]:
-    """Leave no log of DuckDB's beside the file, not even when it cannot be written."""
-    log = file.with_name(f"{file.name}.wal")
-    unfinished.add(log)
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            log.unlink(missing_ok=True)
-        unfinished.discard(log)
 
 
 def _fill(database: Database, ledger: Path, file: Path, progress: Progress | None) -> Opened:
@@ -111,13 +100,15 @@ def _require_ours(file: Path) -> None:
             f"{file}: found a file name that ends in {file.suffix or 'nothing'!r}, expected {SUFFIX}; choose another "
             "name"
         )
+    if "\\" in str(file.absolute()):
+        raise UsageError(f"{file.absolute()}: found a backslash, which DuckDB takes for a slash; choose another place")
     require_outside(file, option("out", file))
     if file.is_dir():
         raise UsageError(f"{file}: found a folder, expected the name of a file; choose another name")
     if not file.exists():
         return
     try:
-        with duckdb.connect(str(file), read_only=True) as connection:
+        with duckdb.connect(literal(file), read_only=True) as connection:
             is_ours = connection.execute(
                 "SELECT count(*) FROM duckdb_tables() WHERE table_name = ?", [HEAD]
             ).fetchone() == (1,)

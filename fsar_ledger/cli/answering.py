@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from fsar_ledger import printable
+
 from .progress import Progress
 from .terminal import say
 
@@ -27,9 +29,9 @@ def warn(ledger: Path, provenance: "Provenance") -> None:
     if (line := told(provenance.not_observed)) is not None:
         say(line)
     if provenance.plans is not None and (missing := provenance.plans.warning()) is not None:
-        say(f"{ledger}: {missing}; `fsar-ledger info {ledger}` says how to go on")
+        say(f"{ledger}: {missing}; `fsar-ledger info {printable.word(ledger)}` says how to go on")
     if not provenance.rows_verified:
         say(
-            f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and "
-            "--verified demands it"
+            f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {printable.word(ledger)}` does "
+            "that, and --verified demands it"
         )

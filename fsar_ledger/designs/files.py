@@ -20,6 +20,8 @@ MAX_BYTES = 40_000
 _TABLE = re.compile(r"\s*(\[\[?)\s*([^\[\]]+?)\s*\]")
 _KEY = re.compile(r"""\s*([\w-]+|"[^"]*"|'[^']*')((?:\s*\.\s*[\w-]+)*)\s*=""")
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$(?P<at>.*)`)?$", re.DOTALL)
+_MANY_DIGITS = re.compile(r"\d(?:_?\d){4300}")
+_UNREADABLE = "a whole number of thousands of digits"
 _NAMED = re.compile(r"(?:unknown|required) field `([^`]*)`")
 
 
@@ -53,6 +55,10 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
         raise UsageError(f"{where}:{line}: {printable.value(words)}; expected TOML") from error
     except RecursionError as error:
         raise UsageError(f"{where}: found brackets nested too deeply, expected TOML of a {_what(kind)}") from error
+    except ValueError as error:  # the only other thing that Python refuses to read
+        at = _MANY_DIGITS.search(text)
+        line = text.count("\n", 0, at.start() if at else 0) + 1
+        raise UsageError(f"{where}:{line}: found {_UNREADABLE}, expected TOML of a {_what(kind)}") from error
     try:
         return msgspec.convert(found, kind)
     except msgspec.ValidationError as error:
@@ -163,7 +169,10 @@ def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) ->
         expected = f"one of {', '.join(_choices(kind, field))}"
         expected += printable.did_you_mean(str(value), _choices(kind, field))
     about = f"{at_line(where, text, field)}: " if field else f"{where}: "
-    shown = printable.value(str(value))
+    try:
+        shown = printable.value(str(value))
+    except ValueError:  # TOML writes numbers of other bases, too, which Python reads and does not write
+        shown = _UNREADABLE
     if isinstance(value, str) and not what.startswith("Invalid enum value"):
         shown = f'"{shown}"'  # a text where another type is expected
     return f"{about}found {shown}, expected {_type(expected)}"

@@ -22,7 +22,8 @@ from fsar_ledger.ledger.store.view import Head
 
 from .functions import NAMES, register
 from .library import Library, Query, library
-from .macros import statements
+from .macros import FOR_OLDER, statements
+from .paths import literal, quoted
 from .query_parameters import values
 from .showable import SHOWN, check_columns
 
@@ -38,6 +39,9 @@ LOCK = (
     "allow_persistent_secrets = false",
     "enable_external_access = false",
 )
+STORAGE = "v1.0.0"
+"""The DuckDB for which files are written: the oldest whose format of storage still is read."""
+
 DUCKDB_SHARE = 0.75
 """The part of the memory of this process that DuckDB may take."""
 
@@ -83,6 +87,8 @@ class Database:
         self.head = head
         self.rows_verified = rows_verified
         """Whether a whole look compared the rows with the root of the head; None without a head."""
+        self.is_for_others = file is not None
+        """Whether the relations stay in a file for other programs, which may read it with an older DuckDB."""
         self.library = queries or library()
         self.source: str | None = None
         """A relation with all columns and rows of `events`, except those of `changed`, that costs less to read.
@@ -98,8 +104,9 @@ class Database:
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._given: dict[str, str] = {}  # how those were made that no packaged query defines
-        self._file = file  # where the relations stay for other programs; None: in memory
-        self._connection = duckdb.connect(str(file or ":memory:"), config={"threads": threads} if threads else {})
+        config: dict[str, Any] = {"threads": threads} if threads else {}
+        config |= {"storage_compatibility_version": STORAGE} if file else {}
+        self._connection = duckdb.connect(literal(file) if file else ":memory:", config=config)
         # The wide relation is read often, so its files stay open. UTC and no progress bar make the answer the same
         # everywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'"):
@@ -128,12 +135,11 @@ class Database:
 
     def spill(self, folder: Path) -> None:
         """Let DuckDB put into this folder what does not fit into memory: for our own queries alone."""
-        quoted = str(folder).replace("'", "''")
-        self._connection.execute(f"SET temp_directory = '{quoted}'")
+        self._connection.execute(f"SET temp_directory = {quoted(literal(folder))}")
 
     def hold(self, name: str, table: Any) -> None:
         """Make an Arrow table or dataset the relation of this name, in place of any packaged query."""
-        if self._file is None:
+        if not self.is_for_others:
             self._connection.register(name, table)
             self._made.add(name)
             self._given[name] = "held"
@@ -201,7 +207,7 @@ class Database:
         """Tell whether a query becomes a table here; in a file also one that calls our functions, which others lack."""
         if self.keeps_events and (query.relation in _READ_OFTEN or (query.tags and not query.wider)):
             return True
-        return query.is_stored or (self._file is not None and not NAMES.isdisjoint(_CALL.findall(query.sql)))
+        return query.is_stored or (self.is_for_others and not NAMES.isdisjoint(_CALL.findall(query.sql)))
 
     def macro(self, query: Query) -> bool:
         """Make a query with parameters a table macro that takes them by name; False if it calls our functions."""
@@ -214,6 +220,7 @@ class Database:
 
     def write_out(self) -> None:
         """Write all that the file lacks; closing does it, too, but keeps silent if it fails. Raises: as `table`."""
+        self._change(FOR_OLDER)
         self._change("CHECKPOINT")
 
     def _body(self, query: Query) -> str:

@@ -8,7 +8,7 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store.paths import segment_bytes
+from fsar_ledger.ledger.store.paths import SEGMENTS, segment_bytes
 from fsar_ledger.ledger.store.places import segments_between, segments_of
 from fsar_ledger.ledger.store.view import Extent, View
 
@@ -79,7 +79,9 @@ def connect_view(
     rows_verified = is_verified(view, demanded)
     segments = view.segments()
     database = Database(view.head, segments, threads, rows_verified=rows_verified, file=file)
-    _fill(database, segments, view.releases)
+    stay = view.path / SEGMENTS
+    passing = [] if file is None else [path for path in segments if path.parent != stay]
+    _fill(database, segments, view.releases, passing=passing)
     return database
 
 
@@ -168,11 +170,15 @@ def _numbers(runs: Sequence[str], first: int = 1) -> pa.Table:
 
 
 def _fill(
-    database: Database, segments: Sequence[Path], releases: Sequence[str], chosen: relation.Chosen | None = None
+    database: Database,
+    segments: Sequence[Path],
+    releases: Sequence[str],
+    chosen: relation.Chosen | None = None,
+    passing: Sequence[Path] = (),
 ) -> None:
     """Hold the rows of these segments as `hold_segments`, or close the database if that fails. Raises: As that."""
     try:
-        relation.hold_segments(database, segments, releases, chosen)
+        relation.hold_segments(database, segments, releases, chosen, passing)
     except BaseException:
         database.close()
         raise

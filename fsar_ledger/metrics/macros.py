@@ -5,6 +5,9 @@ import re
 from .library import Query
 
 _PARAMETER = re.compile(r"\$(\w+)")
+FOR_OLDER = 'CREATE MACRO "if"(is_so, so, otherwise) AS CASE WHEN is_so THEN so ELSE otherwise END'
+"""Makes the function that our queries call and the DuckDB before ours lacks."""
+
 _RUN_NAMED = """
 CREATE MACRO IF NOT EXISTS run_named(asked) AS coalesce(
     (SELECT max(run_id) FROM run_numbers WHERE run_id = asked::VARCHAR),

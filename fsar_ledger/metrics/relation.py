@@ -6,7 +6,7 @@ what was added. Others are upcast one by one in memory, which costs a ledger tha
 segments.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from fsar_ledger.ledger.rows.segment import read_table
 
 from .connection import Database
 from .library import SQL_TYPES
+from .paths import literal, parquet, quoted
 
 _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 
@@ -39,7 +40,7 @@ class Chosen(NamedTuple):
 
 def of_run(run: str) -> str:
     """Return the condition that a row is of this run."""
-    return f"run_id = {_literal(run)}"
+    return f"run_id = {quoted(run)}"
 
 
 OF_NUMBERED = "run_id IN (SELECT run_numbers.run_id FROM run_numbers)"
@@ -47,11 +48,16 @@ OF_NUMBERED = "run_id IN (SELECT run_numbers.run_id FROM run_numbers)"
 
 
 def hold_segments(
-    database: Database, segments: Sequence[Path], releases: Sequence[str], chosen: Chosen | None = None
+    database: Database,
+    segments: Sequence[Path],
+    releases: Sequence[str],
+    chosen: Chosen | None = None,
+    passing: Collection[Path] = (),
 ) -> None:
     """Make the rows of these segments, given the release of each, the database's `events`.
 
-    With `chosen`, some of them; else runs are numbered as these segments hold them.
+    With `chosen`, some of them; else runs are numbered as these segments hold them. The database keeps the rows of
+    `passing` segments, which do not stay where they are.
 
     Raises: as `_upcast`.
     """
@@ -63,26 +69,39 @@ def hold_segments(
         tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types))
     )
     holding = _holding(database, segments, types)
-    alike: dict[tuple[str, bool], list[Path]] = {}
+    alike: dict[tuple[str, bool, bool], list[Path]] = {}
     for path, release in zip(segments, releases, strict=True):
         is_cut = chosen is not None and path not in chosen.whole
-        alike.setdefault((FINGERPRINTS[release], is_cut), []).append(path)
+        alike.setdefault((FINGERPRINTS[release], is_cut, path in passing), []).append(path)
     present = {FINGERPRINTS[release]: frozenset(SCHEMAS[release].names) for release in releases}
     where = "" if chosen is None else f" WHERE {chosen.condition}"
     parts = [
-        (f"(SELECT * FROM {_parquet(paths)}{where})" if is_cut else _parquet(paths), present[fingerprint])
-        for (fingerprint, is_cut), paths in alike.items()
+        (f"(SELECT * FROM {source}{where})" if is_cut else source, present[fingerprint])
+        for (fingerprint, is_cut, is_passing), paths in alike.items()
+        if (source := (_kept if is_passing else _read)(database, paths))
     ]
     if chosen is not None:
         database.hold("run_numbers", chosen.run_numbers)
     elif types:
-        _number_runs(database, segments)
+        _number_runs(database, segments, is_stored=database.is_for_others)
     if holding:
         _hold_newest(database, parts, holding, where)
         return
     database.define("events", "\nUNION ALL\n".join(_select(*part) for part in parts))
-    if alike.keys() == {(FINGERPRINTS[RELEASE], False)}:
-        database.source = _parquet(segments)
+    if alike.keys() == {(FINGERPRINTS[RELEASE], False, False)}:
+        database.source = _read(database, segments)
+
+
+def _read(database: Database, paths: Sequence[Path], *options: str) -> str:
+    """Return the relation that reads these segments."""
+    return parquet(paths, *options, is_for_others=database.is_for_others)
+
+
+def _kept(database: Database, paths: Sequence[Path]) -> str:
+    """Return a table with the rows of these segments, of which the database knows none yet."""
+    name = f"events_kept_{paths[0].stem[:8]}"
+    database.define(name, f"SELECT * FROM {parquet(paths)}", is_stored=True)
+    return name
 
 
 def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> None:
@@ -107,8 +126,8 @@ def _number_runs(database: Database, segments: Sequence[Path], *, is_stored: boo
     The relation `events` has no order: it reads rows of different releases one after the other. With `is_stored` the
     segments are read now, and never again.
     """
-    source = _parquet(segments, "filename = true", "file_row_number = true")
-    order = f"list_position([{', '.join(_literal(str(path)) for path in segments)}], filename), file_row_number"
+    source = _read(database, segments, "filename = true", "file_row_number = true")
+    order = f"list_position([{', '.join(quoted(literal(path)) for path in segments)}], filename), file_row_number"
     database.define(
         "run_numbers",
         f"SELECT run_id, row_number() OVER (ORDER BY {order}) AS number FROM {source} WHERE seq = 0 AND type NOT IN "
@@ -154,7 +173,7 @@ def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> 
         for name, value in {**way.added, "type": way.after.__struct_config__.tag}.items():
             # One look at each row: a second one, for these rows alone, would decode the types of all of them once more.
             values[name] = (
-                f"CASE WHEN type = {_literal(tag)} THEN CAST({_literal(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE "
+                f"CASE WHEN type = {quoted(tag)} THEN CAST({_literal(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE "
                 f"{values[name]} END"
             )
     columns = ", ".join(f'{value} AS "{name}"' for name, value in values.items())
@@ -167,17 +186,11 @@ def _literal(value: Any) -> str:
         case None:
             return "NULL"
         case str():
-            return "'" + value.replace("'", "''") + "'"
+            return quoted(value)
         case tuple():
             return f"[{', '.join(map(_literal, value))}]"
         case _:
             return str(value).upper()
-
-
-def _parquet(paths: Sequence[Path], *options: str) -> str:
-    """Write these files as a SQL relation."""
-    files = ", ".join(_literal(str(path)) for path in paths)
-    return f"read_parquet([{files}], {', '.join(('hive_partitioning = false', *options))})"
 
 
 def _types(database: Database, segments: Sequence[Path]) -> frozenset[str] | None:
@@ -185,7 +198,7 @@ def _types(database: Database, segments: Sequence[Path]) -> frozenset[str] | Non
     try:
         return frozenset(
             str(tag)
-            for (tag,) in (database.direct(f"SELECT DISTINCT type FROM {_parquet(segments)}") if segments else ())
+            for (tag,) in (database.direct(f"SELECT DISTINCT type FROM {parquet(segments)}") if segments else ())
         )
     except FsarLedgerError:
         return None
@@ -203,10 +216,9 @@ def _holding(
     if types.isdisjoint(RETIRED):
         return {}
     found = database.direct(
-        f"SELECT DISTINCT type, filename FROM {_parquet(segments, 'filename = true')} WHERE type IN "
-        f"({_listed(RETIRED)})"
+        f"SELECT DISTINCT type, filename FROM {parquet(segments, 'filename = true')} WHERE type IN ({_listed(RETIRED)})"
     )
-    held = {tag: [path for path in segments if (tag, str(path)) in found] for tag in RETIRED}
+    held = {tag: [path for path in segments if (tag, literal(path)) in found] for tag in RETIRED}
     return {tag: paths for tag, paths in held.items() if paths}
 
 

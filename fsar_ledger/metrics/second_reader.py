@@ -19,6 +19,7 @@ from fsar_ledger.ledger.rows.schema import COLUMNS
 from fsar_ledger.ledger.verify.segment import Digest
 
 from .connection import Database
+from .paths import literal, parquet
 
 _DECODED = "decoded_rows"
 _EXPECTED = "the same as by pyarrow: rows that both of our readers read alike"
@@ -60,7 +61,7 @@ class ReadAgain:
                     found |= self.by_digest({path: digests[path]})
                 continue
             for path in paths:
-                if (other := _other(digests[path], numbers_of.get(path, ()))) is not None:
+                if (other := _other(digests[path], numbers_of.get(literal(path), ()))) is not None:
                     found[path] = other
         return found
 
@@ -74,10 +75,10 @@ def _integers(columns: Iterable[str]) -> list[str]:
 
 
 def _digests(database: Database, columns: Sequence[str], paths: Sequence[str]) -> dict[str, tuple[int, ...]]:
-    """Return the numbers of `ReadAgain.digest` for each path, by DuckDB. Raises: QueryFailed."""
+    """Return the numbers of `ReadAgain.digest` for each `literal` path, by DuckDB. Raises: QueryFailed."""
     counts = [f'count("{name}")' for name in columns] + [f'bit_xor("{name}")' for name in _integers(columns)]
     rows = database.direct(
-        f"SELECT filename, count(*), {', '.join(counts)} FROM {_source(paths, 'filename = true')} GROUP BY filename"
+        f"SELECT filename, count(*), {', '.join(counts)} FROM {parquet(paths, 'filename = true')} GROUP BY filename"
     )
     return {path: tuple(number or 0 for number in found) for path, *found in rows}  # NULL where all values are
 
@@ -95,7 +96,7 @@ def _other(expected: Digest, found: Sequence[int]) -> tuple[str, str] | None:
 
 def _by_value(database: Database, path: str, decoded: pa.Table) -> tuple[str, str] | None:
     """Compare as `read_again` does, value by value."""
-    source = f"FROM {_source([path])} AS a POSITIONAL JOIN {_DECODED} AS b"
+    source = f"FROM {parquet([path])} AS a POSITIONAL JOIN {_DECODED} AS b"
     differences = {name: f'a."{name}" IS DISTINCT FROM b."{name}"' for name in decoded.column_names}
     database.hold(_DECODED, decoded)
     try:
@@ -108,11 +109,6 @@ def _by_value(database: Database, path: str, decoded: pa.Table) -> tuple[str, st
         database.drop(_DECODED)
     name, count = next(((name, count) for name, count in zip(differences, found, strict=True) if count), ("run_id", 0))
     return f"{count} values of column {name} that DuckDB reads otherwise", _EXPECTED
-
-
-def _source(paths: Sequence[str], *options: str) -> str:
-    files = ", ".join("'{}'".format(path.replace("'", "''")) for path in paths)
-    return f"read_parquet([{files}], {', '.join(('hive_partitioning = false', *options))})"
 
 
 def _database() -> Database:

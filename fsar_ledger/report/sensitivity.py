@@ -139,7 +139,8 @@ def open_effects(path: Path) -> Sensitivity:
     if not path.is_file():
         raise UsageError(f"{path}: found no such file, expected one of `{MADE_BY}`")
     try:
-        table = pq.ParquetFile(path).read()
+        with path.open("rb") as file:  # pyarrow would expand a leading `~`
+            table = pq.ParquetFile(file).read()
         about = msgspec.json.decode((table.schema.metadata or {}).get(METADATA, b""), type=About)
         effects = msgspec.convert(table.select(SCHEMA.names).to_pylist(), tuple[Effect, ...])
         read_parameters(about.parameters)

@@ -136,7 +136,7 @@ def seconds_of(text: str) -> float:
         found = Decimal(number) / (1_000 if text.endswith("ms") else 1)
     except ArithmeticError as error:
         raise _Unfit(f"found {printable.value(text)} where a time belongs") from error
-    if not 0 <= found <= MAX_SECONDS or "e" in number.lower():
+    if not found.is_finite() or not 0 <= found <= MAX_SECONDS or "e" in number.lower():
         raise _Unfit(f"found {printable.value(text)} where a time of 0 s or more belongs")
     return float(found)
 

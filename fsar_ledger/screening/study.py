@@ -255,7 +255,8 @@ def _require_place(out: Path) -> None:
 def _write(out: Path, found: Sensitivity) -> None:
     temporary = out.with_name(f".{out.name}.tmp")
     try:
-        pq.write_table(table_of(found), temporary, compression="zstd")
+        with temporary.open("wb") as file:  # pyarrow would expand a leading `~`
+            pq.write_table(table_of(found), file, compression="zstd")
         temporary.replace(out)
     except OSError as error:
         raise WriteFailed(

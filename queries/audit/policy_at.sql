@@ -43,7 +43,7 @@ standing AS (
 changes AS (
     SELECT run_id, robot, scope, since_us, strictness
     FROM standing
-    QUALIFY strictness <> lag(strictness, 1, 1) OVER (PARTITION BY run_id, robot, scope ORDER BY since_us)
+    QUALIFY strictness <> coalesce(lag(strictness) OVER (PARTITION BY run_id, robot, scope ORDER BY since_us), 1)
 ),
 
 moments AS (

@@ -6,6 +6,7 @@
 --   last start or command, refusal, and result
 -- NULL: what no record of the action tells
 -- Example: fsar-ledger query facts/action_records LEDGER
+-- Stored: requests, interventions and denials read it
 WITH told AS (
     SELECT run_id, seq, action_id
     FROM keyed_events

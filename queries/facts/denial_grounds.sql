@@ -8,6 +8,7 @@
 -- NULL: window for a rule, which has no name but its ground_seq; closed_us when it was never closed or replaced; no row
 --   for a denial that no window or rule on record explains
 -- Example: fsar-ledger query facts/denial_grounds LEDGER
+-- Stored: denials asks it for one run or action, which it cannot compute alone
 WITH seen AS (
     SELECT
         run_id, seq, task_id, capability, outcome, robot,

@@ -15,6 +15,13 @@ WITH denied AS (
     WHERE reason IN ('policy', 'bid', 'own step', 'review')
 ),
 
+issued AS (
+    -- In the DuckDB before ours, which may read this in a file, ASOF joins NULL to NULL.
+    SELECT run_id, seq, action_id, capability
+    FROM request_issued
+    WHERE action_id IS NOT NULL
+),
+
 copied AS (
     SELECT
         run_id, seq, time_us,
@@ -32,7 +39,7 @@ SELECT
         learned.as_of_us, if(denied.run_id IN (SELECT run_id FROM fleet_rule_learned), -1, denied.time_us)
     ) AS fleet_us
 FROM denied
-ASOF LEFT JOIN request_issued AS issued
+ASOF LEFT JOIN issued
     ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
 ASOF LEFT JOIN step_began AS steps
     ON denied.run_id = steps.run_id AND denied.task_id = steps.task_id AND denied.seq > steps.seq

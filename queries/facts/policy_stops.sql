@@ -15,7 +15,8 @@ WITH stops AS (
     FROM request_denied AS denied
     ASOF JOIN request_issued AS issued
         ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
-    WHERE denied.reason = 'policy'
+    -- In the DuckDB before ours, which may read this in a file, ASOF joins NULL to NULL.
+    WHERE denied.reason = 'policy' AND denied.action_id IS NOT NULL
     UNION ALL
     SELECT held.run_id, held.seq, held.time_us, held.task_id, held.action_id, held.robot, queued.capability
     FROM execution_held AS held

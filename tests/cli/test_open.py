@@ -1,6 +1,7 @@
 """`open`: a DuckDB file that other programs read, with every relation as the Python door answers it."""
 
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -14,10 +15,13 @@ import pyarrow as pa
 import pytest
 
 import fsar_ledger
+from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.metrics.library import library
 from tests.cli.conftest import Call, Called, in_a_process, one_message
 from tests.cli.test_interruption import limited_disk
+from tests.ledger.chain_trials import RUNS, piece
+from tests.ledger.samples import ORIGIN
 
 READER = """
 import sys
@@ -89,6 +93,72 @@ def test_every_relation_reads_elsewhere_as_here(ledger: Path, tmp_path: Path, *,
     with opened.database() as database:
         for name, rows in zip(calls, found, strict=True):
             assert sorted_rows(rows) == sorted_rows(database.query(name).to_pylist()), name
+
+
+def in_pieces(path: Path) -> Path:
+    """Make a ledger of two segments, and of rows that are in no segment yet."""
+    with ChainWriter(path, ORIGIN) as writer:
+        for run in RUNS[:2]:
+            writer.add([run])
+            writer.seal()
+        writer.add([piece(2, 0, 20)])
+    return path
+
+
+@pytest.mark.slow
+def test_rows_of_a_journal_stay_in_the_file_until_segments_are_compacted(tmp_path: Path) -> None:
+    path, file = in_pieces(tmp_path / "ledger"), tmp_path / "l.duckdb"
+    assert in_a_process("open", path, "--out", file).code == 0  # whose temporary files are gone with it
+    with duckdb.connect(str(file), read_only=True) as elsewhere:
+        views = elsewhere.execute("SELECT string_agg(sql) FROM duckdb_views() WHERE NOT internal").fetchall()
+    read = re.findall(r"'([^']*)[.]parquet'", views[0][0])
+    assert {str(Path(one).parent) for one in read} == {str(path / "segments")}
+    calls = ("events", "run_numbers", "ledger_head", "runs", "denials()")
+    found = read_elsewhere(file, tmp_path / "read", *calls)
+    with fsar_ledger.open_ledger(path).database() as database:
+        here = {call: database.rows(f"FROM {call}") for call in ("events", "run_numbers", "runs")}
+    assert [sorted_rows(rows) for rows in found[:2]] == [sorted_rows(here["events"]), sorted_rows(here["run_numbers"])]
+    assert sorted_rows(found[3]) == sorted_rows(here["runs"])
+    assert found[2][0]["events"] == len(found[0]) == 100
+    with ChainWriter(path, ORIGIN) as writer:
+        writer.add([piece(2, 20, 40)])
+        writer.seal()
+    assert read_elsewhere(file, tmp_path / "read", *calls) == found
+    fsar_ledger.open_ledger(path).compact()
+    with (
+        duckdb.connect(str(file), read_only=True) as elsewhere,
+        pytest.raises(duckdb.IOException, match=str(path / "segments")),
+    ):
+        elsewhere.execute("FROM events").fetchall()
+
+
+@pytest.mark.slow
+def test_the_command_line_of_an_older_duckdb_answers_alike(ledger: Path, opened: Opened, tmp_path: Path) -> None:
+    pytest.importorskip("duckdb_cli", reason="make test-all installs it")
+    calls = list(defaulted().values())
+    script = "\n".join(f"SELECT to_json(t) AS r FROM {call} AS t ORDER BY r; SELECT '--';" for call in calls)
+    command = [sys.executable, "-m", "duckdb_cli", "-readonly", "-list", "-noheader", "-bail", str(opened.file)]
+    older = subprocess.run(command, input=script, capture_output=True, text=True, check=False)
+    assert (older.returncode, older.stderr) == (0, "")
+    with duckdb.connect(str(opened.file), read_only=True) as newer:
+        for call, answer in zip(calls, older.stdout.split("--\n")[:-1], strict=True):
+            rows = newer.execute(f"SELECT to_json(t)::VARCHAR AS r FROM {call} AS t ORDER BY r").fetchall()
+            assert answer.splitlines() == [row for (row,) in rows], call
+
+
+def test_the_file_is_of_a_storage_version_that_older_programs_read(opened: Opened) -> None:
+    with duckdb.connect(str(opened.file), read_only=True) as elsewhere:
+        ((tags,),) = elsewhere.execute("SELECT tags FROM duckdb_databases() WHERE path IS NOT NULL").fetchall()
+        own = elsewhere.execute("SELECT function_name FROM duckdb_functions() WHERE NOT internal").fetchall()
+    assert tags["storage_version"] == "v1.0.0+"
+    assert ("if",) in own  # which older programs lack
+
+
+def test_denials_of_one_run_are_read_from_tables(opened: Opened) -> None:
+    with duckdb.connect(str(opened.file), read_only=True) as elsewhere:
+        ((_, plan),) = elsewhere.execute("EXPLAIN FROM denials(run := 1)").fetchall()
+    assert "denial" in plan
+    assert plan.lower().count("read_parquet") <= 1  # the names of plans, of which one could be asked for
 
 
 def test_a_macro_takes_a_run_by_name(ledger: Path, opened: Opened, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Designs in files: those of the package, and every error with its line and field."""
 
+import re
 from pathlib import Path
 
 import msgspec
@@ -115,6 +116,18 @@ def test_a_file_that_is_no_fleet_is_refused_with_its_line_and_field(now: str, th
     with pytest.raises(UsageError) as refused:
         decoded(FLEET.replace(now, then), Fleet, "my.toml")
     assert str(refused.value).startswith(message), str(refused.value)
+
+
+@pytest.mark.parametrize("sign", ["", "-"])
+@pytest.mark.parametrize("digits", ["1" * 5_000, "1_" * 5_000 + "1", "0x" + "f" * 5_000], ids=lambda one: one[:3])
+def test_a_number_of_thousands_of_digits_is_refused_with_its_line(digits: str, sign: str) -> None:
+    number = digits if digits.startswith("0x") else f"{sign}{digits}"  # TOML has no sign before other bases
+    for now, line in (("from_s = 5", 27), ('"door.lock",\n]', 12), ("lasts_s = [1, 2.5]", 20)):
+        then = f"{now.partition('=')[0]}= {number}" if "=" in now else f"{number},\n]"
+        with pytest.raises((UsageError, ValueError), match="digits") as refused:
+            decoded(FLEET.replace(now, then), Fleet, "my.toml")
+        assert isinstance(refused.value, UsageError)
+        assert re.match(rf"my\.toml:{line}: .*thousands of digits, expected", str(refused.value))
 
 
 @pytest.mark.parametrize(

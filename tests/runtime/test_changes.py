@@ -138,6 +138,14 @@ def test_an_added_window_can_ask_for_review() -> None:
     assert isinstance(closed, PolicyWindowClosed)
 
 
+@pytest.mark.parametrize("time", ["nans", "-nan", "sNaNms", "infs"])
+def test_a_time_that_is_no_number_is_an_error(time: str) -> None:
+    for text in (f"move x +{time}", f"add window:fleet/B1 20s for {time}", f"rule fleet deny from {time}"):
+        with pytest.raises((UsageError, ArithmeticError)) as raised:
+            parsed([text])
+        assert isinstance(raised.value, UsageError), text
+
+
 @pytest.mark.parametrize(
     ("text", "found"),
     [

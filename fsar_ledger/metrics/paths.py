@@ -1,0 +1,39 @@
+"""Hand the paths of files to DuckDB, which takes most of what people put into a name for a pattern or a command.
+
+In a path as text it expands `*`, `?`, `[...]` and a leading `~`, and reads `file:` and its like as a scheme.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+_PATTERNS = str.maketrans({character: f"[{character}]" for character in "*?["})
+
+
+def literal(path: str | Path) -> str:
+    """Return the text by which DuckDB finds this path in `filename` columns, and in statements that know no patterns.
+
+    It never begins with `~` or a scheme.
+    """
+    text = str(path)
+    return text if text.startswith("/") else f"./{text}"
+
+
+def quoted(text: str) -> str:
+    """Write a text in SQL."""
+    return "'" + text.replace("'", "''") + "'"
+
+
+def parquet(paths: Iterable[str | Path], *options: str, is_for_others: bool = False) -> str:
+    """Write just these files as a SQL relation.
+
+    Older DuckDB does not know the form in which a path is none but itself. With `is_for_others` the characters of
+    patterns are escaped instead: then DuckDB lists the folders above, and reads nothing where a name in one of these
+    begins with a backslash.
+    """
+    names = map(literal, paths)
+    files = (
+        [quoted(name.translate(_PATTERNS)) for name in names]
+        if is_for_others
+        else [f"{{'filename': {quoted(name)}}}" for name in names]
+    )
+    return f"read_parquet([{', '.join(files)}], {', '.join(('hive_partitioning = false', *options))})"

@@ -1,0 +1,186 @@
+"""A path is a path: ledgers and files whose names a glob, a shell or DuckDB would take for something else."""
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger import printable
+from fsar_ledger.ledger.chain.append import ChainWriter
+from tests.cli.conftest import Call, Called
+from tests.ledger.chain_trials import RUNS
+from tests.ledger.samples import ORIGIN
+from tests.quick import few
+
+PLAIN = "plain-one"
+NAMES = (
+    "led*b",
+    "led?b",
+    "led[xy]b",
+    "~/led",
+    "led b",
+    "led's",
+    'the "led"',
+    "led\nfeed",
+    "ledäm€",
+    "-led",
+    "$HOME/led",
+    "file:led",
+    "led%2a",
+    "#led",
+)
+ALL_IN_ONE = "-~*?[xy] 'led' \"m\"\n$ä"
+MATCHED = ("ledxb", "led*xb", "led", "led feed", "ledxm€", "-~x1x 'led' \"m\"\n$ä")
+"""Names that patterns among the others match, or nearly: a folder of each holds another ledger."""
+
+ASKED = (
+    ("verify",),
+    ("info", "--json"),
+    ("query", "run_metrics", "--verified", "--json"),
+    ("sql", "SELECT run_id, count(*) AS n FROM events GROUP BY ALL ORDER BY ALL", "--csv"),
+    ("query", "denials", "--csv"),
+)
+ASKED_LESS = (
+    ("metrics", "--json"),
+    ("audit", "--architecture", "fsar", "--json"),
+    ("explain", "--json"),
+    ("log", "--json"),
+    ("state", "--run", "1", "--at", "30s", "--json"),
+    ("step", "--run", "1", "--script", "go 20s; state"),
+    ("why", "1:20", "--json"),
+    ("cause", "--run", "1", "--outcome", "SELECT run_id FROM executions", "--futures", "0", "--json"),
+    ("diff", "1", "2", "--json"),
+    ("compare", "--first", "fsar", "--second", "cfc", "--json"),
+    ("multiverse", "--json"),
+    ("statistics", "--json"),
+    ("prove", "1:12"),
+    ("whatif", "--run", "1", "--change", "drop window:*", "--json"),
+    ("verify", "--replay"),
+    ("recover",),
+)
+WRITTEN = (
+    (("export", "{ledger}", "--out", "{out}"), ".parquet"),
+    (("export", "{ledger}", "--query", "runs", "--out", "{out}"), ".csv"),
+    (("export", "{ledger}", "--query", "runs", "--out", "{out}"), ".ndjson"),
+    (("export", "{ledger}", "--tiles", "--out", "{out}"), ".tiles"),
+    (("prove", "{ledger}", "3", "--out", "{out}"), ".tlog-proof"),
+    (("view", "{ledger}", "--run", "1", "--out", "{out}"), ".html"),
+    (("report", "{ledger}", "--out", "{out}"), ".pdf"),
+    (("open", "{ledger}", "--out", "{out}"), ".duckdb"),
+    (("explain", "{ledger}", "--run", "1", "--request", "A1-1/2.1", "--svg", "{out}"), ".svg"),
+    (("key", "new", "{out}"), ".key"),
+    (("simulate", "{out}", "--scenario", "door-relay", "--runs", "1", "--architecture", "fsar"), ".made"),
+)
+
+
+def in_turn(verb: tuple[str, ...], ledger: str) -> tuple[str, ...]:
+    """Return a call of the verb about the ledger, which comes after a name and before other arguments."""
+    at = 2 if verb[0] == "query" else 1
+    return (*verb[:at], path_of(ledger), *verb[at:])
+
+
+def path_of(name: str) -> str:
+    """Return how a user says this name, which is not to be an option."""
+    return f"./{name}" if name.startswith("-") else name
+
+
+def without(text: str, name: str) -> str:
+    """Return the text with every form of this name in it alike."""
+    for form in (printable.word(Path(name)), json.dumps(name)[1:-1], printable.escaped(name), printable.value(name)):
+        text = text.replace(form, "(name)")
+    return text
+
+
+def as_read_by_a_shell(call: str) -> list[str]:
+    """Return the words that a shell makes of the arguments of this call."""
+    script = f"fsar-ledger() {{ printf '%s\\0' \"$@\"; }}; {call}"
+    read = subprocess.run(["bash", "-c", script], capture_output=True, check=False)
+    return read.stdout.decode().split("\0")[:-1]
+
+
+@pytest.fixture(scope="module")
+def crowded(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the same ledger under each name, and another under each that a pattern would match."""
+    folder = tmp_path_factory.mktemp("crowded")
+    for name in (PLAIN, *NAMES, ALL_IN_ONE):
+        shutil.copytree(ledger, folder / name)
+    for name in MATCHED:
+        with ChainWriter(folder / name, ORIGIN) as writer:
+            writer.add(RUNS[:1])
+    return folder
+
+
+@pytest.fixture
+def here(crowded: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The crowded folder as the working folder, and as the home folder."""
+    monkeypatch.chdir(crowded)
+    monkeypatch.setenv("HOME", str(crowded))
+
+
+@pytest.fixture(scope="module")
+def answers() -> dict[tuple[str, ...], Called]:
+    """What each verb answers about the ledger of the plain name."""
+    return {}
+
+
+def asked(call: Call, verb: tuple[str, ...], name: str) -> Called:
+    found = call(*in_turn(verb, name))
+    return Called(found.code, without(found.out, name), without(found.err, name))
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("name", few((*NAMES, ALL_IN_ONE), (ALL_IN_ONE,)))
+def test_a_ledger_of_any_name_is_read_and_no_other(
+    call: Call, answers: dict[tuple[str, ...], Called], name: str
+) -> None:
+    for verb in ASKED:
+        expected = answers.setdefault(verb, asked(call, verb, PLAIN))
+        assert expected.code == 0, expected.err
+        assert asked(call, verb, name) == expected
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize("verb", ASKED_LESS, ids=" ".join)
+def test_every_verb_reads_a_ledger_of_any_name(call: Call, verb: tuple[str, ...]) -> None:
+    expected = asked(call, verb, PLAIN)
+    assert expected.out
+    for name in (ALL_IN_ONE, "~/led", "led*b"):
+        assert asked(call, verb, name) == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("verb", "suffix"), WRITTEN)
+def test_a_file_of_any_name_is_written_there_and_nowhere_else(
+    call: Call, crowded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: tuple[str, ...], suffix: str
+) -> None:
+    monkeypatch.setenv("HOME", str(crowded))
+    monkeypatch.chdir(tmp_path)
+    places = [f"{place}{suffix}" for place in (ALL_IN_ONE, "~/led", "led?b/in")]
+    for place in places:
+        called = call(*(one.format(ledger=crowded / PLAIN, out=path_of(place)) for one in verb))
+        assert called.code == 0, called.err
+    assert set(tmp_path.rglob(f"*{suffix}")) == {tmp_path / place for place in places}
+    assert {path.name.removesuffix(".pub") for path in tmp_path.iterdir()} == {
+        place.partition("/")[0] for place in places
+    }
+
+
+@pytest.mark.usefixtures("here")
+def test_a_printed_command_can_be_pasted(call: Call) -> None:
+    for name in (*NAMES, ALL_IN_ONE):
+        said = call("explain", path_of(name), "--request", "nosuch").err
+        (pasted,) = said.split("`")[1::2]
+        assert as_read_by_a_shell(pasted) == ["query", "requests", path_of(name)]
+
+
+@pytest.mark.usefixtures("here")
+def test_the_warning_of_rows_not_compared_can_be_pasted(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    said = call("query", "runs", path_of(ALL_IN_ONE), "--csv").err
+    (pasted,) = said.split("`")[1::2]
+    assert as_read_by_a_shell(pasted) == ["verify", path_of(ALL_IN_ONE)]

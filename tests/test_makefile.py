@@ -1,0 +1,43 @@
+"""The Makefile passes the folder of its output on as it was given, whatever its name."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORDER = f"""#!{sys.executable}
+import json, sys
+with open("calls", "a") as calls:
+    print(json.dumps(sys.argv[1:]), file=calls)
+"""
+
+
+@pytest.mark.parametrize("out", ["my out", 'it\'s "mine"; *', "~"])
+@pytest.mark.parametrize("target", ["reproduce", "soak-sensitivity", "fleets", "bench", "clean"])
+def test_the_output_goes_into_the_folder_that_was_named(tmp_path: Path, target: str, out: str) -> None:
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    (tmp_path / "bin").mkdir()
+    for name in ("fsar-ledger", "python"):
+        (tmp_path / "bin" / name).write_text(RECORDER)
+        (tmp_path / "bin" / name).chmod(0o755)
+    beside = {*out.split(), "keep"}
+    for name in {out, *beside}:
+        (tmp_path / name).mkdir(exist_ok=True)
+    done = [word for one in (".venv/.ready", ".venv/.ready-test") for word in ("-o", one)]
+    for one in done[1::2]:
+        (tmp_path / one).parent.mkdir(exist_ok=True)
+        (tmp_path / one).touch()
+    command = ["make", "-s", *done, target, f"OUT={out}", "BIN=bin", "PYTHON=true"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True)
+    if target == "clean":
+        assert not (tmp_path / out).exists()
+        assert all((tmp_path / name).exists() for name in beside - {out})
+        return
+    calls = (tmp_path / "calls").read_text()
+    words = [word for call in calls.splitlines() for word in json.loads(call)]
+    assert [word for word in words if out in word] == [word for word in words if word.startswith(out)]
+    assert any(word == out or word.startswith(f"{out}/") for word in words)
