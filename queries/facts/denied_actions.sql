@@ -30,7 +30,7 @@ actions AS (
 named AS (
     -- A rule about a role can be one of two robots' policies; it is named once.
     SELECT
-        *,
+        run_id, seq, ground_seq, window_name, robot, scope, closed_us, seen_us,
         coalesce(window_name, 'rule ' || ground_seq) AS name,
         row_number() OVER (PARTITION BY run_id, seq, ground_seq ORDER BY robot) = 1 AS is_first
     FROM denial_grounds

@@ -1,6 +1,7 @@
 """SQL of one's own can call every query that takes parameters, and can ask what there is to ask."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,9 @@ def called(name: str) -> str:
 @pytest.mark.slow
 def test_every_query_with_parameters_can_be_called_by_any_sql(ledger: Path) -> None:
     counts = "\nUNION ALL ".join(f"SELECT '{name}' AS name, count(*) AS rows FROM {called(name)}" for name in MACROS)
-    answer = {row["name"]: row["rows"] for row in run_untrusted(ledger, counts).rows}
+    answer: object = None
+    with suppress(QueryFailed):
+        answer = {row["name"]: row["rows"] for row in run_untrusted(ledger, counts).rows}
     with connect(ledger) as database:
         assert answer == {name: len(database.query(name, required(query))) for name, query in MACROS.items()}
 
