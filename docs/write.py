@@ -128,7 +128,7 @@ def queries_page() -> str:
         "# All queries",
         "",
         "`fsar-ledger query NAME LEDGER` answers each; the last part of a name is enough. "
-        "In `sql` the last part is the name of a view.",
+        "In `sql` the last part is the name of a view, or with parameters that of a macro: `FROM denials(run := 1)`.",
         "",
     ]
     lines += [

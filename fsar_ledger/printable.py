@@ -26,6 +26,9 @@ MAX_LINE = 4_000
 MAX_MARKS = 2
 """Marks on one letter; Vietnamese needs two."""
 
+DECIMALS = 6
+"""Of a number for people; in seconds that is to the microsecond."""
+
 NAMED = 5
 """How many things a message names, in a list or one a line; the rest are only counted."""
 
@@ -151,6 +154,14 @@ def _escaped(text: str, *, is_whole: bool) -> str:
             character = character.encode("unicode_escape", "surrogatepass").decode("ascii")
         found.append(character)
     return "".join(found)
+
+
+def number(value: float) -> str:
+    """Return a float for people: from 1 on with at most six decimals, below that with six significant digits.
+
+    So two times in seconds look alike only within a microsecond, no count is rounded, and a mean or a p stays short.
+    """
+    return repr(round(value, DECIMALS)).removesuffix(".0") if abs(value) >= 1 else f"{value:.6g}"
 
 
 def counted(count: int, what: str) -> str:

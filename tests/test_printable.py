@@ -188,5 +188,35 @@ def test_the_nearest_name_begins_so_or_is_alike_or_begins_alike(asked: str, said
     assert printable.did_you_mean(asked, names) == said
 
 
+@given(st.integers(0, 10**15), st.integers(-999, 999))
+def test_times_a_microsecond_apart_and_all_counts_are_told_apart(time_us: int, apart_us: int) -> None:
+    one, other = (us / 1_000_000 for us in (time_us + 10**6, max(time_us + apart_us, 0) + 10**6))
+    assert (printable.number(one) == printable.number(other)) == (one == other)
+    assert printable.number(float(time_us)) == str(time_us)
+
+
+@given(st.floats())
+def test_a_number_is_shown_to_six_decimals_or_below_one_to_six_digits(value: float) -> None:
+    most = {"rel": 0, "abs": 0.51e-6} if abs(value) >= 1 else {"rel": 0.51e-5, "abs": 0}
+    assert float(printable.number(value)) == pytest.approx(value, nan_ok=True, **most)
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (100000.123, "100000.123"),
+        (100000.456, "100000.456"),
+        (1767225600.5, "1767225600.5"),
+        (1234567.0, "1234567"),
+        (184 + 1 / 3, "184.333333"),
+        (2 / 3, "0.666667"),
+        (1.25e-10, "1.25e-10"),
+        (0.0, "0"),
+    ],
+)
+def test_numbers_for_people(value: float, shown: str) -> None:
+    assert printable.number(value) == shown
+
+
 def test_a_suggested_name_is_shown_escaped() -> None:
     assert printable.did_you_mean("a", ["a\x1b"]) == "; did you mean a\\x1b?"

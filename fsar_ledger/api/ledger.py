@@ -154,7 +154,8 @@ class Ledger(Timelines, Replays, Integrity):
 
         Args:
             select: One SELECT in DuckDB's SQL, over `events`, a view for each event type, and the packaged queries by
-                the last parts of their names.
+                the last parts of their names; one with parameters is called, as in `denials(run := 1)`. `SHOW TABLES`
+                lists them, `DESCRIBE NAME` the columns of one.
             seconds: The time limit; None: 60.
             memory_mib: The memory limit, at least 1024; None: 4096.
 

@@ -139,5 +139,5 @@ def _with_integers(table: pa.Table) -> pa.Table:
 def _cell(value: object) -> str:
     if value is None:
         return "-"
-    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    text = printable.number(value) if isinstance(value, float) else str(value)
     return html.escape(printable.cell(text))

@@ -138,7 +138,7 @@ def cell_text(value: object) -> str:
     if value is None:
         return "-"
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return printable.number(value)
     shown = field_text(value, raw=False)
     return (
         shown

@@ -11,7 +11,7 @@ from fsar_ledger.api.fields import Row, csv_text
 from fsar_ledger.printable import Shown
 
 from .output import answer_json, check_form, more_text
-from .tables import table
+from .tables import is_fitted, table
 from .terminal import show
 
 if TYPE_CHECKING:
@@ -104,13 +104,35 @@ def _table(
 
     shown: list[Row] = []
     count = 0
+    constant = Constant(columns if is_fitted(wide=wide) else ())
     for batch in batches:
         wanted = batch.slice(0, limit - len(shown)) if limit else batch
         shown += [row for rows in rows_of(wanted) for row in rows]
         count += len(batch)
-    yield table(shown, columns, wide=wide, numbers=numbers) or Shown("(no rows)\n")
+        constant.see(batch)
+    yield table(shown, columns, wide=wide, numbers=numbers, constant=constant.names) or Shown("(no rows)\n")
     if count > len(shown):
         yield more_text(count - len(shown))
+
+
+class Constant:
+    """The columns that have had one value in every row seen, shown or not."""
+
+    def __init__(self, names: Iterable[str]):
+        self.names = set(names)
+        self._last: pa.RecordBatch | None = None
+
+    def see(self, batch: "pa.RecordBatch") -> None:
+        """Leave out the columns that differ in these rows, or from the rows before them."""
+        if not len(batch):
+            return
+        before = batch if self._last is None else self._last
+        self._last = batch.slice(len(batch) - 1)
+        for name in sorted(self.names):
+            column, one = batch[name], before[name].slice(len(before) - 1)
+            is_one = column.slice(1).equals(column.slice(0, len(column) - 1))
+            if not (is_one and column.slice(len(column) - 1).equals(one)):
+                self.names.discard(name)
 
 
 class Kept:

@@ -1,23 +1,23 @@
 """Tables for people: fitted to a terminal, plain everywhere else. Nothing here prints.
 
-On a terminal a column that is the same in every row is said once above, runs are shown by their numbers, or their ids
-lose the parts that they share, long cells continue on further lines behind a mark, and columns for which there is no
-room are named below. A single row that does not fit is shown as a list. With `--wide`, or where the output is no
-terminal, a table is `output.table_text`.
+On a terminal a column that is the same in every row of the answer is said once above, runs are shown by their numbers,
+or their ids lose the parts that they share, long cells continue on further lines behind a mark, and columns for which
+there is no room are named below. A single row that does not fit is shown as a list. With `--wide`, or where the output
+is no terminal, a table is `output.table_text`.
 
 Cells are escaped (`printable`) before they are measured, and rich never reads them as markup.
 """
 
 import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.api.fields import Row
 from fsar_ledger.printable import Shown
 
-from .output import cell_text, more_text, table_text
+from .output import cell_text, table_text
 from .terminal import aligned, columns_of, width_of_output
 
 GAP = 2
@@ -74,42 +74,49 @@ def is_fitted(*, wide: bool) -> bool:
 def table(
     rows: Sequence[Row],
     columns: Sequence[str],
-    limit: int = 0,
     *,
     wide: bool = False,
     numbers: Numbers | None = None,
+    constant: Collection[str] | None = None,
 ) -> Shown:
-    """Return the rows as a table for where the output goes; count the rows beyond `limit` (0: show all).
+    """Return the rows as a table for where the output goes.
 
-    A table that fits a terminal names runs by their `numbers`, unless it has a column of these itself.
+    A table that fits a terminal names runs by their `numbers`, unless it has a column of these itself. Where these are
+    not all rows of the answer, `constant` are the columns that are the same in all of them.
     """
     width = None if wide else width_of_output()
     if width is None:
-        return table_text(rows, columns, limit)
+        return table_text(rows, columns)
     names_runs = any(name in columns for name in _RUNS)
-    return fitted(rows, columns, width, limit, numbers() if numbers is not None and names_runs else {})
+    return fitted(rows, columns, width, numbers() if numbers is not None and names_runs else {}, constant)
 
 
 def fitted(
-    rows: Sequence[Row], columns: Sequence[str], width: int, limit: int = 0, numbers: Mapping[str, int] = {}
+    rows: Sequence[Row],
+    columns: Sequence[str],
+    width: int,
+    numbers: Mapping[str, int] = {},
+    constant: Collection[str] | None = None,
 ) -> Shown:
-    """Return the rows as a table that is no wider than a terminal of this width."""
-    shown = rows[:limit] if limit else rows
-    if not shown or not columns:
-        return table_text(rows, columns, limit)
-    values = [[row[name] for row in shown] for name in columns]
+    """Return the rows as a table, as `table`, that is no wider than a terminal of this width."""
+    if not rows or not columns:
+        return table_text(rows, columns)
+    values = [[row[name] for row in rows] for name in columns]
+    same = [
+        all(one == cells[0] for one in cells) and (constant is None or name in constant)
+        for name, cells in zip(columns, values, strict=True)
+    ]
     stands_for = _numbered(columns, values, numbers)
     found = [_column(name, cells) for name, cells in zip(columns, values, strict=True)]
-    rest = [more_text(len(rows) - len(shown))] if len(shown) < len(rows) else []
-    if len(shown) == 1 and _total([column.natural for column in found]) > width:
-        return printable.joined(_listed(found), *map(printable.line, stands_for), *rest)
-    above, telling = _said_once(found, "every row shown" if rest else "every row") if len(shown) > 1 else ([], found)
+    if len(rows) == 1 and _total([column.natural for column in found]) > width:
+        return printable.joined(_listed(found), *map(printable.line, stands_for))
+    above, telling = _said_once(found, same) if len(rows) > 1 else ([], found)
     above += stands_for
     widths = _widths(telling, width)
     left_out = [_quoted(column.name) for column in telling[len(widths) :]]
     below = [f"not shown: {_some(left_out)}; --wide shows all"] if left_out else []
     lines = printable.lines(*above, *([""] if above else []))
-    return printable.joined(lines, _laid_out(telling, widths), *map(printable.line, below), *rest)
+    return printable.joined(lines, _laid_out(telling, widths), *map(printable.line, below))
 
 
 def _numbered(columns: Sequence[str], values: list[list[object]], numbers: Mapping[str, int]) -> list[str]:
@@ -152,16 +159,15 @@ def _quoted(text: str) -> str:
     return shlex.quote(text) if _PARTED.search(text) else text
 
 
-def _said_once(columns: Sequence[Column], where: str) -> tuple[list[str], list[Column]]:
+def _said_once(columns: Sequence[Column], is_same: Sequence[bool]) -> tuple[list[str], list[Column]]:
     """Return lines on what is the same in every row, and the columns that differ; one at least."""
-    same = [column for column in columns if len(set(column.cells)) == 1]
-    differing = [column for column in columns if column not in same]
-    if not differing:
-        differing, same = [columns[0]], list(columns[1:])
+    is_said = [False, *is_same[1:]] if all(is_same) else is_same
+    same = [column for column, said in zip(columns, is_said, strict=True) if said]
+    differing = [column for column, said in zip(columns, is_said, strict=True) if not said]
     valued = [f"{_quoted(one.name)} {_quoted(one.cells[0])}" for one in same if one.cells[0] != "-"]
     empty = [_quoted(one.name) for one in same if one.cells[0] == "-"]
-    lines = [f"in {where}: {', '.join(valued)}"] if valued else []
-    lines += [f"NULL in {where}: {_some(empty)}"] if empty else []
+    lines = [f"in every row: {', '.join(valued)}"] if valued else []
+    lines += [f"NULL in every row: {_some(empty)}"] if empty else []
     for place, column in enumerate(differing):
         others = [one for one in columns if one.name != column.name]
         if column.name in _RUNS and (short := _shortened(column.cells, others)) is not None:
@@ -180,10 +186,10 @@ def _shortened(runs: Sequence[str], columns: Sequence[Column]) -> tuple[str, lis
     """Return a pattern for the names of these runs, and of each name what stands for the * in it.
 
     The pattern has the parts that all names share, and for one that another column gives, the name of that column.
-    None if the names do not have equally many parts, or all parts are such that only a * could stand for them.
+    None if there is one name, if they do not have equally many parts, or if only a * could stand for each part.
     """
     split = [run.split(".") for run in runs]
-    if len({len(parts) for parts in split}) > 1:
+    if len(set(runs)) == 1 or len({len(parts) for parts in split}) > 1:
         return None
     pattern = [_part(texts, columns) for texts in zip(*split, strict=True)]
     cells = [" ".join(part for part, known in zip(parts, pattern, strict=True) if known == "*") for parts in split]

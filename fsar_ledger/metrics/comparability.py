@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from fsar_ledger.printable import NAMED, counted, some
+from fsar_ledger.printable import NAMED, counted, number, some
 
 from .database import Database
 from .results import StatisticRow, typed
@@ -253,7 +253,7 @@ def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
     return [
         f"{row['metric']}: {counted(row['runs'], 'run')} without a failure {'counts' if row['runs'] == 1 else 'count'} "
         "as in the paper, "
-        f"as {row['published_value']:g}{' s' if row['scale'] == 'seconds' else ''} (basis published); "
+        f"as {number(row['published_value'])}{' s' if row['scale'] == 'seconds' else ''} (basis published); "
         "`fsar-ledger query statistics/pairwise_tests_defined` leaves such pairs out"
         for row in database.rows(IMPUTED)
         if row["metric"] in shown

@@ -103,6 +103,7 @@ class Database:
         """Whether events are read into tables, one for each concern, for many questions about a few events."""
         self._segments = tuple(segments)
         self._made: set[str] = set()
+        self._macros: set[str] = set()
         self._given: dict[str, str] = {}  # how those were made that no packaged query defines
         config: dict[str, Any] = {"threads": threads} if threads else {}
         config |= {"storage_compatibility_version": STORAGE} if file else {}
@@ -213,8 +214,11 @@ class Database:
         """Make a query with parameters a table macro that takes them by name; False if it calls our functions."""
         if self.keeps(query):
             return False
-        self.prepare(query.sql)
+        if query.relation in self._macros:
+            return True
+        self._macros.add(query.relation)
         for statement in statements(query):
+            self.prepare(statement)
             self._change(statement)
         return True
 

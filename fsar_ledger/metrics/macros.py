@@ -1,4 +1,4 @@
-"""Table macros of DuckDB, for other programs: a packaged query that takes its parameters by name."""
+"""Table macros of DuckDB, for SQL of anyone: a packaged query that takes its parameters by name."""
 
 import re
 

@@ -22,6 +22,7 @@ from fsar_ledger.errors import LedgerCorrupted, QueryFailed
 from fsar_ledger.ledger.rows.schema import SCHEMA
 
 from .database import FAULTS_OF_SQL, OUT_OF_MEMORY, Database
+from .own_sql import LISTING, how_to_call, listing, understood
 from .relation import hold_dataset
 
 GRACE_S = 5
@@ -158,10 +159,10 @@ def _select(question: Question) -> Iterator[pa.RecordBatch]:
             pass  # reading has started its threads; no more can be started below
         resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
         database.check_one_select(question.sql)
-        database.prepare(question.sql)
+        sql = prepared(database, question.sql)
         database.only_read()
         rows = size = 0
-        for batch in map(_plain, database.batches(question.sql)):
+        for batch in map(_plain, _answered(database, sql)):
             rows, size = rows + batch.num_rows, size + batch.nbytes
             if rows > limits.rows:
                 raise QueryFailed(f"SQL: found more than {limits.rows:,} rows, the limit; add a LIMIT or aggregate")
@@ -177,6 +178,26 @@ def _select(question: Question) -> Iterator[pa.RecordBatch]:
                         "columns or shorter values"
                     )
             yield batch
+
+
+def prepared(database: Database, sql: str) -> str:
+    """Make everything that the SQL asks for, and return it as it can be run. Raises: QueryFailed."""
+    own = understood(sql, database.library)
+    if own.lists:
+        database.hold(LISTING, listing())
+    for query in own.macros:
+        database.macro(query)
+    database.check_one_select(own.sql)
+    database.prepare(own.sql)
+    return own.sql
+
+
+def _answered(database: Database, sql: str) -> Iterator[pa.RecordBatch]:
+    """Yield the answer in batches. Raises: As `Database.batches`; QueryFailed also says how a macro is called."""
+    try:
+        yield from database.batches(sql)
+    except QueryFailed as problem:
+        raise QueryFailed(f"{problem}{how_to_call(str(problem), database.library)}") from problem.__cause__
 
 
 def _plain(batch: pa.RecordBatch) -> pa.RecordBatch:

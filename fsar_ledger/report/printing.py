@@ -118,7 +118,7 @@ FORMATS: Mapping[str, Formatter] = {
     "significant": lambda value, column, _row: significant(value, column.digits + 1),
     "integer": lambda value, _column, _row: integer(value),
     "probability": lambda value, _column, _row: probability(value),
-    "exact": lambda value, _column, _row: f"{value:g}".replace("-", MINUS),
+    "exact": lambda value, _column, _row: printable.number(value).replace("-", MINUS),
     "own-metric": lambda value, column, _row: in_metric(column.key, value),
     "metric": lambda value, _column, row: in_metric(row["metric"], value),
     "interval": lambda value, _column, row: _interval(value, row["metric"]),
@@ -211,4 +211,4 @@ def _plain(value: object) -> str:
     """Format a constant: integers in groups of three, other numbers with the digits they have."""
     if isinstance(value, int) and not isinstance(value, bool):
         return integer(value)
-    return f"{value:g}".replace("-", MINUS) if isinstance(value, float) else str(value)
+    return printable.number(value).replace("-", MINUS) if isinstance(value, float) else str(value)

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from itertools import groupby
 from typing import Any
 
+from fsar_ledger import printable
 from fsar_ledger.report import figures
 
 Row = Mapping[str, Any]
@@ -328,7 +329,7 @@ def _rung(row: Row, rows: Sequence[Row]) -> str:
         for one in rows
         if (one["failure"], one["level"]) == (row["failure"], row["level"]) and one["budget_s"] is not None
     ]
-    budget = f" ({mates[0]['budget_s']:g} s, {len(mates)})" if mates else ""
+    budget = f" ({printable.number(mates[0]['budget_s'])} s, {len(mates)})" if mates else ""
     return "\n".join(textwrap.wrap(f"{row['result'] or row['what']}{budget}", 52))
 
 

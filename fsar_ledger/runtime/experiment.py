@@ -167,7 +167,8 @@ class Experiment(msgspec.Struct, frozen=True):
         if not 1 <= load.task_sets <= most:
             raise InvalidExperiment(
                 f"task sets: found {load.task_sets}, "
-                f"expected 1 to {most}, one each {load.interval_s:g} s in half the world's {world.horizon_s:g} s"
+                f"expected 1 to {most}, one each {printable.number(load.interval_s)} s in half the world's "
+                f"{printable.number(world.horizon_s)} s"
             )
         if any(name in registered.workflows() for name in self.scenarios):
             raise InvalidExperiment(

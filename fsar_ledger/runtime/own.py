@@ -119,7 +119,8 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
     for name, low_s, high_s in _ranges("", msgspec.to_builtins(constants)):
         if low_s > high_s and any(one.startswith(name) for one in given):
             raise UsageError(
-                f"--set: found {name} from {low_s:g} to {high_s:g} s, expected the smaller first; set both"
+                f"--set: found {name} from {printable.number(low_s)} to {printable.number(high_s)} s, expected the "
+                "smaller first; set both"
             )
     return constants
 

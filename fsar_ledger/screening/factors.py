@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from fsar_ledger import printable
 from fsar_ledger.constants import Constants, Load, Range
 from fsar_ledger.report.provenance import origins
 
@@ -87,8 +88,8 @@ class Factor(msgspec.Struct, frozen=True):
         """Return the base, or the value at a position, as text."""
         value = self.value if position is None else self.at(position)
         if isinstance(value, Range):
-            return f"{value.low_s:g} to {value.high_s:g}"
-        return "all" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+            return f"{printable.number(value.low_s)} to {printable.number(value.high_s)}"
+        return "all" if value is None else printable.number(value) if isinstance(value, float) else str(value)
 
 
 class Setting(msgspec.Struct, frozen=True):

@@ -1,4 +1,4 @@
--- Title: Overlapping claims: two principals that held the same dimension of authority over one action
+-- Title: Pairs of overlapping claims: two principals that held the same dimension of authority over one action
 -- Paper: eq:auth, sec:evaluation:metrics (authority conflicts)
 -- Grain: one row per pair of claims that overlap; claims end just before their release
 -- Key: run_id, one_seq, other_seq

@@ -67,7 +67,7 @@ judged AS (
     LEFT JOIN policy_windows AS windows
         ON
             known.run_id = windows.run_id AND known.robot = windows.robot AND known.scope = windows.scope
-            AND windows."window" IS NOT NULL AND windows.opened_us <= $at_us::BIGINT
+            AND windows.window_name IS NOT NULL AND windows.opened_us <= $at_us::BIGINT
             AND (windows.closed_us IS NULL OR windows.closed_us > $at_us::BIGINT)
     GROUP BY ALL
 )

@@ -5,7 +5,8 @@
 --   a denial, and per action that the call names
 -- Key: run_id, action_id
 -- Units: began_s, denied_s (the last denial), ended_s seconds of run time; failures, denials count; denied_seq (the
---   last denial), seq (what decided the result) positions in the run, for `prove RUN:SEQ`
+--   last denial), seq (what decided the result) positions in the run, for `prove RUN:SEQ`; is_request is what another
+--   robot was to do or an outsider tried, so that `count_if(is_request)` counts requests
 -- NULL: a principal that the record does not name; capability when the record of the action names none; denied_s,
 --   denied_seq without a denial; denied_under when no window or rule on record explains one; ended_s when the record
 --   shows no end; seq while nothing has decided the result
@@ -54,7 +55,8 @@ SELECT
         WHEN actions.result IS NOT NULL THEN actions.result_seq
         WHEN actions.begun_seq > actions.refused_seq THEN NULL
         ELSE actions.refused_seq
-    END AS seq
+    END AS seq,
+    actions.is_request
 FROM action_records AS actions
 LEFT JOIN denials ON actions.run_id = denials.run_id AND actions.action_id = denials.action_id
 WHERE

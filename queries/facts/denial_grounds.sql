@@ -2,11 +2,11 @@
 -- Paper: eq:policy, eq:admissible, app:foundations
 -- Grain: one row per RequestDenied event for policy, a bid, an own step or a review and policy window or rule that
 --   held for it: of the executor (its own, the fleet's for it), or of the requester or relay as the request carried it
--- Key: run_id, seq, ground_seq
+-- Key: run_id, seq, ground_seq, robot
 -- Units: opened_us, closed_us microseconds of run time, half-open; seen_us when whoever decided, or for what the
 --   request carried its sender, had last seen it; seq, ground_seq positions in the run
--- NULL: window for a rule, which has no name but its ground_seq; closed_us when it was never closed or replaced; no row
---   for a denial that no window or rule on record explains
+-- NULL: window_name for a rule, which has no name but its ground_seq; closed_us when it was never closed or replaced;
+--   no row for a denial that no window or rule on record explains
 -- Example: fsar-ledger query facts/denial_grounds LEDGER
 -- Stored: denials asks it for one run or action, which it cannot compute alone
 WITH seen AS (
@@ -44,14 +44,13 @@ WITH seen AS (
 SELECT
     seen.run_id, seen.seq,
     windows.seq AS ground_seq,
-    windows."window",
-    windows.robot, windows.scope, windows.outcome, windows.opened_us, windows.closed_us,
+    windows.window_name, windows.robot, windows.scope, windows.outcome, windows.opened_us, windows.closed_us,
     max(seen.seen_us) AS seen_us
 FROM seen
 INNER JOIN policy_windows AS windows
     ON
         seen.run_id = windows.run_id AND seen.robot = windows.robot AND seen.scope = windows.scope
-        AND seen.outcome = windows.outcome AND seen.is_window = (windows."window" IS NOT NULL)
+        AND seen.outcome = windows.outcome AND seen.is_window = (windows.window_name IS NOT NULL)
         AND seen.seq > windows.seq AND seen.seen_us >= windows.opened_us
         AND seen.seen_us < coalesce(windows.closed_us, seen.seen_us + 1)
         AND (windows.capability IS NULL OR seen.capability = windows.capability)

@@ -4,8 +4,9 @@
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id when neither the record nor what caused it names one; a principal that the record does not name;
---   denied_under, under_seqs (names and positions of windows and rules) when none on record explains the denial; note
---   (of whom it was asked, the windows and rules, through whom, who supervised) when the record names none of these
+--   denied_under, under_seqs (names and positions of the windows and rules, side by side) when none on record explains
+--   the denial; note (of whom it was asked, the windows and rules, through whom, who supervised) when the record names
+--   none of these
 -- Example: fsar-ledger query facts/denied_actions LEDGER
 -- Stored: requests, messages and denials read it
 WITH RECURSIVE causes AS (
@@ -26,14 +27,22 @@ actions AS (
     GROUP BY run_id, seq
 ),
 
+named AS (
+    -- A rule about a role can be one of two robots' policies; it is named once.
+    SELECT
+        run_id, seq, ground_seq, window_name, robot, scope, closed_us, seen_us,
+        coalesce(window_name, 'rule ' || ground_seq) AS name,
+        row_number() OVER (PARTITION BY run_id, seq, ground_seq ORDER BY robot) = 1 AS is_first
+    FROM denial_grounds
+),
+
 grounds AS (
     SELECT
         under.run_id, under.seq,
-        list(coalesce(under."window", 'rule ' || under.ground_seq) ORDER BY under.ground_seq, under.robot)
-            AS denied_under,
-        list(DISTINCT under.ground_seq ORDER BY under.ground_seq) AS under_seqs,
+        list(under.name ORDER BY under.ground_seq) FILTER (under.is_first) AS denied_under,
+        list(under.ground_seq ORDER BY under.ground_seq) FILTER (under.is_first) AS under_seqs,
         string_agg(
-            if(under."window" IS NULL, 'rule ' || under.ground_seq, 'window ' || under."window") || ' of '
+            if(under.window_name IS NULL, '', 'window ') || under.name || ' of '
             || if(under.scope = 'fleet', 'the fleet''s policy for ' || under.robot, under.robot || '''s local policy')
             || if(
                 under.closed_us <= denied.time_us,
@@ -42,7 +51,7 @@ grounds AS (
             ),
             ' and ' ORDER BY under.ground_seq, under.robot
         ) AS grounds
-    FROM denial_grounds AS under
+    FROM named AS under
     INNER JOIN request_denied AS denied ON under.run_id = denied.run_id AND under.seq = denied.seq
     GROUP BY under.run_id, under.seq
 )

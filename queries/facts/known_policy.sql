@@ -43,7 +43,7 @@ outcomes AS (
             AND CASE
                 WHEN windows.scope = 'local'
                     THEN starts.time_us BETWEEN windows.opened_us AND coalesce(windows.closed_us - 1, starts.time_us)
-                WHEN windows."window" IS NULL
+                WHEN windows.window_name IS NULL
                     THEN starts.decision_seq BETWEEN windows.seq + 1 AND coalesce(windows.closed_seq, starts.seq)
             END
             AND (windows.capability IS NULL OR starts.capability = windows.capability)

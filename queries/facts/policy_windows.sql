@@ -5,8 +5,8 @@
 -- Key: run_id, seq, robot
 -- Units: opened_us, closed_us microseconds of run time, half-open: it is over at closed_us; seq, closed_seq positions
 --   in the run
--- NULL: window for a rule; capability, context when it holds for all of them; closed_us, closed_seq when it was never
---   closed or replaced
+-- NULL: window_name for a rule; capability, context when it holds for all of them; closed_us, closed_seq when it was
+--   never closed or replaced
 -- Example: fsar-ledger query facts/policy_windows LEDGER
 WITH closings AS (
     SELECT
@@ -20,7 +20,7 @@ WITH closings AS (
 
 SELECT
     opened.run_id, opened.seq, opened.robot, opened.scope,
-    opened."window",
+    opened."window" AS window_name,
     NULL::VARCHAR AS capability,
     NULL::VARCHAR AS context,
     opened.outcome,
@@ -34,7 +34,7 @@ LEFT JOIN closings
 UNION ALL
 SELECT
     run_id, seq, robot, scope,
-    NULL AS "window",
+    NULL AS window_name,
     capability, context, outcome,
     set_us AS opened_us,
     until_us AS closed_us,

@@ -1,6 +1,7 @@
 """The story of a denial tells what its event carries: who asked, denied and supervised, when, under which window."""
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -74,17 +75,21 @@ def request(carried: str = "allow") -> Row:
 
 
 DENIED = event("RequestDenied", 5 * S, **about(B), reason="policy")
-UNDER = "denied_by denied_s reason denied_under policy_of opened_s closed_s supervised_by"
+GROUNDS = "grounds_of_denials"
 
 
 def test_a_denial_names_the_window_in_force_and_who_supervised() -> None:
     history = (window("night-shift", B, 1 * S), request(), DENIED, closed("night-shift", B, 9 * S))
-    assert asked("denials", UNDER, *history) == [(B, 5.0, "policy", "night-shift", B, 1.0, 9.0, SUPERVISOR)]
+    columns = "denied_by denied_s reason denied_under"
+    assert asked("denials", f"{columns} supervised_by", *history) == [(B, 5.0, "policy", ["night-shift"], SUPERVISOR)]
+    when = "policy_of opened_s closed_s"
+    assert asked(GROUNDS, f"{columns} {when}", *history) == [(B, 5.0, "policy", "night-shift", B, 1.0, 9.0)]
 
 
 def test_a_window_that_closed_at_the_instant_of_the_denial_does_not_explain_it() -> None:
     history = (window("night-shift", B, 1 * S), request(), closed("night-shift", B, 5 * S), DENIED)
-    assert asked("denials", "denied_under under_seq scope", *history) == [(None, None, None)]
+    assert asked("denials", "denied_under under_seqs", *history) == [(None, None)]
+    assert asked(GROUNDS, "denied_under", *history) == []
 
 
 def test_a_window_that_only_asks_for_review_does_not_explain_a_denial() -> None:
@@ -93,9 +98,7 @@ def test_a_window_that_only_asks_for_review_does_not_explain_a_denial() -> None:
 
 
 def test_the_requesters_window_explains_it_only_if_the_request_carried_a_denial() -> None:
-    assert asked("denials", "denied_under policy_of", window("home", A, 1 * S), request("deny"), DENIED) == [
-        ("home", A)
-    ]
+    assert asked(GROUNDS, "denied_under policy_of", window("home", A, 1 * S), request("deny"), DENIED) == [("home", A)]
     assert asked("denials", "denied_under", window("home", A, 1 * S), request(), DENIED) == [(None,)]
 
 
@@ -104,13 +107,14 @@ def test_a_fleet_window_counts_as_the_executor_had_learned_of_it() -> None:
         return event("FleetRuleLearned", 3 * S, robot=B, outcome="deny", as_of_us=as_of_us)
 
     zone = window("zone", B, 2 * S, scope="fleet")
-    assert asked("denials", "denied_under scope", zone, learned(2 * S), request(), DENIED) == [("zone", "fleet")]
+    assert asked(GROUNDS, "denied_under scope", zone, learned(2 * S), request(), DENIED) == [("zone", "fleet")]
     assert asked("denials", "denied_under", zone, learned(1 * S), request(), DENIED) == [(None,)]
 
 
-def test_each_of_two_windows_is_a_row_and_the_request_names_both() -> None:
+def test_a_denial_under_two_windows_is_one_denial_and_it_and_the_request_name_both() -> None:
     history = (window("first", B, 1 * S), window("second", B, 2 * S), request(), DENIED)
-    assert sorted(asked("denials", "denied_under", *history)) == [("first",), ("second",)]
+    assert asked("denials", "denied_under", *history) == [(["first", "second"],)]
+    assert sorted(asked(GROUNDS, "denied_under", *history)) == [("first",), ("second",)]
     columns = "denied_by denied_s denied_under denials supervised_by result"
     assert asked("requests", columns, *history) == [(B, 5.0, "first and second", 1, SUPERVISOR, "denied: policy")]
 
@@ -122,17 +126,17 @@ def test_a_window_that_was_over_is_said_to_be_and_when_it_was_last_seen() -> Non
     over = event("PolicyWindowClosed", 3 * S, robot=B, scope="fleet", window="zone")
     history = (window("zone", B, 1 * S, scope="fleet"), learned(2 * S, "deny"), over, request(), DENIED)
     columns = "denied_under closed_s seen_s was_open"
-    assert asked("denials", columns, *history) == [("zone", 3.0, 2.0, False)]
+    assert asked(GROUNDS, columns, *history) == [("zone", 3.0, 2.0, False)]
     said = "under window zone of the fleet's policy for robot/B1, over since 3.0 s, last seen at 2.0 s; "
     with from_rows(run(*history)) as database:
         (row,) = database.rows("SELECT note FROM denied_actions")
     assert row["note"].startswith(said)
-    (still,) = asked("denials", columns, *(one for one in history if one is not over))
+    (still,) = asked(GROUNDS, columns, *(one for one in history if one is not over))
     assert still == ("zone", None, 2.0, True)
 
 
 def test_each_denial_is_under_what_was_open_or_had_been_seen_while_it_was(ledger: Path) -> None:
-    rows = [row for row in open_ledger(ledger).query("denials").rows() if row["under_seq"] is not None]
+    rows = open_ledger(ledger).query(GROUNDS).rows()
     assert {row["was_open"] for row in rows} == {True, False}
     for row in rows:
         closed_s = row["denied_s"] + 1 if row["closed_s"] is None else row["closed_s"]
@@ -147,18 +151,48 @@ def test_the_story_of_a_denial_tells_how_to_prove_the_window_too(call: Call, led
     said = call("explain", ledger, "--run", denial["run_id"], "--request", denial["action_id"]).out
     account, number = opened.explain(denial["run_id"], denial["action_id"]), opened.numbers()[denial["run_id"]]
     seq = account.grounds[-1]
-    assert opened.query("denials", run=number, action=account.action).rows()[-1]["under_seq"] == seq
+    assert opened.query("denials", run=number, action=account.action).rows()[-1]["under_seqs"][-1] == seq
     assert said.splitlines()[-1] == (
         f"`fsar-ledger prove {ledger} {number}:{seq}` proves event {seq} (the window or rule) to others"
     )
 
 
-def test_rows_with_ground_1_count_the_denials(ledger: Path) -> None:
+def test_the_grounds_of_denials_are_those_that_each_denial_names_in_order(ledger: Path) -> None:
     opened = open_ledger(ledger)
-    rows, denials = opened.query("denials").rows(), opened.sql("SELECT run_id, seq FROM request_denied").rows()
-    first = sorted((row["run_id"], row["seq"]) for row in rows if row["ground"] == 1)
-    assert first == sorted((row["run_id"], row["seq"]) for row in denials)
-    assert {row["ground"] for row in rows} > {1}
+    named = [
+        (row["run_id"], row["seq"], name, seq)
+        for row in opened.query("denials").rows()
+        for name, seq in zip(row["denied_under"] or (), row["under_seqs"] or (), strict=True)
+    ]
+    grounds = opened.query(GROUNDS).rows()
+    listed = {(row["run_id"], row["seq"], row["denied_under"], row["under_seq"]) for row in grounds}
+    assert sorted(named) == sorted(listed)
+    assert max(Counter((run_id, seq) for run_id, seq, *_ in named).values()) > 1
+
+
+COUNTS = {
+    "denials": "SELECT count(*) FROM request_denied",
+    "interventions": "SELECT count(*) FROM supervisor_called WHERE supervisor = 'supervisor/fleet'",
+    "requests WHERE is_request": "SELECT count(*) FROM action_records WHERE is_request",
+    "revocations": """
+        SELECT (SELECT count(*) FROM authority_revoked)
+            + (SELECT count(DISTINCT (run_id, seq)) FROM authority_claimed WHERE reason = 'revocation')
+    """,
+    "unapproved_executions": """
+        SELECT count(*) FROM event_principals
+        WHERE (run_id, seq) IN (FROM governed_starts SELECT (run_id, seq) WHERE NOT is_approved AND outcome = 'review')
+    """,
+}
+"""What the rows of a query count, by its title."""
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_the_rows_of_a_query_count_what_its_title_names(ledger: Path, name: str) -> None:
+    query, where, condition = name.partition(" WHERE ")
+    opened = open_ledger(ledger)
+    assert opened.sql(f"SELECT count(*) AS n FROM {query}(){where}{condition}").rows() == [
+        {"n": opened.sql(f"SELECT ({COUNTS[name]}) AS n").rows()[0]["n"]}
+    ]
 
 
 def test_denials_of_a_robot_are_those_that_it_asked_for_was_asked_for_or_decided() -> None:
@@ -189,9 +223,17 @@ def test_denials_say_who_asked_as_the_story_of_the_action_does_where_the_denial_
 def test_a_rule_is_named_by_the_event_that_set_it() -> None:
     founded = event("RobotJoined", 0, robot=B, role="B", team=1)
     rule = event("PolicyRuleSet", 1 * S, scope="local", robot=B, capability="lift", outcome="deny")
-    rows = asked("denials", "denied_under under_seq", founded, rule, request(), DENIED)
-    assert [(f"rule {seq}", seq) for _, seq in rows] == rows
-    assert len(rows) == 1
+    ((names, seqs),) = asked("denials", "denied_under under_seqs", founded, rule, request(), DENIED)
+    assert (names, len(seqs)) == ([f"rule {seqs[0]}"], 1)
+
+
+def test_a_rule_about_a_role_that_is_the_policy_of_both_sides_is_named_once() -> None:
+    founded = [event("RobotJoined", 0, robot=robot, role="lifter", domain="", team=1) for robot in (A, B)]
+    rule = event("RolePolicyRuleSet", 1 * S, scope="local", role="lifter", domain="", capability="lift", outcome="deny")
+    history = (*founded, rule, request("deny"), DENIED)
+    ((names, seqs),) = asked("denials", "denied_under under_seqs", *history)
+    assert (names, len(seqs)) == ([f"rule {seqs[0]}"], 1)
+    assert asked(GROUNDS, "policy_of under_seq", *history) == [(A, seqs[0]), (B, seqs[0])]
 
 
 def test_the_supervisor_of_a_denial_is_the_actions_with_the_seq_of_its_records() -> None:

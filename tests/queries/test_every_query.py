@@ -9,8 +9,9 @@ import duckdb
 import pytest
 
 from fsar_ledger.errors import InvalidQuery
-from fsar_ledger.ledger.rows.schema import LAYOUTS
+from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS
 from fsar_ledger.metrics.database import Database, from_rows
+from fsar_ledger.metrics.groups import is_event_view
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, generated, library, parse
 from tests.queries.keys import required
 
@@ -80,6 +81,33 @@ def test_query_runs_on_an_empty_ledger(empty: Database, name: str) -> None:
     constant = name in CONSTANT
     assert (table.num_rows > 0) == constant
     assert table.num_columns > 0
+
+
+def is_plain(name: str, connection: duckdb.DuckDBPyConnection) -> bool:
+    """Whether SQL can name a column, and a parameter of a macro, without quotes."""
+    try:
+        return len(connection.extract_statements(f"SELECT {name} AS {name} FROM f({name} := 1)")) == 1
+    except duckdb.ParserException:
+        return False
+
+
+def _parameters(query: Query) -> list[str]:
+    return [one.sql_name for one in query.parameters.values()]
+
+
+@pytest.mark.slow
+def test_no_column_and_no_parameter_needs_quotes_but_one_that_events_have_stored(empty: Database) -> None:
+    with duckdb.connect() as connection:
+        reserved = connection.execute("SELECT keyword_name FROM duckdb_keywords() WHERE keyword_category = 'reserved'")
+        assert not any(is_plain(name, connection) for (name,) in reserved.fetchall())
+        names = {
+            (query.name, name)
+            for query in library().queries.values()
+            for name in (*empty.query(query.name, required(query)).column_names, *_parameters(query))
+        }
+        quoted = {(query, name) for query, name in names if not is_plain(name, connection)}
+    assert {name for _, name in quoted} == {"window"} & set(COLUMNS)
+    assert all(is_event_view(library().find(query)) for query, _ in quoted)
 
 
 def relations_in(sql: str, connection: duckdb.DuckDBPyConnection) -> set[str]:

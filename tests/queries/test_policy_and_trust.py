@@ -151,7 +151,7 @@ def test_policy_windows_pair_each_opening_with_its_closing() -> None:
     rows = answer(
         "facts/policy_windows",
         run(opened(1), opened(2, window="w2"), closed(3)),
-        columns=("opened_us", "closed_us", "window"),
+        columns=("opened_us", "closed_us", "window_name"),
     )
     assert rows == [(1, 3, "w1"), (2, None, "w2")]
 

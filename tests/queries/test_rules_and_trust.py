@@ -97,7 +97,7 @@ def test_rules_that_deny_or_ask_for_review_are_windows_and_those_that_allow_are_
     rows = answer(
         "facts/policy_windows",
         run(*ROBOTS, *rules),
-        columns=("opened_us", "closed_us", "window", "capability", "context", "outcome"),
+        columns=("opened_us", "closed_us", "window_name", "capability", "context", "outcome"),
     )
     assert rows == [(5, 9, None, DOOR, None, "deny"), (6, None, None, None, "t1", "review")]
 

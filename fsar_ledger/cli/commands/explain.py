@@ -232,6 +232,6 @@ def _result(row: Mapping[str, Any], stay: Sequence[Mapping[str, Any]]) -> str:
         attempts = sum(one["budget_s"] is not None for one in stay)
         budget = next((one["budget_s"] for one in stay if one["budget_s"] is not None), None)
         result += (
-            "" if budget is None else f" ({attempts} {'attempt' if attempts == 1 else 'attempts'} within {budget:g} s)"
+            "" if budget is None else f" ({printable.counted(attempts, 'attempt')} within {printable.number(budget)} s)"
         )
     return result

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 EXAMPLES = examples(
     'fsar-ledger sql out/ledger "SELECT type, count(*) AS events FROM events GROUP BY type ORDER BY events DESC"',
     "fsar-ledger sql out/ledger \"SELECT * FROM request_denied WHERE run_id LIKE '%door-relay%'\" --csv",
+    'fsar-ledger sql out/ledger "SELECT denied_by, count(*) AS denials FROM denials(run := 1) GROUP BY denied_by"',
+    'fsar-ledger sql out/ledger "SHOW TABLES"',
 )
 
 
@@ -47,8 +49,9 @@ def sql(
 ) -> None:
     """Answer a SELECT of your own.
 
-    It can read `events`, one view for each event type, and the views of `query --list`; it runs in a locked-down
-    process that can read this ledger and nothing else.
+    It can read `events`, one view for each event type, and all of `query --list`; a query with parameters is called,
+    as in `FROM denials(run := 1)`. `SHOW TABLES` lists them all, `DESCRIBE NAME` the columns of one. It runs in a
+    locked-down process that can read this ledger and nothing else.
     """
     from fsar_ledger.api.limits import limits_of
     from fsar_ledger.cli.streaming import Form

@@ -73,7 +73,7 @@ def _problems_of_capabilities(fleet: Fleet, names: Sequence[str]) -> Iterator[Pr
             if capability.name not in lengths:
                 yield Problem((*about, "lasts_s"), "nothing", "how long it takes, such as lasts_s = [2.0, 6.0]")
         elif not 0 <= capability.lasts_s[0] <= capability.lasts_s[1] <= END_US / 1e6:
-            found = f"{capability.lasts_s[0]:g} to {capability.lasts_s[1]:g}"
+            found = " to ".join(map(printable.number, capability.lasts_s))
             yield Problem((*about, "lasts_s"), found, f"two durations, the shorter first, from 0 to {END_US / 1e6:g} s")
 
 
@@ -95,10 +95,12 @@ def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:
         about: Field = ("off_shift", at)
         end_s = END_US / 1e6
         if not 0 <= spell.from_s < end_s:
-            yield Problem((*about, "from_s"), f"{spell.from_s:g}", f"seconds from 0, below {end_s:g}")
+            yield Problem((*about, "from_s"), printable.number(spell.from_s), f"seconds from 0, below {end_s:g}")
         if spell.to_s is not None and not spell.from_s < spell.to_s <= end_s:
             yield Problem(
-                (*about, "to_s"), f"{spell.to_s:g}", f"more than from_s, at most {end_s:g}, or none: to the end"
+                (*about, "to_s"),
+                printable.number(spell.to_s),
+                f"more than from_s, at most {end_s:g}, or none: to the end",
             )
         supervised = [one.name for one in fleet.robots if one.has_supervisor]
         yield from _each((*about, "robots"), spell.robots, supervised, "the robots that have a supervisor of their own")
@@ -153,7 +155,7 @@ def _problems_of_tasks(tasks: Sequence[Task], robots: dict[str, Robot], fleet: F
         about: Field = ("tasks", at)
         yield from _known((*about, "owner"), task.owner, robots, f"the robots of fleet {fleet.name}")
         if not (isfinite(task.offset_s) and 0 <= task.offset_s <= END_US / 1e6):
-            yield Problem((*about, "offset_s"), f"{task.offset_s:g}", f"seconds from 0 to {END_US / 1e6:g}")
+            yield Problem((*about, "offset_s"), printable.number(task.offset_s), f"seconds from 0 to {END_US / 1e6:g}")
         if not task.steps:
             yield Problem((*about, "steps"), "none", "at least one step")
         for number, step in enumerate(task.steps):
