@@ -16,10 +16,10 @@ import pyarrow as pa
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.derived import holds_nodes, node_reader
 from fsar_ledger.ledger.chain.groups import groups_of
-from fsar_ledger.ledger.chain.index import Index, line_of
+from fsar_ledger.ledger.chain.index import Index, extents_of, line_of, read_index, require_lines
 from fsar_ledger.ledger.chain.journal import Journal, leaves_in, lines_of, read_frames
 from fsar_ledger.ledger.chain.links import Chain, Followed, follow
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, SEALING, segment_of
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING, segment_of
 from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
 from fsar_ledger.ledger.chain.tables import materialized, table_of
 from fsar_ledger.ledger.log import merkle
@@ -30,11 +30,12 @@ from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.layout import Layout, check_layout
-from fsar_ledger.ledger.rows.pieces import joined
+from fsar_ledger.ledger.rows.pieces import gathered
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store import disk, growing
+from fsar_ledger.ledger.store import growing
 from fsar_ledger.ledger.store.paths import MANIFEST
+from fsar_ledger.ledger.store.places import segments_of
 from fsar_ledger.ledger.store.record import CHAINED, Manifest, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Extent, Head, Part, RunNames
 from fsar_ledger.ledger.store.walk import Names, find_segment, read_segment
@@ -47,7 +48,8 @@ _TRIES = 10
 class ChainView(msgspec.Struct, frozen=True, dict=True):
     """A ledger of format 2 as it was when it was opened (see `store.view.View`).
 
-    `followed` says how far the chain could be followed, `journal` what is not in a segment yet.
+    `followed` says how far the chain could be followed, `journal` what is not in a segment yet. What the chain says of
+    the rows of the `believed` segments was compared with them.
     """
 
     path: Path
@@ -58,6 +60,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     journal: Journal
     checked: dict[int, Path] = msgspec.field(default_factory=dict)
     kept: dict[int, pa.Table] = msgspec.field(default_factory=dict)
+    believed: set[int] = msgspec.field(default_factory=set)
 
     @property
     def record_sha256(self) -> str:
@@ -241,13 +244,18 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def _coded(self, number: int) -> pa.Table:
         """Return the rows of this segment; the last ones asked for are kept. Raises: As `segment`."""
         if number not in self.kept:
-            placement = self.chain.placed[number]
-            path, data, layout = self._placed(placement)
-            if layout.rows != placement.rows:
-                raise LedgerCorrupted(f"{path}: found {layout.rows} rows, expected {placement.rows}; restore the file")
             self.kept.clear()
-            self.kept[number] = segment.read_coded(path, data, layout)
+            self.kept[number] = self._read(number)
         return self.kept[number]
+
+    def _read(self, number: int, columns: list[str] | None = None) -> pa.Table:
+        """Read the rows of this segment in force, coded, with these columns (None: all). Raises: As `segment`."""
+        placement = self.chain.placed[number]
+        path, data, layout = self._placed(placement)
+        if layout.rows != placement.rows:
+            raise LedgerCorrupted(f"{path}: found {layout.rows} rows, expected {placement.rows}; restore the file")
+        self.checked.setdefault(number, path)
+        return segment.read_coded(path, data, layout, columns)
 
     def event(self, index: int) -> bytes:
         """Return the canonical bytes of the event at this index. Raises: As `segment`."""
@@ -261,50 +269,47 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         last: dict[str, int] = {}  # of runs that several commits hold: where the last of these begins
         for commit in self.commits:
             last.update((run, commit.tree_size - commit.rows) for run, _ in commit.continues)
-        held: dict[str, list[LedgerRun]] = {}
+        yield from gathered(self._pieces(), last)
+
+    def _pieces(self) -> Iterator[tuple[int, list[LedgerRun]]]:
+        """Yield the pieces of runs that each segment holds, and where it ends. Raises: As `runs`."""
         for number, table in enumerate(self.tables()):
             try:
-                pieces = list(codec.decode(table, is_whole=False))
+                yield self.first(number) + table.num_rows, list(codec.decode(table, is_whole=False))
             except LedgerCorrupted as error:
                 raise type(error)(f"{self.segment(number)}: {error}") from error
-            end = self.first(number) + table.num_rows
-            for piece in pieces:
-                held.setdefault(piece.run_id, []).append(piece)
-            for run in [run for run in held if last.get(run, 0) < end]:
-                yield joined(held.pop(run))
 
     @cached_property
     def index(self) -> Index:
         """Return the index of all events: of those in the journal, and where the file is not right, by their rows.
 
-        Raises: LedgerCorrupted if rows are needed and are no events.
+        Raises: LedgerCorrupted if rows are needed and are no events, or other than the chain says.
         """
-        try:
-            data = disk.read_large(self.path / INDEX, MAX_CHAIN_BYTES)
-        except OSError:
-            data = b""
-        lines = list(self.chain.index_lines(data))
-        if not all(lines):
-            made = [line for number in range(len(self.chain.placed)) for line in self._needed(number, lines)]
-            lines, data = [line or made.pop(0) for line in lines], b""
+        lines = read_index(self.path, self.chain, self.index_lines)
         if self.journal.frames:
-            lines, data = [*lines, line_of(self.chain.placed_size, self.journal_table())], b""
-        return Index(lines, data)
+            lines.append(line_of(self.chain.placed_size, self.journal_table()))
+        return Index(lines)
 
-    def _needed(self, number: int, lines: Sequence[bytes]) -> list[bytes]:
-        """Return the lines for this segment that are empty among those of the whole index, by its rows."""
-        lacks = [not lines[at] for at in self.chain.added_in(number)]
-        return (
-            [line for line, is_lacking in zip(self.index_lines(number), lacks, strict=True) if is_lacking]
-            if any(lacks)
-            else []
-        )
+    def believe_index(self, placement: int | None = None) -> None:
+        """Take over where runs are as the chain says, up to this placement or all: it was compared with the rows."""
+        placed = self.chain.placed
+        most = len(self.chain.placements) if placement is None else placement
+        self.believed.update(number for number in range(len(placed)) if placed[number].number <= most)
+
+    def require_index(self, *segments: int) -> None:
+        """Require that the chain has the lines of the index for these segments in force that their rows have.
+
+        Raises: LedgerCorrupted if it has others, or as `segment`.
+        """
+        for number in {*segments}.intersection(range(len(self.chain.placed))) - self.believed:
+            require_lines(self.path, self.chain.placed_in(number), self.index_lines(number))
+            self.believed.add(number)
 
     def index_lines(self, number: int) -> list[bytes]:
         """Return the lines of the index for the events of this segment in force, by its rows. Raises: As `segment`."""
         start = self.chain.placed[number].first
-        table = self.table(number, BLOCK_COLUMNS).combine_chunks()
-        added = [self.chain.added[at] for at in self.chain.added_in(number)]
+        table = self._read(number, BLOCK_COLUMNS).combine_chunks()
+        added = self.chain.placed_in(number)
         return [line_of(one.first, table.slice(one.first - start, one.rows)) for one in added]
 
     @cached_property
@@ -322,23 +327,13 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
 
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in the order of their first events. Raises: As `index`."""
-        found: dict[str, Extent] = {}
-        for number, block in self.index.by_line():
-            first, end = self._extent_of_line(number)
-            known = found.get(block.run)
-            rows = block.rows + (known.rows if known else 0)
-            found[block.run] = Extent(block.run, rows, known.first if known else first, end)
-        return list(found.values())
+        return extents_of(Part(*self.chain.span_of_line(number), block) for number, block in self.index.by_line())
 
     def parts(self, run: str) -> list[Part]:
-        """Return where the run of this name is. Raises: As `segment`."""
-        return [Part(*self._extent_of_line(number), block) for number, block in self.index.of_run(run)]
-
-    def _extent_of_line(self, number: int) -> tuple[int, int]:
-        """Return the indexes in the ledger between which the events of this line of the index are."""
-        if number == len(self.chain.added):
-            return self.chain.placed_size, self.chain.size
-        return self.chain.added[number].first, self.chain.added[number].end
+        """Return where the run of this name is. Raises: As `require_index`."""
+        found = [Part(*self.chain.span_of_line(number), block) for number, block in self.index.of_run(run)]
+        self.require_index(*segments_of(self, found))
+        return found
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours."""
