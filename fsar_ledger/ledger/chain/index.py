@@ -103,7 +103,7 @@ def require_lines(ledger: Path, added: Sequence[Placement], lines: Sequence[byte
 def read_placed(ledger: Path, chain: Chain) -> bytes:
     """Return as many bytes of the file as were placed, or fewer; none if it cannot be read."""
     try:
-        return growing.read_at(ledger / INDEX, 0, chain.index_bytes)
+        return growing.read_at(ledger / INDEX, 0, min(chain.index_bytes, growing.size_of(ledger / INDEX)))
     except OSError:
         return b""
 
