@@ -10,7 +10,7 @@ from fsar_ledger.errors import UsageError
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.rows.pieces import joined
+from fsar_ledger.ledger.rows.pieces import whole
 from fsar_ledger.ledger.store.places import segments_of
 from fsar_ledger.ledger.store.view import View
 
@@ -31,7 +31,7 @@ def record_of(view: View, run: str, size: int | None = None) -> LedgerRun:
         pieces += codec.decode(table.filter(pc.equal(table.column("run_id"), run)), is_whole=False)
     if not pieces:
         raise _missing(view, run)
-    return joined(pieces)
+    return whole(pieces)
 
 
 def commits_of(view: View, run: str) -> list[tuple[int, int]]:

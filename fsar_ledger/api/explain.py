@@ -13,7 +13,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
-from .lookup import AboutRun, names_on_record, no_run, numbers_of
+from .lookup import AboutRun, names_on_record, no_run, numbers_of, resting_on_rows
 from .provenance import Provenance, of_rows
 from .table import Table
 
@@ -84,14 +84,16 @@ def account(about: AboutRun, ledger: Path, request: str | None, failure: str | N
         )
     timeline = _asked(database, "request_timeline", run, action)
     if not timeline:
-        raise UsageError(_no_action(database, ledger, run, action, number))
+        with resting_on_rows(database.rows_verified):
+            raise UsageError(_no_action(database, ledger, run, action, number))
     (parties,) = _asked(database, "requests", run, action)
     recovery = _asked(database, "failure_timeline", run, action)
     if failure is not None and not recovery:
-        raise UsageError(
-            f"{option('failure', failure)}: found no failure of this action in run {run}; "
-            f"{option('request', failure)} shows what happened"
-        )
+        with resting_on_rows(database.rows_verified):
+            raise UsageError(
+                f"{option('failure', failure)}: found no failure of this action in run {run}; "
+                f"{option('request', failure)} shows what happened"
+            )
     grounds = database.rows(
         "SELECT unnest(under_seqs) AS seq FROM denied_actions WHERE run_id = $run AND seq = $seq",
         {"run": run, "seq": parties["seq"]},
@@ -120,14 +122,13 @@ def run_with(database: Database, ledger: Path, action: str) -> str:
             f"{printable.value(action)}: found this action in {len(found):,} runs, expected the run, too; give "
             f"{option('run')} one of {named}"
         )
-    if not found:
-        runs = [row["run_id"] for row in database.rows("SELECT run_id FROM run_numbers")]
-        if not runs:
-            raise UsageError(no_run(ledger))
-        only = str(runs[0]) if len(runs) == 1 else None
-        number = numbers_of(database).get(only) if only else None
-        raise UsageError(_no_action(database, ledger, only, action, number))
-    return found[0]
+    if found:
+        return found[0]
+    runs = [row["run_id"] for row in database.rows("SELECT run_id FROM run_numbers")]
+    only = str(runs[0]) if len(runs) == 1 else None
+    number = numbers_of(database).get(only) if only else None
+    with resting_on_rows(database.rows_verified):
+        raise UsageError(_no_action(database, ledger, only, action, number) if runs else no_run(ledger))
 
 
 def _about(database: Database, run: str) -> Provenance:

@@ -23,7 +23,7 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.verified import is_verified
 
 from .events import Filter, span
-from .lookup import robot_of, run_of
+from .lookup import resting_on_rows, robot_of, run_of
 from .names import Run, Time, known, names_of
 from .provenance import Provenance, of_rows
 from .table import Table
@@ -68,7 +68,8 @@ def asked_of(
     concerns = concerns_of(about)
     name = None if run == ALL else run_of(database, run, ledger)
     if since_us is not None and not is_growing:
-        _require_in_run(database, name, since, since_us)
+        with resting_on_rows(database.rows_verified):
+            _require_in_run(database, name, since, since_us)
     full = None if robot is None else robot_of(database, robot, name)
     return Asked(Filter(name, since_us, until_us, full), concerns)
 

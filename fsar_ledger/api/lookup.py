@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.query_parameters import TIME, require_known
+from fsar_ledger.metrics.verified import is_verified_for_runs, require_runs
 
 from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_named
 
@@ -58,6 +59,25 @@ _PRINCIPALS = ("robot", "supervisor")
 _WORDS = {"record": "kind of record", "case": "case number"}
 
 
+NOT_COMPARED = (
+    "the rows that this rests on were not compared with the root of the ledger; `fsar-ledger verify` does that"
+)
+
+
+@contextmanager
+def resting_on_rows(rows_verified: bool | None) -> Iterator[None]:
+    """Let an error that says what a ledger does not hold add that its rows were not compared with the root, if so.
+
+    None: there is no root.
+    """
+    try:
+        yield
+    except UsageError as error:
+        if rows_verified is not False or f"{error}".endswith(NOT_COMPARED):
+            raise
+        raise UsageError(f"{error}; {NOT_COMPARED}") from error
+
+
 class AboutRun(NamedTuple):
     """A run that was asked for: a database over its events, its full name, and its number (None: it has none)."""
 
@@ -77,7 +97,8 @@ def run_of(database: "Database", asked: object, ledger: Path | None = None) -> s
     if isinstance(asked, str) and database.rows(_RUN, {"run": asked}):
         return asked
     runs, plans = ([str(row["run_id"]) for row in database.rows(sql)] for sql in (_RUNS, _PLANS))
-    return run_named(asked, runs, plans) if ledger is None else run_named(asked, runs, plans, _way(ledger))
+    with resting_on_rows(database.rows_verified):
+        return run_named(asked, runs, plans) if ledger is None else run_named(asked, runs, plans, _way(ledger))
 
 
 def _way(ledger: Path) -> str:
@@ -85,12 +106,20 @@ def _way(ledger: Path) -> str:
     return f"`fsar-ledger query runs {printable.word(ledger)}` lists them"
 
 
-def run_in(view: "View", asked: object) -> str:
-    """Return the full name of a run that is given by name, number or unique part. Raises: As `run_of`."""
-    if isinstance(asked, str) and view.has_run(asked):
-        return asked
-    names = view.run_names
-    return run_named(asked, names.runs, names.plans, _way(view.path))
+def run_in(view: "View", asked: object, demanded: str | None) -> str:
+    """Return the full name of a run that is given by name, number or unique part.
+
+    Raises: As `run_of` and `is_verified`.
+    """
+    with resting_on_rows(is_verified_for_runs(view, demanded)):
+        if isinstance(asked, str) and view.has_run(asked):
+            return asked
+        names = view.run_names
+        try:
+            return run_named(asked, names.runs, names.plans, _way(view.path))
+        except UsageError:
+            require_runs(view)
+            raise
 
 
 def no_run(ledger: Path) -> str:
@@ -98,13 +127,18 @@ def no_run(ledger: Path) -> str:
     return f"{ledger}: found no run, so there is nothing to explain"
 
 
-def chosen_in(view: "View", asked: object) -> str:
-    """Return the full name of the run that was asked for, or of the first. Raises: UsageError if there is none."""
-    if isinstance(asked, str) and view.ordinal_of(asked):
-        return asked
-    if not view.run_names.runs:
-        raise UsageError(no_run(view.path))
-    return view.run_names.runs[0] if asked is None else run_in(view, asked)
+def chosen_in(view: "View", asked: object, demanded: str | None) -> str:
+    """Return the full name of the run that was asked for, or of the first.
+
+    Raises: UsageError if there is none, or as `is_verified`.
+    """
+    with resting_on_rows(is_verified_for_runs(view, demanded)):
+        if isinstance(asked, str) and view.ordinal_of(asked):
+            return asked
+        if not view.run_names.runs:
+            require_runs(view)
+            raise UsageError(no_run(view.path))
+        return view.run_names.runs[0] if asked is None else run_in(view, asked, demanded)
 
 
 @contextmanager
@@ -117,7 +151,7 @@ def about_run(view: "View", asked: object, demanded: str | None) -> Iterator[Abo
     """
     from fsar_ledger.metrics.database import connect_run
 
-    run = chosen_in(view, asked)
+    run = chosen_in(view, asked, demanded)
     with connect_run(view, run, demanded) as database:
         number = view.ordinal_of(run)
         yield AboutRun(database, run, number if number and not view.has_run(f"{number}") else None)
@@ -149,7 +183,8 @@ def time_of(database: "Database", what: str, asked: Time, run: str | None) -> in
     if time_us is not None and extent["time_us"] is not None and time_us > extent["time_us"]:
         of = "the longest run" if run is None else f"run {printable.value(run)}"
         last = f"{extent['time_us'] / 1_000_000:.6f} s, the last event of {of}"
-        raise UsageError(f"{what}: found {time_us / 1_000_000:.6f} s, expected at most {last}")
+        with resting_on_rows(database.rows_verified):
+            raise UsageError(f"{what}: found {time_us / 1_000_000:.6f} s, expected at most {last}")
     return time_us
 
 
@@ -188,7 +223,8 @@ def names_on_record(database: "Database", kind: str, run: str | None) -> list[st
 
 def _named(database: "Database", kind: str, asked: str, run: str | None) -> str:
     names, what = names_on_record(database, kind, run), _WORDS.get(kind, kind)
-    return principal_named(what, asked, names) if kind in _PRINCIPALS else named(what, asked, names)
+    with resting_on_rows(database.rows_verified):
+        return principal_named(what, asked, names) if kind in _PRINCIPALS else named(what, asked, names)
 
 
 def _value(database: "Database", one: "Parameter", text: str, run: str | None) -> str:
@@ -207,5 +243,6 @@ def _seq(database: "Database", text: str, run: str | None) -> str:
     if not (text.isascii() and text.isdecimal() and len(text) <= MAX_DIGITS and int(text) <= most):
         expected = f"a number from 0 to {most}" if most >= 0 else "none: there is no event"
         of = "of any run" if run is None else f"of run {printable.value(run)}"
-        raise UsageError(f"seq {printable.value(text)}: there is no such event {of}, expected {expected}")
+        with resting_on_rows(database.rows_verified):
+            raise UsageError(f"seq {printable.value(text)}: there is no such event {of}, expected {expected}")
     return text

@@ -10,7 +10,7 @@ from fsar_ledger.ledger.store.proof import Proof, prove
 from fsar_ledger.ledger.store.view import View
 from fsar_ledger.metrics.verified import is_verified
 
-from .lookup import run_in
+from .lookup import resting_on_rows, run_in
 from .names import MAX_DIGITS
 
 
@@ -22,16 +22,16 @@ def prove_event(ledger: Path, event: str, demanded: str | None = None) -> Proof:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers` and `prove`.
     """
     view = open_for_answers(ledger)
-    is_verified(view, demanded)
-    run, seq = asked_event(view, event)
-    return prove(view, _index_of(view, run, seq))
+    run, seq = asked_event(view, event, demanded)
+    return prove(view, _index_of(view, run, seq, demanded))
 
 
-def asked_event(view: View, event: str) -> tuple[str | None, str]:
+def asked_event(view: View, event: str, demanded: str | None) -> tuple[str | None, str]:
     """Return the full name of the run and the digits of the seq, or None and the digits of a place in the ledger.
 
     Raises:
         UsageError: It is no name of an event, or there is no such run, or more than one.
+        SequenceConflict: As `is_verified`.
     """
     asked, _, seq = event.rpartition(":")
     if not (seq.isascii() and seq.isdecimal()) or event.startswith(":"):
@@ -39,16 +39,17 @@ def asked_event(view: View, event: str) -> tuple[str | None, str]:
             f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the "
             "event's place in the ledger"
         )
-    return run_in(view, asked) if asked else None, seq
+    is_verified(view, demanded)
+    return run_in(view, asked, demanded) if asked else None, seq
 
 
-def found_event(view: View, run: str | None, seq: str) -> tuple[str, int]:
+def found_event(view: View, run: str | None, seq: str, demanded: str | None) -> tuple[str, int]:
     """Return run and seq of the event that `asked_event` gave. Raises: UsageError if there is no such event."""
-    found = event_at(view, _index_of(view, run, seq))
+    found = event_at(view, _index_of(view, run, seq, demanded))
     return str(found["run_id"]), int(str(found["seq"]))
 
 
-def _index_of(view: View, run: str | None, seq: str) -> int:
+def _index_of(view: View, run: str | None, seq: str, demanded: str | None) -> int:
     """Return the place in the ledger, from 0, of this event of the run; without a run it is its place already.
 
     Raises:
@@ -60,11 +61,12 @@ def _index_of(view: View, run: str | None, seq: str) -> int:
                 f"EVENT {seq}: found {view.head.size:,} events in {view.path}, expected a number below that, or RUN:SEQ"
             )
         return int(seq)
-    try:
-        return place_of(view, run, int(seq[: MAX_DIGITS + 1]))
-    except KeyError as error:
-        (events,) = error.args
-        raise UsageError(
-            f"EVENT {printable.value(run)}:{seq}: found {events:,} events in the run, expected a seq from 0 to "
-            f"{events - 1}"
-        ) from error
+    with resting_on_rows(is_verified(view, demanded)):
+        try:
+            return place_of(view, run, int(seq[: MAX_DIGITS + 1]))
+        except KeyError as error:
+            (events,) = error.args
+            raise UsageError(
+                f"EVENT {printable.value(run)}:{seq}: found {events:,} events in the run, expected a seq from 0 to "
+                f"{events - 1}"
+            ) from error

@@ -46,7 +46,7 @@ class Replays:
         from fsar_ledger.analysis.records import record_of
 
         view, _ = self._view()
-        return record_of(view, self._name(run))
+        return record_of(view, self._name(view, run))
 
     def _view(self) -> "tuple[View, Provenance]":
         from fsar_ledger.ledger.opening import open_for_answers
@@ -57,10 +57,10 @@ class Replays:
         view = open_for_answers(self.path)
         return view, Provenance(view.head, is_verified(view, self._demanded))
 
-    def _name(self, run: Run) -> str:
+    def _name(self, view: "View", run: Run) -> str:
         from .lookup import run_in
 
-        return run_in(self._view()[0], run)
+        return run_in(view, run, self._demanded)
 
     def state(
         self,
@@ -145,7 +145,7 @@ class Replays:
         from .whatif import fork_of
 
         view, _ = self._view()
-        return fork_of(view, record_of(view, self._name(run)), changes)
+        return fork_of(view, record_of(view, self._name(view, run)), changes)
 
     def whatif(
         self,
@@ -174,7 +174,7 @@ class Replays:
         from .whatif import what_if
 
         view, provenance = self._view()
-        record = None if run is None else record_of(view, self._name(run))
+        record = None if run is None else record_of(view, self._name(view, run))
         place = None if out is None else Path(out)
         return what_if(view, provenance, record, changes, names_of(architecture) or (), place, progress)
 
@@ -193,7 +193,7 @@ class Replays:
         from .table import Table, of_structs
 
         view, provenance = self._view()
-        found = repeated(base_of_record(record_of(view, self._name(run)), view.head.root)).changeable()
+        found = repeated(base_of_record(record_of(view, self._name(view, run)), view.head.root)).changeable()
         return Table(of_structs(found, Changeable), provenance)
 
     def cause(
@@ -224,7 +224,7 @@ class Replays:
         from .causes import cause_of
 
         view, provenance = self._view()
-        record = record_of(view, self._name(run))
+        record = record_of(view, self._name(view, run))
         return cause_of(record, provenance, outcome, lengths=lengths, futures=futures, progress=progress)
 
     def bisect(
@@ -325,9 +325,9 @@ class Replays:
 
         view, provenance = self._view()
         if isinstance(event, str):
-            run, seq = found_event(view, *asked_event(view, event))
+            run, seq = found_event(view, *asked_event(view, event, self._demanded), self._demanded)
         else:
-            run, seq = self._name(event[0]), event[1]
+            run, seq = self._name(view, event[0]), event[1]
         return why_of(record_of(view, run), provenance, seq, depth)
 
     def verdicts(self, run: Run, kind: str) -> "Table":

@@ -24,8 +24,11 @@ class Timelines:
     def numbers(self) -> dict[str, int]:
         """Return the number of each run, by its name: the short name that every question takes for it."""
         from fsar_ledger.ledger.opening import open_for_answers
+        from fsar_ledger.metrics.verified import is_verified_for_runs
 
-        return open_for_answers(self.path).run_names.numbers()
+        view = open_for_answers(self.path)
+        is_verified_for_runs(view, self._demanded)
+        return view.run_names.numbers()
 
     @contextmanager
     def about_run(self, run: Run | None, action: str | None = None) -> "Iterator[AboutRun]":

@@ -24,7 +24,7 @@ from .connection import (
     with_all_columns,
 )
 from .showable import SHOWN
-from .verified import is_verified
+from .verified import is_verified, is_verified_for_runs
 
 __all__ = [
     "FAULTS_OF_SQL",
@@ -94,7 +94,7 @@ def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
         LedgerCorrupted: A segment is not as committed.
         SequenceConflict: As `is_verified`.
     """
-    rows_verified = is_verified(view, demanded)
+    rows_verified = is_verified_for_runs(view, demanded)
     held = segments_of(view, view.parts(run))
     segments = [view.segment(number) for number in held]
     database = Database(view.head, segments, rows_verified=rows_verified)
@@ -116,6 +116,7 @@ class Slices:
     def __init__(self, view: View, demanded: str | None = None, most: int = SLICE_EVENTS) -> None:
         self._view = view
         self._demanded = demanded
+        self._rows_verified = is_verified_for_runs(view, demanded)
         self._most = most
         # A bomb has many rows in few bytes, and nothing to be judged: to judge it in parts would take longer.
         is_long = view.head.size > most and segment_bytes(view.path) > LEAST_BYTES * view.head.size
@@ -141,7 +142,7 @@ class Slices:
         others = [one for one in self._extents if one.first < end and one.end > first and one.run not in set(names)]
         cut = {number for one in others for number in segments_between(view, one.first, one.end)}
         whole = frozenset(path for number, path in held.items() if number not in cut)
-        database = Database(view.head, [*held.values()], rows_verified=is_verified(view, self._demanded))
+        database = Database(view.head, [*held.values()], rows_verified=self._rows_verified)
         # One run of more events is not worth tables: they would take memory with its length.
         database.keeps_events = sum(one.rows for one in runs) <= self._most
         chosen = relation.Chosen(relation.OF_NUMBERED, _numbers(names), whole)

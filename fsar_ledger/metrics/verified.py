@@ -24,12 +24,18 @@ import msgspec
 
 from fsar_ledger import __version__
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict, UsageError
+from fsar_ledger.ledger.chain.indexed import compare_index, require_index
+from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.ledger.store.record import sha256_hex
 from fsar_ledger.ledger.store.view import View
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 
+_MOST_SOUGHT = 64
+"""How many placements back it is looked for a remembered comparison of the index."""
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
@@ -84,7 +90,41 @@ def is_verified(view: View, demanded: str | None = None) -> bool:
             f"{view.path}: found another newest commit than a moment ago, when its rows were compared with its root; "
             "run it again"
         )
-    return demanded is not None or not view.head.size or is_remembered(view.record_sha256)
+    is_known = demanded is not None or not view.head.size or is_remembered(view.record_sha256)
+    if is_known and isinstance(view, ChainView):
+        view.believe_index()
+    return is_known
+
+
+def is_verified_for_runs(view: View, demanded: str | None = None) -> bool:
+    """As `is_verified`, before it is asked which runs a ledger has and where they are.
+
+    If the rows are not known to be those under the root, what the chain says of this is compared with them at least. So
+    far as that is right, it is remembered too, by the line of the last placement, which vouches for those before.
+
+    Raises:
+        SequenceConflict: As `is_verified`.
+        LedgerCorrupted: The chain contradicts the rows of a segment.
+    """
+    is_known = is_verified(view, demanded)
+    if is_known or not isinstance(view, ChainView):
+        return is_known
+    lines = (f"index {sha256_hex(canonical.document(one))}" for one in reversed(view.chain.placed[-_MOST_SOUGHT:]))
+    known = next((at for at, line in enumerate(lines) if is_remembered(line)), None)
+    if known is not None:
+        view.believe_index(view.chain.placed[-1 - known].number)
+    if known != 0 and compare_index(view) and view.chain.placed:
+        _remember(f"index {sha256_hex(canonical.document(view.chain.placed[-1]))}")
+    return False
+
+
+def require_runs(view: View) -> None:
+    """Require, before it is said that a run is not there, that the chain says of all rows whose they are.
+
+    Raises: LedgerCorrupted if it does not, or some cannot be read.
+    """
+    if isinstance(view, ChainView):
+        require_index(view)
 
 
 def is_remembered(record_sha256: str) -> bool:

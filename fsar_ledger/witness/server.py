@@ -3,12 +3,14 @@
 import io
 import socket
 import sys
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from ipaddress import IPv4Address, IPv6Network, ip_address
 from socketserver import TCPServer
-from threading import BoundedSemaphore
+from threading import Lock
 from typing import Any
 
 from fsar_ledger.errors import UsageError
@@ -18,11 +20,43 @@ from fsar_ledger.witness.service import Service
 REQUEST_S = 10.0
 """Seconds within which a request must arrive, from the start of its connection or from the previous answer."""
 
-MAX_CONNECTIONS = 64
+MAX_CONNECTIONS, MAX_OF_CLIENT = 64, 8
+"""Connections at once: of all clients, and of one. So no client alone keeps the others out by saying nothing."""
+
+_NETWORK_BITS = 64
 _NAME_CHARACTERS = 64
 _LENGTH_DIGITS = 7
 _BUSY_S = 0.1
 _BUSY = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+
+
+def client_of(host: str) -> str:
+    """Return who connects from this address: of IPv6 its network, since whoever has one has all addresses in it."""
+    address = ip_address(host.partition("%")[0])
+    if isinstance(address, IPv4Address):
+        return f"{address}"
+    return f"{address.ipv4_mapped or IPv6Network((address, _NETWORK_BITS), strict=False)}"
+
+
+class _Room:
+    """Room for so many connections at once, of all clients and of each."""
+
+    def __init__(self) -> None:
+        self._held: Counter[str] = Counter()
+        self._lock = Lock()
+
+    def take(self, client: str) -> bool:
+        """Take room for a connection of this client; return whether there was some."""
+        with self._lock:
+            is_free = self._held.total() < MAX_CONNECTIONS and self._held[client] < MAX_OF_CLIENT
+            self._held[client] += is_free
+            return is_free
+
+    def leave(self, client: str) -> None:
+        """Give back the room that a connection took."""
+        with self._lock:
+            self._held[client] -= 1
+            self._held += Counter()  # forgets who has none
 
 
 class _DeadlineReader(io.RawIOBase):
@@ -146,7 +180,7 @@ class WitnessServer(ThreadingHTTPServer):
 
     def __init__(self, host: str, port: int, service: Service, monotonic: Callable[[], float]) -> None:
         self.service, self.monotonic = service, monotonic
-        self._room = BoundedSemaphore(MAX_CONNECTIONS)
+        self._room = _Room()
         try:
             self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0][0]
             super().__init__((host, port), _Handler)
@@ -169,8 +203,9 @@ class WitnessServer(ThreadingHTTPServer):
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Give the connection a thread, or answer 503 when all are taken."""
-        if not self._room.acquire(blocking=False):
+        """Give the connection a thread, or answer 503 when all are taken, or all of this client."""
+        client = client_of(client_address[0])
+        if not self._room.take(client):
             with suppress(OSError):
                 request.settimeout(_BUSY_S)
                 request.sendall(_BUSY)
@@ -178,8 +213,8 @@ class WitnessServer(ThreadingHTTPServer):
             return
         try:
             super().process_request(request, client_address)
-        except BaseException:  # no thread was started, so none will release the slot
-            self._room.release()
+        except BaseException:  # no thread was started, so none will give the room back
+            self._room.leave(client)
             raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
@@ -187,7 +222,7 @@ class WitnessServer(ThreadingHTTPServer):
         try:
             super().process_request_thread(request, client_address)
         finally:
-            self._room.release()
+            self._room.leave(client_of(client_address[0]))
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
         """Tell the operator what went wrong, unless the connection merely broke."""

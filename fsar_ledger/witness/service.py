@@ -21,9 +21,12 @@ class Service:
         logs: The keys of the logs that it watches; the name of a key is the origin of its log.
         clock: Returns the present time.
         tell: Called with a line for the operator about each checkpoint of a watched log that was cosigned or refused.
+
+    Raises: LedgerCorrupted if what is stored of a log lacks its signature, or has a damaged one.
     """
 
     def __init__(self, state: State, logs: Sequence[VerifierKey], clock: Clock, tell: Callable[[str], None]) -> None:
+        state.require_signed(logs)
         self.tell = tell
         self._state, self._logs, self._clock = state, tuple(logs), clock
         self._origins = {origin_hash(key.name): key.name for key in logs}

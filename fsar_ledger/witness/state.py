@@ -17,13 +17,13 @@ import errno
 import fcntl
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError, WriteFailed
 from fsar_ledger.ledger.log.ed25519 import KEY_BYTES
-from fsar_ledger.ledger.log.note import Note, is_name
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, VerifierKey, is_name
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.witness.cosignature import Cosigner, WitnessKey, parse_cosigned, parse_secret, secret_text
 from fsar_ledger.witness.protocol import origin_hash
@@ -42,6 +42,22 @@ class State:
     def newest(self, origin: str) -> Note | None:
         """Return the newest cosigned note of this log, with the cosignature that was stored with it, or None."""
         return self._newest.get(origin)
+
+    def require_signed(self, logs: Sequence[VerifierKey]) -> None:
+        """Require that what is stored of these logs has the signature with which it came.
+
+        A log may have changed its key since, so a signature of a key that is not given is taken as it is.
+
+        Raises: LedgerCorrupted if a signature is damaged, or there is none.
+        """
+        for origin, note in self._newest.items():
+            signed = [one for one in note.signatures if one.name == origin]
+            keys = [key for key in logs if key.name == origin]
+            if not all(_is_right(one, note.checkpoint, keys) for one in signed) or not signed:
+                raise LedgerCorrupted(
+                    f"{self.folder / LOGS / origin_hash(origin)}: found a note without the signature of the log of "
+                    f"{origin}, or with a damaged one, {_GONE}"
+                )
 
     def remember(self, note: Note) -> None:
         """Store the note durably as the newest of its log.
@@ -141,6 +157,13 @@ def _read_key(path: Path) -> Cosigner:
             f"{path}: found no secret key of a witness, expected the file that `fsar-ledger witness new` wrote"
         )
     return cosigner
+
+
+def _is_right(signature: Signature, checkpoint: Checkpoint, keys: Sequence[VerifierKey]) -> bool:
+    """Return whether nothing shows that this signature of a log is damaged: neither its key id nor what follows."""
+    makers = [key for key in keys if key.made(signature.data, checkpoint.text().encode())]
+    named = [key for key in keys if key.key_id == signature.key_id]
+    return makers == named
 
 
 def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:

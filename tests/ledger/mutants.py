@@ -49,6 +49,7 @@ CHAIN_CHECKED: dict[str, tuple[str, ...] | None] = {
     "chain/tables.py": ("table_of",),
     "chain/derived.py": ("read_node",),
     "chain/read.py": ("_placed", "_coded", "open_chain"),
+    "chain/snapshot.py": ("_settled", "look", "_follow", "_end_of_hidden"),
     "rows/blocks.py": ("flaw",),
 }
 """The files that make checks, and the functions in them, None: all. The second are those of format 2 alone."""

@@ -33,7 +33,13 @@ class Tally(NamedTuple):
     wrong: tuple[str, ...] = ()
 
     def plus(self, other: "Tally") -> "Tally":
-        return Tally(*(one + more for one, more in zip(self, other, strict=True)))
+        return Tally(
+            self.kills + other.kills,
+            self.refusals + other.refusals,
+            self.acknowledged + other.acknowledged,
+            self.seen + other.seen,
+            self.wrong + other.wrong,
+        )
 
 
 def trial(nursery: Nursery, path: Path, draw: random.Random) -> Tally:

@@ -10,7 +10,7 @@ from unittest.mock import patch
 import pytest
 
 from fsar_ledger.errors import NotALedger, WriteFailed
-from fsar_ledger.ledger.chain import read
+from fsar_ledger.ledger.chain import snapshot
 from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.opening import open_for_answers
@@ -63,7 +63,7 @@ class WatchedOs(FaultyOs):
 @pytest.fixture(autouse=True)
 def impatient() -> Iterator[None]:
     """Let readers not wait for a writer, which is in the same thread here and does not go on meanwhile."""
-    with patch.object(read, "_PATIENCE_S", 0.0):
+    with patch.object(snapshot, "_PATIENCE_S", 0.0):
         yield
 
 

@@ -23,13 +23,16 @@ def server(witness: Open) -> Iterator[WitnessServer]:
         yield found
 
 
-def connected(server: WitnessServer) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", server.server_port), timeout=5)
+def connected(server: WitnessServer, client: int = 1) -> socket.socket:
+    """Connect as this client, each of which has an address of its own."""
+    return socket.create_connection(
+        ("127.0.0.1", server.server_port), timeout=5, source_address=(f"127.0.0.{client}", 0)
+    )
 
 
-def raw(server: WitnessServer, data: bytes) -> bytes:
+def raw(server: WitnessServer, data: bytes, client: int = 1) -> bytes:
     """Send the bytes over one connection and return everything that comes back."""
-    with connected(server) as connection:
+    with connected(server, client) as connection:
         connection.sendall(data)
         connection.shutdown(socket.SHUT_WR)
         return b"".join(iter(lambda: connection.recv(1 << 16), b""))
@@ -165,7 +168,7 @@ def test_connections_beyond_the_limit_are_refused_and_earlier_ones_served(
     server: WitnessServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "REQUEST_S", 2.0)
-    held = [connected(server) for _ in range(module.MAX_CONNECTIONS)]
+    held = [connected(server, 2 + at // module.MAX_OF_CLIENT) for at in range(module.MAX_CONNECTIONS)]
     try:
         assert raw_or_reset(server, b"").startswith((b"HTTP/1.1 503", b"reset"))
         held[0].sendall(b"GET / HTTP/1.1\r\nConnection: close\r\n\r\n")
@@ -178,9 +181,39 @@ def test_connections_beyond_the_limit_are_refused_and_earlier_ones_served(
         assert time.monotonic() < deadline, "no room was made"
 
 
-def raw_or_reset(server: WitnessServer, data: bytes) -> bytes:
+@pytest.mark.parametrize("client", [1, 200])
+def test_a_client_that_says_nothing_keeps_nobody_out(server: WitnessServer, client: int) -> None:
+    held = [connected(server, 2) for _ in range(module.MAX_CONNECTIONS)]
     try:
-        return raw(server, data)
+        assert raw_or_reset(server, b"", 2).startswith((b"HTTP/1.1 503", b"reset"))
+        assert raw(server, post(), client).startswith(b"HTTP/1.1 200")
+    finally:
+        for connection in held:
+            connection.close()
+    deadline = time.monotonic() + 5
+    while not raw_or_reset(server, b"GET / HTTP/1.1\r\n\r\n", 2).startswith(b"HTTP/1.1 404"):
+        assert time.monotonic() < deadline, "no room was made"
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "is_same"),
+    [
+        ("192.0.2.1", "192.0.2.1", True),
+        ("192.0.2.1", "192.0.2.2", False),
+        ("::ffff:192.0.2.1", "192.0.2.1", True),
+        ("::ffff:192.0.2.1", "::ffff:192.0.2.2", False),
+        ("2001:db8::1", "2001:db8::2:3", True),
+        ("2001:db8::1", "2001:db8:0:1::1", False),
+        ("fe80::1%eth0", "fe80::2%eth0", True),
+    ],
+)
+def test_a_client_is_an_address_or_a_network_of_the_newer_protocol(one: str, other: str, is_same: bool) -> None:
+    assert (module.client_of(one) == module.client_of(other)) == is_same
+
+
+def raw_or_reset(server: WitnessServer, data: bytes, client: int = 1) -> bytes:
+    try:
+        return raw(server, data, client)
     except ConnectionError:
         return b"reset"
 

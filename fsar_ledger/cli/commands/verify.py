@@ -169,4 +169,5 @@ def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
         if report.anchored is not None and not report.is_quick
         else []
     )  # there a remark says it
+    lines += [f"not looked at: {', '.join(report.not_looked_at)}"] if report.not_looked_at else []
     return [*lines, *report.remarks]

@@ -2,11 +2,13 @@
 
 ```
 record     the lines of a chain: commits, and placements of their rows
+torn       what is torn, and what is damaged
 links      follow a chain line by line
 journal    commits whose rows are not in a segment yet
 tables     rows of a journal as columns
 derived    the pack of the tree, and the index, on disk
 index      which runs are where
+indexed    whether it says what the rows say
 groups     which segments share runs
 paths      where the files are
 read       ChainView: what is committed

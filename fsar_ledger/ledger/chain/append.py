@@ -6,9 +6,9 @@ Many events at once go into a segment of their own, and each step is durable bef
 3. The segment moves to `segments/`. Until then readers look in `staging/`.
 4. The pack of the tree and the checkpoint follow.
 
-A few events go into the journal (`add`): record and rows in one write, and one sync. A full one is handed over: it gets
-another name, a thread makes a segment of its rows while further commits go into a new journal, and steps 1 to 4 follow
-for all of its commits at once; then it is removed. `seal` does so at once.
+A few events go into the journal (`add`), in one sync. A full one is handed over: it gets another name, a thread makes a
+segment of its rows while further commits go into a new journal, and steps 1 to 4 follow for all of its commits at once;
+then it is removed. `seal` does so at once.
 
 Writers take turns, under an exclusive lock on `segments/`. Each begins its turn with what others have added meanwhile,
 so no work is done again: leaves and segments do not depend on where in the ledger they go.
@@ -52,12 +52,11 @@ from fsar_ledger.ledger.store.record import CHAINED, sha256_hex
 from fsar_ledger.ledger.store.view import Head
 
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
-"""A journal is sealed before it holds more events or bytes; so many fit into a segment, whatever they are. No commit in
-a journal is larger."""
+"""A journal is sealed before it holds more events or bytes; so many always fit into a segment."""
 
 
 class ChainWriter:
-    """Appends to one ledger of format 2, which it creates if there is none. Use it as a context manager.
+    """Appends to a ledger of format 2, which it creates if there is none. Use it as a context manager.
 
     Args:
         signer: The key that signs the notes of new commits, and whose name must be the origin. Without one they are

@@ -16,11 +16,14 @@ _MOST_SOUGHT = 64
 class HeldRuns:
     """The runs of a ledger, sought in its index as they are asked about.
 
+    A writer believes the index, as it believes the rows: it only appends.
+
     Raises: LedgerCorrupted if rows must be read and cannot be.
     """
 
     def __init__(self, view: ChainView) -> None:
         self._runs = Runs()
+        view.believe_index()
         self._index: Index | None = view.index  # None once all of it is read
         self._sought: set[str] = set()
         self._indexed: set[str] = set()  # what these observe is not known: the index does not say it
@@ -90,6 +93,7 @@ class HeldRuns:
 
     def _read_beginning(self, run: str, view: ChainView) -> None:
         """Read what the run observes. Raises: LedgerCorrupted."""
+        view.believe_index()
         observes = event_at(view, place_of(view, run, 0)).get("observes")
         told = tuple(map(str, observes)) if isinstance(observes, list) else None
         self._runs.known[run] = self._runs.known[run]._replace(observes=told)

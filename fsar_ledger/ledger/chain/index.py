@@ -1,21 +1,28 @@
 """The index of a ledger of format 2: which runs are in it, and where. The file `index.jsonl`, derived.
 
 It has a line for each append that added events, whose placement holds the line's size and hash. So a reader knows
-without reading rows whether a line is the right one. One that is not there, or not the right one, it derives from the
-rows.
+without reading rows whether a line is the one that was placed. One that is not there, or another, it derives from the
+rows. No signature binds a placement: a reader compares it with the rows where no look has done so before.
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import accumulate
+from pathlib import Path
 
 import msgspec
 import pyarrow as pa
 
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.chain.links import Chain
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX
+from fsar_ledger.ledger.chain.record import Placement
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of, by_run
-from fsar_ledger.ledger.store.record import Count
-from fsar_ledger.ledger.store.view import RunNames
+from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import Count, sha256_hex
+from fsar_ledger.ledger.store.view import Extent, Part, RunNames
 
 
 class IndexLine(msgspec.Struct, frozen=True):
@@ -57,12 +64,66 @@ def line_of(first: int, table: pa.Table) -> bytes:
     return index_line(first, tuple(blocks_of(table)))
 
 
-class Index:
-    """The lines of an index, in order; `data` is these and perhaps more, if that is at hand."""
+def line_doubt(placement: Placement, line: bytes) -> Problem | None:
+    """Return that this line of the index, by the rows, is not the one that was placed; None if it is."""
+    one = placement
+    if (len(line), sha256_hex(line)) == (one.index_bytes, one.index_sha256):
+        return None
+    found, expected = f"{one.index_sha256} of {one.index_bytes} bytes", f"{sha256_hex(line)} of {len(line)}"
+    return Problem(CHAIN, found, f"{expected}, by the rows from event {one.first}", field="index_sha256")
 
-    def __init__(self, lines: Sequence[bytes], data: bytes = b"") -> None:
+
+def read_index(ledger: Path, chain: Chain, by_rows: Callable[[int], Sequence[bytes]]) -> list[bytes]:
+    """Return the lines of the index for what segments hold, each the one that was placed.
+
+    Where the file holds another, `by_rows` gives the lines of a segment in force. Raises: As that, and `require_lines`.
+    """
+    lines = list(chain.index_lines(read_placed(ledger, chain)))
+    for number in range(len(chain.placed)):
+        places = chain.added_in(number)
+        if all(lines[at] for at in places):
+            continue
+        made = by_rows(number)
+        require_lines(ledger, chain.placed_in(number), made)
+        for at, line in zip(places, made, strict=True):
+            lines[at] = line
+    return lines
+
+
+def require_lines(ledger: Path, added: Sequence[Placement], lines: Sequence[bytes]) -> None:
+    """Require that these lines, by the rows, are those that were placed. Raises: LedgerCorrupted if one is not."""
+    for one, line in zip(added, lines, strict=True):
+        if (problem := line_doubt(one, line)) is not None:
+            raise LedgerCorrupted(
+                f"{ledger}/{problem}; which runs there are, and how far they go, is not told where the chain "
+                "contradicts the rows; run fsar-ledger verify"
+            )
+
+
+def read_placed(ledger: Path, chain: Chain) -> bytes:
+    """Return as many bytes of the file as were placed, or fewer; none if it cannot be read."""
+    try:
+        return growing.read_at(ledger / INDEX, 0, min(chain.index_bytes, growing.size_of(ledger / INDEX)))
+    except OSError:
+        return b""
+
+
+def extents_of(parts: Iterable[Part]) -> list[Extent]:
+    """Return where each run and plan of these parts is, in the order of their first events."""
+    found: dict[str, Extent] = {}
+    for first, end, block in map(msgspec.structs.astuple, parts):
+        known = found.get(block.run)
+        rows = block.rows + (known.rows if known else 0)
+        found[block.run] = Extent(block.run, rows, known.first if known else first, end)
+    return list(found.values())
+
+
+class Index:
+    """The lines of an index, in order."""
+
+    def __init__(self, lines: Sequence[bytes]) -> None:
         self._lines = lines
-        self._text = data if len(data) == sum(map(len, lines)) else b"".join(lines)
+        self._text = b"".join(lines)
         self._ends = list(accumulate(map(len, lines)))
         self._ordinals: dict[str, int] = {}  # of runs that were asked for
         self._found: dict[str, list[int]] = {}  # for each of them, the lines that name it

@@ -22,7 +22,8 @@ import msgspec
 
 from fsar_ledger.ledger.chain.links import Chain, Doubt
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
-from fsar_ledger.ledger.chain.record import Commit, parse_line
+from fsar_ledger.ledger.chain.record import Commit, line_at, parse_line
+from fsar_ledger.ledger.chain.torn import has_later_commit
 from fsar_ledger.ledger.log.hashing import leaves
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.store import disk, growing
@@ -115,36 +116,6 @@ def leaves_in(frames: Sequence[Frame]) -> bytes:
     return b"".join([frame.leaves for frame in frames])
 
 
-def with_hidden(text: bytes) -> tuple[bytes, tuple[int, ...]]:
-    """Return the bytes of `journal.jsonl` with its whole hidden frames shown, and where each of these begins.
-
-    There are two if the power failed before the first byte of a frame, and a later frame, were on disk.
-    """
-    places: list[int] = []
-    at = text.find(b"\0")  # neither records nor rows have any
-    while at >= 0 and (end := _end_of_hidden(text, at)):
-        text = text[:at] + FIRST + text[at + 1 :]
-        places.append(at)
-        at = end if text[end : end + 1] == b"\0" else -1
-    return text, tuple(places)
-
-
-def _end_of_hidden(text: bytes, at: int) -> int:
-    """Return where the hidden frame that begins there ends; 0 if there is none, or not all of it."""
-    end = text.find(b"\n", at) + 1
-    if not end or text[at + 1 : at + 2] == b"\0":
-        return 0
-    try:
-        record = parse_line(FIRST + text[at + 1 : end - 1])
-    except ValueError:
-        return 0
-    for _ in range(record.rows if isinstance(record, Commit) else 0):
-        end = text.find(b"\n", end) + 1
-        if not end:
-            return 0
-    return end if isinstance(record, Commit) else 0
-
-
 def read_frames(sealing: bytes, journal: bytes, chain: Chain, *, has_sealing: bool) -> Journal:
     """Read the frames in these bytes of the two files, and add to the chain the commits that it lacks.
 
@@ -192,29 +163,25 @@ class _Reading:
         self.problem: Problem | None = None
         self.is_damage = False
         self._chain, self._name = chain, SEALING
-        self._left: list[bytes] = []  # the lines from where it cannot be read
+        self._text = b""  # of the last file
         self._shas = [chain.sha256]  # and after each commit that the chain lacked
 
     def add(self, name: str, text: bytes) -> None:
         """Read the frames of this file."""
-        self._name = name
-        lines = text.split(b"\n")
-        torn = lines.pop()  # empty, unless the last line is torn
-        at = end = 0
-        while at < len(lines):
-            line, commit = lines[at], self._commit(lines[at])
-            if commit is None or at + commit.rows >= len(lines):
+        self._name, self._text = name, text
+        at = 0
+        while (end := text.find(b"\n", at)) >= 0:
+            line = line_at(text, at, end)
+            commit = self._commit(line)
+            if commit is None or (after := after_lines(text, end + 1, commit.rows)) is None:
                 break
-            start = end + len(line) + 1
-            end = start + sum(map(len, lines[at + 1 : at + 1 + commit.rows])) + commit.rows
-            rows = text[start:end]
+            rows = text[end + 1 : after]
             self.frames.append(Frame(line, commit, rows, leaves(rows)))
             if len(self.frames) > len(self.known):
                 self._chain.add(commit, sha256_hex(line))
                 self._shas.append(self._chain.sha256)
-            at += 1 + commit.rows
-        self._left = lines[at:]
-        self.rest = sum(map(len, self._left)) + len(self._left) + len(torn)
+            at = after
+        self.rest = len(text) - at
         if name == SEALING:
             self.sealing = len(self.frames)
 
@@ -266,11 +233,11 @@ class _Reading:
                 return self._tell_first_wrong()
             self.problem = _wrong_rows(JOURNAL, last.commit)
             self.rest += size_of(last)
-            self._left = [last.line, *last.rows.split(b"\n"), *self._left]
         if len(self.frames) < len(self.known) and not self.is_damage:
             commit, self.is_damage = self.known[len(self.frames)], True
             self.problem = Problem(JOURNAL, "no rows of it", "those of each commit that no segment has", commit.number)
-        if self.problem is not None and _has_later_frame(self._left, len(self._chain.commits)):
+        start = len(self._text) - self.rest
+        if self.problem is not None and has_later_commit(self._text, start, len(self._chain.commits)):
             self.is_damage = True
         return None
 
@@ -292,14 +259,19 @@ class _Reading:
         self.sealing = 0
 
 
-def _first_line(text: bytes) -> bytes:
-    return text.partition(b"\n")[0]
+def after_lines(text: bytes, at: int, count: int) -> int | None:
+    """Return where so many lines from here on end; None if there are fewer."""
+    for _ in range(count):
+        at = text.find(b"\n", at) + 1
+        if not at:
+            return None
+    return at
 
 
 def _is_sealed(text: bytes, chain: Chain) -> bool:
     """Return whether a segment holds the commit with which this journal begins."""
     try:
-        first = parse_line(_first_line(text))
+        first = parse_line(line_at(text, 0, text.find(b"\n")))
     except ValueError:
         return False
     if not isinstance(first, Commit) or first not in chain.commits[first.number : first.number + 1]:
@@ -317,25 +289,6 @@ def _wrong_rows(name: str, commit: Commit) -> Problem:
     return Problem(
         name, "rows that lead to another root", f"{commit.tree_root} as committed", commit.number, field="tree_root"
     )
-
-
-def _has_later_frame(lines: Sequence[bytes], expected: int) -> bool:
-    """Return whether these lines hold the record of a commit after the expected one, so that not only it is torn.
-
-    A record ends with its line, but may begin within it: the line feed before it may be what was damaged.
-    """
-    for line in lines:
-        at = line.find(b'{"') if b'"kind":"commit"' in line else -1
-        while at >= 0:
-            try:
-                record = parse_line(line[at:])
-            except ValueError:
-                at = line.find(b'{"', at + 1)
-                continue
-            if isinstance(record, Commit) and record.number > expected:
-                return True
-            break
-    return False
 
 
 class JournalFile:

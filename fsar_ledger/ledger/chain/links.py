@@ -15,7 +15,8 @@ import msgspec
 
 from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.chain.paths import CHAIN
-from fsar_ledger.ledger.chain.record import Commit, Placement, Record, parse_line, parse_lines
+from fsar_ledger.ledger.chain.record import LEAST_LINE_BYTES, Commit, Placement, Record, parse_line, parse_lines
+from fsar_ledger.ledger.chain.torn import has_later_append
 from fsar_ledger.ledger.log.hashing import digests
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
@@ -23,6 +24,9 @@ from fsar_ledger.ledger.store.append import Staged
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import sha256_hex
+
+_FEW_BYTES = 1 << 14
+"""How much is read at once where lines are too many to be records."""
 
 Doubt = tuple[str, object, object]
 """A field, what was found in it, and what was expected."""
@@ -77,6 +81,19 @@ class Chain:
             bisect_left(self.added, one.first, key=lambda each: each.first),
             bisect_left(self.added, one.end, key=lambda each: each.first),
         )
+
+    def placed_in(self, number: int) -> list[Placement]:
+        """Return those added that are in this segment in force."""
+        return [self.added[at] for at in self.added_in(number)]
+
+    def span_of_line(self, number: int) -> tuple[int, int]:
+        """Return the indexes in the ledger between which the events of this line of the index are.
+
+        The line after those of the segments is that of the journal.
+        """
+        if number == len(self.added):
+            return self.placed_size, self.size
+        return self.added[number].first, self.added[number].end
 
     def index_lines(self, data: bytes) -> Iterator[bytes]:
         """Yield the line of the index of each placement that added events; nothing where these bytes hold another."""
@@ -272,32 +289,53 @@ def follow(data: bytes, chain: Chain) -> Followed:
     at = last = end = 0
     commits, sha256 = len(chain.commits), chain.sha256
     problem: Problem | None = None
-    *lines, rest = data.split(b"\n")
-    hashes = digests(lines)
-    with without_collection():
-        records = _parsed(data[: len(data) - len(rest)], lines)
-        if not rest and isinstance(records, list) and chain.adds(records, hashes):
-            return Followed(len(data), last=len(data) - sum([len(line) + 1 for line in lines[-2:]]))
-    for line, record, line_sha256 in zip(lines, records, hashes, strict=True):
-        number = len(chain.commits)
-        if isinstance(record, ValueError):
-            problem = Problem(CHAIN, f"no record ({record})", "one as it is written", commit=number)
+    for lines in _parts(data):
+        hashes = digests(lines)
+        part = data[at : at + sum(map(len, lines)) + len(lines)]
+        with without_collection():
+            records = _parsed(part, lines)
+            if len(part) == len(data) and isinstance(records, list) and chain.adds(records, hashes):
+                return Followed(len(data), last=len(data) - sum([len(line) + 1 for line in lines[-2:]]))
+        for line, record, line_sha256 in zip(lines, records, hashes, strict=True):
+            if (problem := _add(record, line_sha256, chain)) is not None:
+                break
+            at += len(line) + 1
+            if isinstance(record, Placement):
+                last, end, commits, sha256 = end, at, len(chain.commits), chain.sha256
+        if problem is not None:
             break
-        if (doubt := chain.doubt(record)) is not None:
-            name, found, expected = doubt
-            problem = Problem(CHAIN, f"{found!r}", f"{expected}", commit=number, field=name)
-            break
-        chain.add(record, line_sha256)
-        at += len(line) + 1
-        if isinstance(record, Placement):
-            last, end, commits, sha256 = end, at, len(chain.commits), chain.sha256
     else:
-        if rest:
+        if at < len(data):
             problem = Problem(CHAIN, "a line without end", "whole lines", commit=len(chain.commits))
     chain.forget(commits, sha256)
-    if problem is not None and (problem.field is not None or _has_later_append(data, at)):
+    if problem is not None and (problem.field is not None or has_later_append(data, at)):
         return Followed(end, problem=problem, last=last)
     return Followed(end, len(data) - end, last=last)
+
+
+def _parts(data: bytes) -> Iterator[list[bytes]]:
+    """Yield the lines of a chain: all at once, or some at a time if they are too many to be records."""
+    end = data.rfind(b"\n") + 1
+    at_once = end if data.count(b"\n") * LEAST_LINE_BYTES <= end else _FEW_BYTES
+    at = 0
+    if not end:
+        yield []
+    while at < end:
+        after = data.rfind(b"\n", at, at + at_once) + 1 or data.find(b"\n", at) + 1
+        yield data[at:after].split(b"\n")[:-1]
+        at = after
+
+
+def _add(record: Record | ValueError, sha256: str, chain: Chain) -> Problem | None:
+    """Add the record of the next line, which has this SHA-256, or return what speaks against it."""
+    number = len(chain.commits)
+    if isinstance(record, ValueError):
+        return Problem(CHAIN, f"no record ({record})", "one as it is written", commit=number)
+    if (doubt := chain.doubt(record)) is None:
+        chain.add(record, sha256)
+        return None
+    name, found, expected = doubt
+    return Problem(CHAIN, f"{found!r}", f"{expected}", commit=number, field=name)
 
 
 def _parsed(data: bytes, lines: Sequence[bytes]) -> Iterable[Record | ValueError]:
@@ -313,15 +351,3 @@ def _parsed_line(line: bytes) -> Record | ValueError:
         return parse_line(line)
     except ValueError as error:
         return error
-
-
-def _has_later_append(data: bytes, at: int) -> bool:
-    """Return whether anything follows a placement that lies after this place."""
-    lines = data[at:].split(b"\n")
-    for place, line in enumerate(lines[:-1]):
-        try:
-            if isinstance(parse_line(line), Placement) and any(lines[place + 1 :]):
-                return True
-        except ValueError:
-            continue
-    return False

@@ -123,7 +123,7 @@ def _derive_index(view: ChainView, good: int, have: int) -> None:
     """Write the lines of the index beyond the first so many events, or bytes. Raises: As `_derive`."""
     chain, at = view.chain, 0
     for number, placement in enumerate(chain.placed):
-        added = [chain.added[place] for place in chain.added_in(number)]
+        added = chain.placed_in(number)
         size = sum(one.index_bytes for one in added)
         if placement.end > good or at + size > have:
             lines = view.index_lines(number)

@@ -9,7 +9,6 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from time import monotonic, sleep
 
 import msgspec
 import pyarrow as pa
@@ -17,11 +16,12 @@ import pyarrow as pa
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.derived import holds_nodes, node_reader
 from fsar_ledger.ledger.chain.groups import groups_of
-from fsar_ledger.ledger.chain.index import Index, line_of
-from fsar_ledger.ledger.chain.journal import Journal, leaves_in, lines_of, read_frames, with_hidden
-from fsar_ledger.ledger.chain.links import Chain, Followed, follow
-from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, SEALING, segment_of
+from fsar_ledger.ledger.chain.index import Index, extents_of, line_of, read_index, require_lines
+from fsar_ledger.ledger.chain.journal import Journal, leaves_in, lines_of
+from fsar_ledger.ledger.chain.links import Chain, Followed
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING, segment_of
 from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
+from fsar_ledger.ledger.chain.snapshot import take_snapshot
 from fsar_ledger.ledger.chain.tables import materialized, table_of
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.hashing import leaves_of
@@ -31,29 +31,26 @@ from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.layout import Layout, check_layout
-from fsar_ledger.ledger.rows.pieces import joined
+from fsar_ledger.ledger.rows.pieces import gathered
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.store import disk, growing
-from fsar_ledger.ledger.store.derived import read_checkpoint
-from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS
+from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store.paths import MANIFEST
+from fsar_ledger.ledger.store.places import segments_of
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import CHAINED, Manifest, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Extent, Head, Part, RunNames
 from fsar_ledger.ledger.store.walk import Names, find_segment, read_segment
 
-MAX_CHAIN_BYTES = 1 << 32
-MAX_JOURNAL_BYTES = 1 << 30
 _TRIES = 10
-_PAUSE_S, _PATIENCE_S = 0.0005, 10.0
-"""How long a reader waits for a writer each time, and in all."""
 
 
 class ChainView(msgspec.Struct, frozen=True, dict=True):
     """A ledger of format 2 as it was when it was opened (see `store.view.View`).
 
     `followed` says how far the chain could be followed, `journal` what is not in a segment yet, `checkpoint` what the
-    file of that name held, or why it cannot be read.
+    file of that name held, or why it cannot be read. What the chain says of the rows of the `believed` segments was
+    compared with them.
     """
 
     path: Path
@@ -65,6 +62,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     checkpoint: str | Problem | None = None
     checked: dict[int, Path] = msgspec.field(default_factory=dict)
     kept: dict[int, pa.Table] = msgspec.field(default_factory=dict)
+    believed: set[int] = msgspec.field(default_factory=set)
 
     @property
     def record_sha256(self) -> str:
@@ -248,13 +246,18 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def _coded(self, number: int) -> pa.Table:
         """Return the rows of this segment; the last ones asked for are kept. Raises: As `segment`."""
         if number not in self.kept:
-            placement = self.chain.placed[number]
-            path, data, layout = self._placed(placement)
-            if layout.rows != placement.rows:
-                raise LedgerCorrupted(f"{path}: found {layout.rows} rows, expected {placement.rows}; restore the file")
             self.kept.clear()
-            self.kept[number] = segment.read_coded(path, data, layout)
+            self.kept[number] = self._read(number)
         return self.kept[number]
+
+    def _read(self, number: int, columns: list[str] | None = None) -> pa.Table:
+        """Read the rows of this segment in force, coded, with these columns (None: all). Raises: As `segment`."""
+        placement = self.chain.placed[number]
+        path, data, layout = self._placed(placement)
+        if layout.rows != placement.rows:
+            raise LedgerCorrupted(f"{path}: found {layout.rows} rows, expected {placement.rows}; restore the file")
+        self.checked.setdefault(number, path)
+        return segment.read_coded(path, data, layout, columns)
 
     def event(self, index: int) -> bytes:
         """Return the canonical bytes of the event at this index. Raises: As `segment`."""
@@ -268,50 +271,47 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         last: dict[str, int] = {}  # of runs that several commits hold: where the last of these begins
         for commit in self.commits:
             last.update((run, commit.tree_size - commit.rows) for run, _ in commit.continues)
-        held: dict[str, list[LedgerRun]] = {}
+        yield from gathered(self._pieces(), last)
+
+    def _pieces(self) -> Iterator[tuple[int, list[LedgerRun]]]:
+        """Yield the pieces of runs that each segment holds, and where it ends. Raises: As `runs`."""
         for number, table in enumerate(self.tables()):
             try:
-                pieces = list(codec.decode(table, is_whole=False))
+                yield self.first(number) + table.num_rows, list(codec.decode(table, is_whole=False))
             except LedgerCorrupted as error:
                 raise type(error)(f"{self.segment(number)}: {error}") from error
-            end = self.first(number) + table.num_rows
-            for piece in pieces:
-                held.setdefault(piece.run_id, []).append(piece)
-            for run in [run for run in held if last.get(run, 0) < end]:
-                yield joined(held.pop(run))
 
     @cached_property
     def index(self) -> Index:
         """Return the index of all events: of those in the journal, and where the file is not right, by their rows.
 
-        Raises: LedgerCorrupted if rows are needed and are no events.
+        Raises: LedgerCorrupted if rows are needed and are no events, or other than the chain says.
         """
-        try:
-            data = disk.read_large(self.path / INDEX, MAX_CHAIN_BYTES)
-        except OSError:
-            data = b""
-        lines = list(self.chain.index_lines(data))
-        if not all(lines):
-            made = [line for number in range(len(self.chain.placed)) for line in self._needed(number, lines)]
-            lines, data = [line or made.pop(0) for line in lines], b""
+        lines = read_index(self.path, self.chain, self.index_lines)
         if self.journal.frames:
-            lines, data = [*lines, line_of(self.chain.placed_size, self.journal_table())], b""
-        return Index(lines, data)
+            lines.append(line_of(self.chain.placed_size, self.journal_table()))
+        return Index(lines)
 
-    def _needed(self, number: int, lines: Sequence[bytes]) -> list[bytes]:
-        """Return the lines for this segment that are empty among those of the whole index, by its rows."""
-        lacks = [not lines[at] for at in self.chain.added_in(number)]
-        return (
-            [line for line, is_lacking in zip(self.index_lines(number), lacks, strict=True) if is_lacking]
-            if any(lacks)
-            else []
-        )
+    def believe_index(self, placement: int | None = None) -> None:
+        """Take over where runs are as the chain says, up to this placement or all: it was compared with the rows."""
+        placed = self.chain.placed
+        most = len(self.chain.placements) if placement is None else placement
+        self.believed.update(number for number in range(len(placed)) if placed[number].number <= most)
+
+    def require_index(self, *segments: int) -> None:
+        """Require that the chain has the lines of the index for these segments in force that their rows have.
+
+        Raises: LedgerCorrupted if it has others, or as `segment`.
+        """
+        for number in {*segments}.intersection(range(len(self.chain.placed))) - self.believed:
+            require_lines(self.path, self.chain.placed_in(number), self.index_lines(number))
+            self.believed.add(number)
 
     def index_lines(self, number: int) -> list[bytes]:
         """Return the lines of the index for the events of this segment in force, by its rows. Raises: As `segment`."""
         start = self.chain.placed[number].first
-        table = self.table(number, BLOCK_COLUMNS).combine_chunks()
-        added = [self.chain.added[at] for at in self.chain.added_in(number)]
+        table = self._read(number, BLOCK_COLUMNS).combine_chunks()
+        added = self.chain.placed_in(number)
         return [line_of(one.first, table.slice(one.first - start, one.rows)) for one in added]
 
     @cached_property
@@ -329,23 +329,13 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
 
     def extents(self) -> list[Extent]:
         """Return where each run and plan is, in the order of their first events. Raises: As `index`."""
-        found: dict[str, Extent] = {}
-        for number, block in self.index.by_line():
-            first, end = self._extent_of_line(number)
-            known = found.get(block.run)
-            rows = block.rows + (known.rows if known else 0)
-            found[block.run] = Extent(block.run, rows, known.first if known else first, end)
-        return list(found.values())
+        return extents_of(Part(*self.chain.span_of_line(number), block) for number, block in self.index.by_line())
 
     def parts(self, run: str) -> list[Part]:
-        """Return where the run of this name is. Raises: As `segment`."""
-        return [Part(*self._extent_of_line(number), block) for number, block in self.index.of_run(run)]
-
-    def _extent_of_line(self, number: int) -> tuple[int, int]:
-        """Return the indexes in the ledger between which the events of this line of the index are."""
-        if number == len(self.chain.added):
-            return self.chain.placed_size, self.chain.size
-        return self.chain.added[number].first, self.chain.added[number].end
+        """Return where the run of this name is. Raises: As `require_index`."""
+        found = [Part(*self.chain.span_of_line(number), block) for number, block in self.index.of_run(run)]
+        self.require_index(*segments_of(self, found))
+        return found
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours."""
@@ -379,9 +369,6 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
 def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True, has_turn: bool = False) -> ChainView:
     """Open a ledger of format 2 whose ledger.json holds these bytes.
 
-    Only what stays is seen: a commit that is hidden is on its way to the disk, or was left by a crash. Which of these
-    shows whether a writer is at work; so does whether what does not fit together is damaged.
-
     Args:
         path: Its folder.
         manifest_bytes: What its ledger.json holds.
@@ -391,122 +378,8 @@ def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True
     Raises:
         LedgerCorrupted: A line of the chain or of the journal is not canonical, or contradicts those before it.
     """
-    reader = _Reader(path, manifest_bytes, is_damage_told=is_damage_told)
-    view = reader.look(counts_hidden=True) if has_turn else _settled(reader)
-    problem = view.followed.problem or view.journal.problem
-    if problem is not None and is_damage_told:
-        raise LedgerCorrupted(f"{path}/{problem}; restore the file, or run fsar-ledger verify")
-    return view
-
-
-def _settled(reader: "_Reader") -> ChainView:
-    """Return what is committed, as soon as that is certain."""
-    first: tuple[int, int] | None = None
-    until = monotonic() + _PATIENCE_S
-    while True:
-        view = reader.look()
-        if not reader.is_steady:
-            if monotonic() > until:
-                with disk.turn(reader.path / SEGMENTS, is_shared=True):
-                    return reader.look(counts_hidden=reader.is_synced())
-            continue
-        is_damaged = bool(view.followed.problem or view.journal.problem)
-        seen = view.followed.end, len(view.commits)
-        # What was hidden at first may have been seen already, if a crash left it; what was hidden later may not.
-        if not is_damaged and (not reader.has_hidden or first not in (None, seen)):
-            return view
-        with disk.free_turn(reader.path / SEGMENTS) as is_free:
-            if is_free:
-                return reader.look(counts_hidden=reader.is_synced())
-        if monotonic() > until:
-            return view
-        first = first or seen
-        sleep(_PAUSE_S)
-
-
-class _Reader:
-    """Looks at a ledger again and again. The part of the chain that was followed is not read again."""
-
-    def __init__(self, path: Path, manifest_bytes: bytes, *, is_damage_told: bool) -> None:
-        self.path = path
-        self.is_steady = True
-        """Whether the chain was the same before and after the last look."""
-        self.has_hidden = False
-        """Whether that saw commits that are hidden."""
-        self._manifest = parse_manifest(path / MANIFEST, manifest_bytes, (CHAINED,))
-        self._sha256 = sha256_hex(manifest_bytes)
-        self._trusts_frontiers = is_damage_told
-        self._begin()
-
-    def _begin(self) -> None:
-        self._chain = Chain(self._sha256, trusts_frontiers=self._trusts_frontiers)
-        self._followed = Followed(0)
-        self._newest = 0, self._sha256  # the commits and the hash of the last line of the chain
-
-    def is_synced(self) -> bool:
-        """Sync what is hidden to the disk, so that it stays; return whether the disk took it."""
-        if self.has_hidden:
-            try:
-                growing.sync(self.path / CHAIN)
-                growing.sync(self.path / JOURNAL)
-            except OSError:
-                return False
-        return True
-
-    def look(self, *, counts_hidden: bool = False) -> ChainView:
-        """Return what the ledger holds now, with or without whole commits that are hidden."""
-        size = self._follow(counts_hidden=counts_hidden)
-        has_sealing = os.access(self.path / SEALING, os.F_OK)  # one renamed after this is read under its new name too
-        note = _note(self.path)  # before the commits that it may be about
-        newer, older = (growing.read_whole(self.path / name, MAX_JOURNAL_BYTES) for name in (JOURNAL, SEALING))
-        shown, places = with_hidden(newer)
-        newer = shown if counts_hidden else newer[: places[0]] if places else newer
-        journal = read_frames(older, newer, self._chain, has_sealing=has_sealing)
-        journal.hidden = places if counts_hidden else ()
-        self.has_hidden = self.has_hidden or bool(places)
-        self.is_steady = growing.size_of(self.path / CHAIN) == size
-        return ChainView(self.path, self._manifest, self._sha256, self._chain, self._followed, journal, note)
-
-    def _follow(self, *, counts_hidden: bool) -> int:
-        """Follow what the chain has beyond what was followed; return the size of the file."""
-        self._chain.forget(*self._newest)  # what the journal added
-        if self._followed.problem or growing.size_of(self.path / CHAIN) < self._followed.end:
-            self._begin()
-        start = self._followed.end
-        data = growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES, start)
-        size = start + len(data)
-        self.has_hidden = data.endswith(b"}\0") and _is_placement(data[data.rfind(b"\n") + 1 : -1])
-        is_hidden = self.has_hidden and counts_hidden
-        followed = follow(data[:-1] + b"\n" if is_hidden else data, self._chain)
-        if not self._chain.has_right_tree():  # which line is wrong?
-            self._begin()
-            self._chain, start = Chain(self._sha256), 0
-            data = growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES)
-            size = len(data)
-            followed, is_hidden = follow(data, self._chain), False
-        self._followed = Followed(
-            start + followed.end,
-            followed.torn,
-            followed.problem,
-            start + followed.last if followed.end else self._followed.last,
-            is_hidden=is_hidden and start + followed.end == size,
-        )
-        self._newest = len(self._chain.commits), self._chain.sha256
-        return size
-
-
-def _is_placement(line: bytes) -> bool:
-    """Return whether this is the whole line of a placement."""
-    try:
-        return isinstance(parse_line(line), Placement)
-    except ValueError:
-        return False
-
-
-def _note(path: Path) -> str | Problem | None:
-    """Return what the file `checkpoint` holds, None if there is none, or why it cannot be read."""
-    try:
-        return read_checkpoint(path)
-    except LedgerCorrupted as error:
-        reason = error.__cause__.strerror if isinstance(error.__cause__, OSError) else "not text"
-        return Problem(CHECKPOINT, f"an unreadable file ({reason})", "the note of a commit")
+    manifest, sha256 = parse_manifest(path / MANIFEST, manifest_bytes, (CHAINED,)), sha256_hex(manifest_bytes)
+    found = take_snapshot(path, sha256, trusts_frontiers=is_damage_told, has_turn=has_turn)
+    if found.problem is not None and is_damage_told:
+        raise LedgerCorrupted(f"{path}/{found.problem}; restore the file, or run fsar-ledger verify")
+    return ChainView(path, manifest, sha256, *found)

@@ -24,7 +24,8 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
 from fsar_ledger.ledger.store.record import Count
 
-MAX_LINE_BYTES = 1 << 20
+LEAST_LINE_BYTES, MAX_LINE_BYTES = 200, 1 << 20
+"""A record has more bytes than the first, and fewer than the second."""
 _KEY_ID_BYTES, _SIGNATURE_BYTES = 4, 64
 _AT_ONCE = 64  # records that are written again: their lines stay in the CPU caches
 
@@ -117,12 +118,20 @@ Record: TypeAlias = Commit | Placement
 _DECODER = msgspec.json.Decoder(Record)
 
 
+def line_at(text: bytes, start: int, end: int) -> bytes:
+    """Return the line between these places of a text (an end of -1 is that of the text).
+
+    Of a line that is too long for a record, only so much that this still shows.
+    """
+    return text[start : min(len(text) if end < 0 else end, start + MAX_LINE_BYTES)]
+
+
 def parse_line(line: bytes) -> Record:
     """Parse one line of a chain, without its line feed.
 
     Raises: ValueError, with the reason, if it is not the canonical JSON of a record with fields in range, or too long.
     """
-    (record,) = parse_lines(line + b"\n", [line])
+    (record,) = parse_lines(line[:MAX_LINE_BYTES] + b"\n", [line])
     return record
 
 

@@ -1,8 +1,10 @@
 """Cut a run into pieces, and put together those that a ledger holds of one."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
 
+from fsar_ledger import printable
+from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows.runs import LedgerRun
 
 
@@ -18,6 +20,36 @@ def joined(pieces: Sequence[LedgerRun]) -> LedgerRun:
         pieces[0].first,
         pieces[-1].goes_on,
     )
+
+
+def whole(pieces: Sequence[LedgerRun]) -> LedgerRun:
+    """Return the run of all its pieces that a ledger holds. Raises: LedgerCorrupted if one of them is missing."""
+    next_seq = 0
+    for one in pieces:
+        if one.first != next_seq:
+            raise LedgerCorrupted(
+                f"run {printable.value(one.run_id)}: found event {one.first} where event {next_seq} is expected; run "
+                "fsar-ledger verify"
+            )
+        next_seq += len(one.events)
+    return joined(pieces)
+
+
+def gathered(parts: Iterable[tuple[int, Sequence[LedgerRun]]], last: Mapping[str, int]) -> Iterator[LedgerRun]:
+    """Yield each run that these parts of a ledger hold in pieces, once all were there.
+
+    Args:
+        parts: Where each part ends in the ledger, and its pieces.
+        last: Where the last piece of a run begins, of those that may be in several parts.
+
+    Raises: As `whole`.
+    """
+    held: dict[str, list[LedgerRun]] = {}
+    for end, pieces in parts:
+        for one in pieces:
+            held.setdefault(one.run_id, []).append(one)
+        for run in [run for run in held if last.get(run, 0) < end]:
+            yield whole(held.pop(run))
 
 
 def piece(run: LedgerRun, at: int, end: int) -> LedgerRun:

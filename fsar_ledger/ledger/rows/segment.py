@@ -79,12 +79,12 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
     return _read(path, data, check_layout(path, data), columns, SCHEMA)
 
 
-def read_coded(path: Path, data: bytes, layout: Layout) -> pa.Table:
-    """Read the rows with the columns of `CODED_SCHEMA`, as the file holds them, without decoding every string.
+def read_coded(path: Path, data: bytes, layout: Layout, columns: list[str] | None = None) -> pa.Table:
+    """Read the rows with these columns of `CODED_SCHEMA`, as the file holds them, without decoding every string.
 
     Takes the bytes and the layout of the file; otherwise as `read_table`.
     """
-    return _read(path, data, layout, None, CODED_SCHEMA)
+    return _read(path, data, layout, columns, CODED_SCHEMA)
 
 
 def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, target: pa.Schema) -> pa.Table:

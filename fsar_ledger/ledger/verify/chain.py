@@ -12,7 +12,7 @@ import msgspec
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.checkpoint import behind, covered
 from fsar_ledger.ledger.chain.derived import derived_sizes
-from fsar_ledger.ledger.chain.index import index_line
+from fsar_ledger.ledger.chain.index import index_line, line_doubt
 from fsar_ledger.ledger.chain.journal import Frame
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
@@ -27,7 +27,7 @@ from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem, refusal
-from fsar_ledger.ledger.store.record import CHAINED, VERSION, sha256_hex
+from fsar_ledger.ledger.store.record import CHAINED, VERSION
 from fsar_ledger.ledger.store.walk import MISSING, Names, check_manifest, names_in
 from fsar_ledger.ledger.verify.notes import (
     Anchor,
@@ -38,7 +38,7 @@ from fsar_ledger.ledger.verify.notes import (
     not_compared,
     root_by_hashes,
 )
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, OF_CHAIN, Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 FOLDERS = frozenset({SEGMENTS, STAGING})
@@ -276,12 +276,8 @@ class ChainVerification:
         is_whole = [chain.added[at] for at in places] == [placement]
         lines = [index_line(placement.first, blocks)] if is_whole else view.index_lines(number)
         for at, line in zip(places, lines, strict=True):
-            one = chain.added[at]
-            if (len(line), sha256_hex(line)) != (one.index_bytes, one.index_sha256):
-                found, expected = f"{one.index_sha256} of {one.index_bytes} bytes", f"{sha256_hex(line)} of {len(line)}"
-                self.problems.append(
-                    Problem(CHAIN, found, f"{expected}, by the rows from event {one.first}", field="index_sha256")
-                )
+            if (problem := line_doubt(chain.added[at], line)) is not None:
+                self.problems.append(problem)
                 return
             if not self.index[at] and is_needed and not any(problem.where == INDEX for problem in self.derived):
                 found, expected = "another line, or none", f"{line!r:.200}"
@@ -337,6 +333,7 @@ class ChainVerification:
             anchored=anchored if ok else None,
             remarks=remarks,
             record_sha256=view.record_sha256 if ok else None,
+            not_looked_at=OF_CHAIN if quick else (),
         )
 
     def _to_judge(self, commits: Sequence[Commit]) -> list[Commit]:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import msgspec
 
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, NODES
 from fsar_ledger.ledger.log.note import Signed, VerifierKey
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.verify.notes import Anchor
@@ -35,6 +36,11 @@ class Asked(msgspec.Struct, frozen=True):
         return {anchor.note.checkpoint.size for anchor in anchors if anchor is not None and anchor.note is not None}
 
 
+OF_RECORDS = ("rows", "tiles", "first_run and last_run of records")
+OF_CHAIN = ("rows of segments", NODES, INDEX, f"continues, goes_on and index_sha256 in {CHAIN}")
+"""What a quick look does not look at, in formats 1 and 2."""
+
+
 class VerifyReport(msgspec.Struct, frozen=True):
     """The findings of `verify`.
 
@@ -43,8 +49,9 @@ class VerifyReport(msgspec.Struct, frozen=True):
     `root` is the Merkle root in hex over the rows themselves (as recorded, if rows were not read), None if there is any
     doubt. `signer` is the trusted key (`name+id`) if one was given, else the one that the newest note names; `anchored`
     counts the events of the anchor. `remarks` are not doubts: what a crash may leave behind, and what a quick look
-    leaves open. `record_sha256` is the hash of the newest commit record (of ledger.json if there is none), which
-    vouches for all before; None if there is any doubt.
+    leaves open. `not_looked_at` names what that did not compare with anything; nothing if it was not quick.
+    `record_sha256` is the hash of the newest commit record (of ledger.json if there is none), which vouches for all
+    before; None if there is any doubt.
     """
 
     ok: bool
@@ -60,3 +67,4 @@ class VerifyReport(msgspec.Struct, frozen=True):
     anchored: int | None = None
     remarks: tuple[str, ...] = ()
     record_sha256: str | None = None
+    not_looked_at: tuple[str, ...] = ()

@@ -46,7 +46,7 @@ from fsar_ledger.ledger.verify.notes import (
     not_compared,
     root_by_tiles,
 )
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked, Progress, VerifyReport
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, OF_RECORDS, Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.walk import RowWalk, Standing
 
 
@@ -167,6 +167,7 @@ class _Verification:
             anchored=anchored if ok else None,
             remarks=remarks,
             record_sha256=newest if ok else None,
+            not_looked_at=OF_RECORDS if self.asked.is_quick else (),
         )
 
     def _check_derived(self, records: list[CommitRecord]) -> tuple[str, ...]:

@@ -1,0 +1,190 @@
+"""Read what is committed in a ledger of format 2 at one moment, beside writers that go on.
+
+Readers read the chain, the checkpoint, and then the journal. If the chain grew meanwhile they follow it further, and
+read the others again. A commit that is hidden is on its way to the disk, or was left by a crash; what does not fit
+together was written meanwhile, or is damaged. Which of these shows whether a writer has its turn.
+"""
+
+import os
+from pathlib import Path
+from time import monotonic, sleep
+from typing import NamedTuple
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.chain.journal import FIRST, Journal, after_lines, read_frames
+from fsar_ledger.ledger.chain.links import Chain, Followed, follow
+from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
+from fsar_ledger.ledger.chain.record import Commit, Placement, line_at, parse_line
+from fsar_ledger.ledger.store import disk, growing
+from fsar_ledger.ledger.store.derived import read_checkpoint
+from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS
+from fsar_ledger.ledger.store.problem import Problem
+
+MAX_CHAIN_BYTES = 1 << 32
+MAX_JOURNAL_BYTES = 1 << 30
+_PAUSE_S, _PATIENCE_S = 0.0005, 10.0
+"""How long a reader waits for a writer each time, and in all."""
+
+
+class Snapshot(NamedTuple):
+    """The chain and how far it could be followed, the journal, and the checkpoint or why it cannot be read."""
+
+    chain: Chain
+    followed: Followed
+    journal: Journal
+    checkpoint: str | Problem | None
+
+    @property
+    def problem(self) -> Problem | None:
+        """Return what does not fit together; None if all does."""
+        return self.followed.problem or self.journal.problem
+
+
+def take_snapshot(path: Path, manifest_sha256: str, *, trusts_frontiers: bool, has_turn: bool) -> Snapshot:
+    """Return what is committed now, once that is certain.
+
+    Args:
+        path: The folder of the ledger.
+        manifest_sha256: The hash of its ledger.json.
+        trusts_frontiers: As in `Chain`.
+        has_turn: The caller has the turn of a writer.
+    """
+    reader = _Reader(path, manifest_sha256, trusts_frontiers=trusts_frontiers)
+    return reader.look(counts_hidden=True) if has_turn else _settled(reader)
+
+
+def _settled(reader: "_Reader") -> Snapshot:
+    """Return what is committed, as soon as that is certain."""
+    first: tuple[int, int] | None = None
+    until = monotonic() + _PATIENCE_S
+    while True:
+        found = reader.look()
+        if not reader.is_steady:
+            if monotonic() > until:
+                with disk.turn(reader.path / SEGMENTS, is_shared=True):
+                    return reader.look(counts_hidden=reader.is_synced())
+            continue
+        seen = found.followed.end, len(found.chain.commits)
+        # What was hidden at first may have been seen already, if a crash left it; what was hidden later may not.
+        if found.problem is None and (not reader.has_hidden or first not in (None, seen)):
+            return found
+        with disk.free_turn(reader.path / SEGMENTS) as is_free:
+            if is_free:
+                return reader.look(counts_hidden=reader.is_synced())
+        if monotonic() > until:
+            return found
+        first = first or seen
+        sleep(_PAUSE_S)
+
+
+class _Reader:
+    """Looks at a ledger again and again. The part of the chain that was followed is not read again."""
+
+    def __init__(self, path: Path, manifest_sha256: str, *, trusts_frontiers: bool) -> None:
+        self.path = path
+        self.is_steady = True
+        """Whether the chain was the same before and after the last look."""
+        self.has_hidden = False
+        """Whether that saw commits that are hidden."""
+        self._sha256 = manifest_sha256
+        self._trusts_frontiers = trusts_frontiers
+        self._begin()
+
+    def _begin(self) -> None:
+        self._chain = Chain(self._sha256, trusts_frontiers=self._trusts_frontiers)
+        self._followed = Followed(0)
+        self._newest = 0, self._sha256  # the commits and the hash of the last line of the chain
+
+    def is_synced(self) -> bool:
+        """Sync what is hidden to the disk, so that it stays; return whether the disk took it."""
+        if self.has_hidden:
+            try:
+                growing.sync(self.path / CHAIN)
+                growing.sync(self.path / JOURNAL)
+            except OSError:
+                return False
+        return True
+
+    def look(self, *, counts_hidden: bool = False) -> Snapshot:
+        """Return what the ledger holds now, with or without whole commits that are hidden."""
+        size = self._follow(counts_hidden=counts_hidden)
+        has_sealing = os.access(self.path / SEALING, os.F_OK)  # one renamed after this is read under its new name too
+        note = _note(self.path)  # before the commits that it may be about
+        newer, older = (growing.read_whole(self.path / name, MAX_JOURNAL_BYTES) for name in (JOURNAL, SEALING))
+        shown, places = _with_hidden(newer)
+        newer = shown if counts_hidden else newer[: places[0]] if places else newer
+        journal = read_frames(older, newer, self._chain, has_sealing=has_sealing)
+        journal.hidden = places if counts_hidden else ()
+        self.has_hidden = self.has_hidden or bool(places)
+        self.is_steady = growing.size_of(self.path / CHAIN) == size
+        return Snapshot(self._chain, self._followed, journal, note)
+
+    def _follow(self, *, counts_hidden: bool) -> int:
+        """Follow what the chain has beyond what was followed; return the size of the file."""
+        self._chain.forget(*self._newest)  # what the journal added
+        if self._followed.problem or growing.size_of(self.path / CHAIN) < self._followed.end:
+            self._begin()
+        start = self._followed.end
+        data = growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES, start)
+        size = start + len(data)
+        self.has_hidden = data.endswith(b"}\0") and _is_placement(line_at(data, data.rfind(b"\n") + 1, len(data) - 1))
+        is_hidden = self.has_hidden and counts_hidden
+        followed = follow(data[:-1] + b"\n" if is_hidden else data, self._chain)
+        if not self._chain.has_right_tree():  # which line is wrong?
+            self._begin()
+            self._chain, start = Chain(self._sha256), 0
+            data = growing.read_whole(self.path / CHAIN, MAX_CHAIN_BYTES)
+            size = len(data)
+            followed, is_hidden = follow(data, self._chain), False
+        self._followed = Followed(
+            start + followed.end,
+            followed.torn,
+            followed.problem,
+            start + followed.last if followed.end else self._followed.last,
+            is_hidden=is_hidden and start + followed.end == size,
+        )
+        self._newest = len(self._chain.commits), self._chain.sha256
+        return size
+
+
+def _with_hidden(text: bytes) -> tuple[bytes, tuple[int, ...]]:
+    """Return the bytes of `journal.jsonl` with its whole hidden frames shown, and where each of these begins.
+
+    There are two if the power failed before the first byte of a frame, and a later frame, were on disk.
+    """
+    places: list[int] = []
+    at = text.find(b"\0")  # neither records nor rows have any
+    while at >= 0 and (end := _end_of_hidden(text, at)):
+        text = text[:at] + FIRST + text[at + 1 :]
+        places.append(at)
+        at = end if text[end : end + 1] == b"\0" else -1
+    return text, tuple(places)
+
+
+def _end_of_hidden(text: bytes, at: int) -> int:
+    """Return where the hidden frame that begins there ends; 0 if there is none, or not all of it."""
+    end = text.find(b"\n", at) + 1
+    if not end or text[at + 1 : at + 2] == b"\0":
+        return 0
+    try:
+        record = parse_line(FIRST + line_at(text, at + 1, end - 1))
+    except ValueError:
+        return 0
+    return (isinstance(record, Commit) and after_lines(text, end, record.rows)) or 0
+
+
+def _is_placement(line: bytes) -> bool:
+    """Return whether this is the whole line of a placement."""
+    try:
+        return isinstance(parse_line(line), Placement)
+    except ValueError:
+        return False
+
+
+def _note(path: Path) -> str | Problem | None:
+    """Return what the file `checkpoint` holds, None if there is none, or why it cannot be read."""
+    try:
+        return read_checkpoint(path)
+    except LedgerCorrupted as error:
+        reason = error.__cause__.strerror if isinstance(error.__cause__, OSError) else "not text"
+        return Problem(CHECKPOINT, f"an unreadable file ({reason})", "the note of a commit")
