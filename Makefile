@@ -26,7 +26,7 @@ READY_TEST := .venv/.ready-test
 READY_ALL := .venv/.ready-all
 
 SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers \
-	soak-reverts soak-swaps
+	soak-foreign soak-reverts soak-swaps
 
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce test test-all check check-style check-types check-sql check-imports soak $(SOAKS) \
@@ -133,6 +133,10 @@ soak-flips: $(READY_TEST)
 # Forge the footer or page headers of 100,000 segments: each is refused, or pyarrow, DuckDB and Polars read it alike.
 soak-readers: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.readers_soak
+
+# Give 100,000 random events of other systems to every verb: no traceback, and no claim about what was not observed.
+soak-foreign: $(READY_TEST)
+	$(BIN)/python -m tests.foreign.soak
 
 # Revert each fix on record in tests/reverts alone: its test fails by its own assertion.
 soak-reverts: $(READY_TEST)

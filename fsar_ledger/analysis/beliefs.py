@@ -7,7 +7,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import COORDINATOR, REGISTRY, Robot
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, REGISTRY, Robot
 from fsar_ledger.events.knowledge import CopySynced, SnapshotTaken
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -15,11 +15,14 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.world import in_force
 
+from .standing import Seen
+
 
 class Belief(msgspec.Struct, frozen=True):
     """What a decider believes about a robot, when it was so, how old that is, and what holds now.
 
-    Units: `as_of_s` run time, `age_s` seconds. None: it was never told.
+    Units: `as_of_s` run time, `age_s` seconds. `believed` is None where it was never told, or where that is not
+    observed, and then `was_told` is None, too. `holds` is None where that is not observed.
     """
 
     about: str
@@ -27,12 +30,13 @@ class Belief(msgspec.Struct, frozen=True):
     believed: str | None
     as_of_s: float | None
     age_s: float | None
-    holds: str
+    holds: str | None
+    was_told: bool | None
 
     @property
-    def is_stale(self) -> bool:
-        """Return whether something else holds."""
-        return self.believed != self.holds
+    def is_stale(self) -> bool | None:
+        """Return whether something else holds; None where that is not observed."""
+        return None if self.holds is None else self.believed != self.holds
 
 
 def deciders(state: State) -> list[str]:
@@ -44,7 +48,7 @@ def deciders(state: State) -> list[str]:
         for kind in ("planning", "execution", "communication", "recovery")
     ]
     supervisors = dict.fromkeys(one.supervisor for one in state.fleet.robots.values() if one.supervisor is not None)
-    return [COORDINATOR, REGISTRY, *robots, *supervisors, "supervisor/fleet", *agents]
+    return [*dict.fromkeys([COORDINATOR, REGISTRY, *robots, *supervisors, FLEET_SUPERVISOR, *agents])]
 
 
 def beliefs(record: LedgerRun, seq: int, state: State, decider: str) -> list[Belief]:
@@ -86,10 +90,11 @@ def _planned_by(state: State, decider: str) -> Robot | None:
 
 
 class _Last:
-    """The times of the last events of a type up to one."""
+    """The times of the last events of a type up to one, and what the run observes."""
 
     def __init__(self, record: LedgerRun, seq: int) -> None:
         self._record, self._seq = record, seq
+        self._seen = Seen(record)
         self.now_us = record.times_us[seq]
 
     def time_us(self, kind: type[Event], robot: str | None = None) -> int | None:
@@ -100,48 +105,61 @@ class _Last:
                 return self._record.times_us[at]
         return None
 
-    def belief(self, about: str, what: str, believed: str | None, as_of_us: int | None, holds: str) -> Belief:
-        """Return a belief of that age."""
-        if as_of_us is None:
-            return Belief(about, what, believed, None, None, holds)
-        return Belief(about, what, believed, as_of_us / 1e6, (self.now_us - as_of_us) / 1e6, holds)
+    def belief(
+        self, about: str, what: str, told: tuple[str, str | None], as_of_us: int | None, *holds: tuple[str, str]
+    ) -> Belief:
+        """Return a belief of that age.
+
+        What was told, and what holds, come after the concern that they rest on; what holds may rest on several.
+        """
+        believed, holding = self._seen.of(*told), holds[0][1]
+        was_told = self._seen.of(told[0], told[1] is not None)
+        held = None if any(self._seen.of(*one) is None for one in holds) else holding
+        if as_of_us is None or believed is None:
+            return Belief(about, what, believed, None, None, held, was_told)
+        return Belief(about, what, believed, as_of_us / 1e6, (self.now_us - as_of_us) / 1e6, held, was_told)
 
 
 def _of_coordinator(state: State, last: _Last) -> Iterator[Belief]:
     """Yield what the coordinator's last copy says. A robot that it does not list allows, is idle and not degraded."""
     copy, as_of_us, world = state.knowledge.copy, last.time_us(CopySynced), state.world
     for robot in state.fleet.robots:
-        told: tuple[tuple[str, str, str], ...] = (
-            ("own policy", _outcome(robot, copy.local_deny, copy.local_review), in_force(world.local, robot)),
-            ("fleet's rule", _outcome(robot, copy.fleet_deny, copy.fleet_review), in_force(world.fleet, robot)),
-            ("busy", _yes(robot in copy.busy), _yes(robot in state.execution.current)),
-            ("degraded", _yes(robot in copy.degraded), _yes(robot in world.degraded)),
+        own, fleet = in_force(world.local, robot), in_force(world.fleet, robot)
+        busy = _yes(robot in state.execution.current)
+        told: tuple[tuple[str, str, tuple[tuple[str, str], ...]], ...] = (
+            ("own policy", _outcome(robot, copy.local_deny, copy.local_review), (("policy", own),)),
+            ("fleet's rule", _outcome(robot, copy.fleet_deny, copy.fleet_review), (("policy", fleet),)),
+            ("busy", _yes(robot in copy.busy), (("execution", busy), ("recovery", busy))),
+            ("degraded", _yes(robot in copy.degraded), (("world", _yes(robot in world.degraded)),)),
         )
         for what, believed, holds in told:
-            yield last.belief(robot, what, None if as_of_us is None else believed, as_of_us, holds)
+            known = None if as_of_us is None else believed
+            yield last.belief(robot, what, ("knowledge", known), as_of_us, *holds)
 
 
 def _of_robot(state: State, robot: Robot, last: _Last) -> Iterator[Belief]:
     """Yield what a robot knows of itself, and what it was told of the fleet's rule, its peers and the registry."""
-    holds = in_force(state.world.local, robot)
+    holds = ("policy", in_force(state.world.local, robot))
     yield last.belief(robot, "own policy", holds, last.now_us, holds)
     as_of_us = state.knowledge.fleet_rule_as_of_us.get(robot)
     believed = state.knowledge.fleet_rule.get(robot)
-    yield last.belief(robot, "fleet's rule", believed, as_of_us, in_force(state.world.fleet, robot))
+    rule = ("policy", in_force(state.world.fleet, robot))
+    yield last.belief(robot, "fleet's rule", ("knowledge", believed), as_of_us, rule)
     for (one, peer), until_us in state.knowledge.met.items():
         if one == robot:
-            is_known = until_us > last.now_us
-            yield last.belief(peer, "a peer it met", _yes(is_known), None, "yes")
+            is_known = _yes(until_us > last.now_us)
+            yield last.belief(peer, "a peer it met", ("knowledge", is_known), None, ("knowledge", "yes"))
     cache = state.registry.caches.get(robot)
     if cache is not None:
-        yield last.belief("registry", "its copy", "kept", cache.as_of_us, "kept")
+        yield last.belief("registry", "its copy", ("registry", "kept"), cache.as_of_us, ("registry", "kept"))
 
 
 def _of_planner(state: State, robot: Robot, last: _Last) -> Iterator[Belief]:
     """Yield what the snapshot of a robot's planning agent says."""
     believed = state.knowledge.snapshot.get(robot)
     as_of_us = last.time_us(SnapshotTaken, robot)
-    yield last.belief(robot, "own policy", believed, as_of_us, in_force(state.world.local, robot))
+    holds = ("policy", in_force(state.world.local, robot))
+    yield last.belief(robot, "own policy", ("knowledge", believed), as_of_us, holds)
 
 
 def _of_registry(state: State, last: _Last) -> Iterator[Belief]:
@@ -152,7 +170,11 @@ def _of_registry(state: State, last: _Last) -> Iterator[Belief]:
         holds = "degraded" if robot in state.world.degraded else "busy" if is_busy else "ready"
         holds = "offline" if robot in state.world.off else holds
         yield last.belief(
-            robot, "availability", ", ".join(shown) or "nothing", last.time_us(AvailabilityChanged, robot), holds
+            robot,
+            "availability",
+            ("registry", ", ".join(shown) or "nothing"),
+            last.time_us(AvailabilityChanged, robot),
+            *((concern, holds) for concern in ("world", "execution", "recovery", "registry")),
         )
 
 

@@ -1,16 +1,41 @@
-"""How things stand at a moment of a run: what a person asks of a fleet, from its state."""
+"""How things stand at a moment of a run: what a person asks of a fleet, from its state.
 
-from collections.abc import Iterator
+What rests on a concern that the run does not observe is None: nobody knows.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
 
 import msgspec
 
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.task import Task
+
+_T = TypeVar("_T")
+
+
+class Seen:
+    """What the source of a run observes. `lacking` are the concerns that it does not."""
+
+    def __init__(self, record: LedgerRun) -> None:
+        observes = getattr(record.events[0], "observes", ())
+        self.lacking = tuple(one for one in CONCERNS if one not in observes)
+
+    def of(self, concern: str, value: _T) -> _T | None:
+        """Return the value, which rests on this concern; None where the run does not observe it."""
+        return None if concern in self.lacking else value
+
+    def all(self, concern: str, values: Iterable[_T]) -> tuple[_T, ...] | None:
+        """Return the values, as `of`."""
+        return self.of(concern, tuple(values))
 
 
 class Window(msgspec.Struct, frozen=True):
@@ -24,7 +49,10 @@ class Window(msgspec.Struct, frozen=True):
 
 
 class Work(msgspec.Struct, frozen=True):
-    """An action at a robot, or help with one. Units: `ends_s` run time of its planned end; None: none is planned."""
+    """An action at a robot, or help with one. Units: `ends_s` run time of its planned end; None: none is planned.
+
+    `capability` is None for help, and where no event on record names it.
+    """
 
     action_id: str
     capability: str | None
@@ -36,21 +64,23 @@ class Work(msgspec.Struct, frozen=True):
 class RobotNow(msgspec.Struct, frozen=True):
     """A robot: whether it is on and linked, what it does and what waits, and what constrains it.
 
-    `offers`: its advertised capabilities by availability. `grade` of its actuator, None: sound.
+    `offers`: its advertised capabilities by availability. `grade` of its actuator, None: sound, or not observed; so is
+    `work`, of which `is_idle` tells. Any other None: not observed.
     """
 
     robot: str
     role: str
     team: int
     supervisor: str | None
-    is_on: bool
-    is_linked: bool
+    is_on: bool | None
+    is_linked: bool | None
     grade: str | None
-    obstructions: tuple[str, ...]
+    obstructions: tuple[str, ...] | None
+    is_idle: bool | None
     work: Work | None
-    queue: tuple[str, ...]
-    windows: tuple[Window, ...]
-    offers: dict[str, tuple[str, ...]]
+    queue: tuple[str, ...] | None
+    windows: tuple[Window, ...] | None
+    offers: dict[str, tuple[str, ...]] | None
 
 
 class RequestNow(msgspec.Struct, frozen=True):
@@ -72,14 +102,17 @@ class ClaimNow(msgspec.Struct, frozen=True):
 
 
 class RecoveryNow(msgspec.Struct, frozen=True):
-    """A failure that is being recovered. Units: `since_s` run time of its detection."""
+    """A failure that is being recovered. Units: `since_s` run time of its detection.
+
+    `cause` and `since_s` are None where the failure itself is not on record.
+    """
 
     action_id: str
     robot: str
-    cause: str
+    cause: str | None
     level: str
     attempts: int
-    since_s: float
+    since_s: float | None
 
 
 class CallNow(msgspec.Struct, frozen=True):
@@ -92,15 +125,18 @@ class CallNow(msgspec.Struct, frozen=True):
 
 
 class TaskNow(msgspec.Struct, frozen=True):
-    """An open task: steps done of all, and the attempt at the present one. Units: `due_s` run time."""
+    """An open task: steps done of all, and the attempt at the present one. Units: `due_s` run time.
+
+    `steps` and `due_s` are None where its arrival is not on record.
+    """
 
     task_id: str
     robot: str
     steps_done: int
-    steps: int
+    steps: int | None
     step: str | None
     attempt: int
-    due_s: float
+    due_s: float | None
 
 
 class TrustNow(msgspec.Struct, frozen=True):
@@ -124,17 +160,18 @@ class RuleNow(msgspec.Struct, frozen=True):
 
 
 class Standing(msgspec.Struct, frozen=True, kw_only=True):
-    """How things stand after an event of a run."""
+    """How things stand after an event of a run. None: not observed, as `not_observed` says."""
 
-    robots: tuple[RobotNow, ...]
-    requests: tuple[RequestNow, ...]
-    claims: tuple[ClaimNow, ...]
-    recoveries: tuple[RecoveryNow, ...]
-    calls: tuple[CallNow, ...]
-    tasks: tuple[TaskNow, ...]
-    trust: tuple[TrustNow, ...]
-    rules: tuple[RuleNow, ...]
-    off_shift: tuple[str, ...]
+    robots: tuple[RobotNow, ...] | None
+    requests: tuple[RequestNow, ...] | None
+    claims: tuple[ClaimNow, ...] | None
+    recoveries: tuple[RecoveryNow, ...] | None
+    calls: tuple[CallNow, ...] | None
+    tasks: tuple[TaskNow, ...] | None
+    trust: tuple[TrustNow, ...] | None
+    rules: tuple[RuleNow, ...] | None
+    off_shift: tuple[str, ...] | None
+    not_observed: tuple[str, ...]
 
 
 def standing(record: LedgerRun, seq: int, state: State, robot: str | None = None) -> Standing:
@@ -151,41 +188,52 @@ def standing(record: LedgerRun, seq: int, state: State, robot: str | None = None
     def is_about(action_id: str) -> bool:
         return robot is None or action_id in names
 
+    seen = Seen(record)
     return Standing(
-        robots=tuple(_robot(record, seq, state, name) for name in robots),
-        requests=tuple(requests),
-        claims=tuple(
-            ClaimNow(action, claim.dimension, claim.claimant)
-            for action, claims in state.authority.claims.items()
-            for claim in claims
-            if is_about(action)
+        robots=seen.all("fleet", (_robot(record, seq, state, name, seen) for name in robots)),
+        requests=seen.all("request", requests),
+        claims=seen.all(
+            "authority",
+            (
+                ClaimNow(action, claim.dimension, claim.claimant)
+                for action, claims in state.authority.claims.items()
+                for claim in claims
+                if is_about(action)
+            ),
         ),
-        recoveries=tuple(
-            RecoveryNow(action, one.robot, one.cause, one.level, one.number, one.detected_us / 1e6)
-            for action, one in state.recovery.items()
-            if robot in (None, one.robot)
+        recoveries=seen.all(
+            "recovery", (_recovery(action, one) for action, one in state.recovery.items() if robot in (None, one.robot))
         ),
-        calls=tuple(
-            CallNow(number, one.supervisor, one.purpose, one.subject.action_id)
-            for number, one in state.supervision.calls.items()
-            if is_about(one.subject.action_id)
+        calls=seen.all(
+            "supervision",
+            (
+                CallNow(number, one.supervisor, one.purpose, one.subject.action_id)
+                for number, one in state.supervision.calls.items()
+                if is_about(one.subject.action_id)
+            ),
         ),
-        tasks=tuple(
-            TaskNow(
-                one.task_id,
-                one.robot,
-                one.step,
-                len(one.steps),
-                one.steps[one.step] if one.step < len(one.steps) else None,
-                one.attempt,
-                one.due_us / 1e6,
-            )
-            for one in state.task.values()
-            if robot in (None, one.robot)
-        ),
-        trust=tuple(one for one in _trust(state) if robot in (None, one.robot, one.peer)),
-        rules=tuple(_rules(state, robot)),
-        off_shift=tuple(sorted(state.world.off_shift)),
+        tasks=seen.all("task", (_task(one) for one in state.task.values() if robot in (None, one.robot))),
+        trust=seen.all("trust", (one for one in _trust(state) if robot in (None, one.robot, one.peer))),
+        rules=seen.all("policy", _rules(state, robot)),
+        off_shift=seen.all("supervision", sorted(state.world.off_shift)),
+        not_observed=seen.lacking,
+    )
+
+
+def _recovery(action: str, one: Recovery) -> RecoveryNow:
+    since_s = None if one.cause is None else one.detected_us / 1e6
+    return RecoveryNow(action, one.robot, one.cause, one.level, one.number, since_s)
+
+
+def _task(one: Task) -> TaskNow:
+    return TaskNow(
+        one.task_id,
+        one.robot,
+        one.step,
+        len(one.steps) if one.has_arrived else None,
+        one.steps[one.step] if 0 <= one.step < len(one.steps) else None,
+        one.attempt,
+        one.due_us / 1e6 if one.has_arrived else None,
     )
 
 
@@ -208,24 +256,27 @@ def _rules(state: State, robot: str | None) -> Iterator[RuleNow]:
         yield RuleNow(scope, f"role {role}{where}", capability, task, outcome)
 
 
-def _robot(record: LedgerRun, seq: int, state: State, name: Robot) -> RobotNow:
+def _robot(record: LedgerRun, seq: int, state: State, name: Robot, seen: Seen) -> RobotNow:
     world, member = state.world, state.fleet.robots[name]
     offers: dict[str, tuple[str, ...]] = {}
     for one in surface(state.registry, name):
         offers[one.availability] = (*offers.get(one.availability, ()), one.capability)
+    work = _work(state, name)
+    work = seen.of("recovery" if work is not None and work.stage == "helping" else "execution", work)
     return RobotNow(
         name,
         member.role,
         member.team,
         member.supervisor,
-        name not in world.off,
-        name not in world.unlinked,
-        world.degraded.get(name),
-        world.obstructions.get(name, ()),
-        _work(state, name),
-        state.execution.queues.get(name, ()),
-        tuple(_windows(record, seq, state, name)),
-        offers,
+        seen.of("world", name not in world.off),
+        seen.of("world", name not in world.unlinked),
+        seen.of("world", world.degraded.get(name)),
+        seen.of("world", world.obstructions.get(name, ())),
+        False if work is not None else seen.of("execution", seen.of("recovery", True)),
+        work,
+        seen.of("execution", state.execution.queues.get(name, ())),
+        seen.all("policy", _windows(record, seq, state, name)),
+        seen.of("registry", offers),
     )
 
 
@@ -236,7 +287,7 @@ def _work(state: State, name: Robot) -> Work | None:
     action = state.execution.actions.get(current)
     if action is None:
         return Work(current.partition(":")[2], None, "helping", None, None)
-    return Work(action.action_id, action.capability, action.stage, _other(action), action.ends_us / 1e6 or None)
+    return Work(action.action_id, action.capability or None, action.stage, _other(action), action.ends_us / 1e6 or None)
 
 
 def _other(action: Action) -> str | None:

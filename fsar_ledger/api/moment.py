@@ -14,7 +14,7 @@ from fsar_ledger.errors import UsageError, option
 from fsar_ledger.ledger.store.view import View
 from fsar_ledger.projections.fold import State
 
-from .provenance import Provenance
+from .provenance import Provenance, of_run
 
 
 class Moment(msgspec.Struct, frozen=True, kw_only=True):
@@ -67,6 +67,7 @@ def moment(
     seq = timeline.seq_at(at_us)
     state = timeline.after(seq)
     known = None if as_known_by is None else beliefs(timeline.record, seq, state, as_known_by)
+    stands = standing(timeline.record, seq, state, robot)
     return Moment(
         run=run,
         at_s=at_us / 1e6,
@@ -74,8 +75,8 @@ def moment(
         event_s=times_us[seq] / 1e6,
         ends_s=times_us[-1] / 1e6,
         commit=found[bisect_right(found, seq, key=itemgetter(0)) - 1][1] + 1,
-        standing=standing(timeline.record, seq, state, robot),
+        standing=stands,
         beliefs=known,
         state=state,
-        provenance=provenance,
+        provenance=of_run(provenance, stands.not_observed),
     )

@@ -1,5 +1,6 @@
 """The provenance of an answer: what it holds for, and what it leaves open."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -29,6 +30,11 @@ class Provenance(msgspec.Struct, frozen=True):
         """Return what JSON answers say of this besides the head."""
         missing: dict[str, object] = {"not_observed": self.not_observed} if self.not_observed else {}
         return missing if self.plans is None else {**self.plans.answer(), **missing}
+
+
+def of_run(provenance: Provenance, lacking: Iterable[str]) -> Provenance:
+    """Return the provenance of an answer about all of one run, which does not observe these concerns."""
+    return msgspec.structs.replace(provenance, not_observed=tuple(Unobserved(one, 1, 1) for one in lacking))
 
 
 def of_rows(database: "Database", query: "Query | None" = None, run: str | None = None) -> Provenance:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from fsar_ledger.analysis.moments import Timeline
-from fsar_ledger.analysis.standing import Standing, standing
+from fsar_ledger.analysis.standing import Seen, Standing, standing
 from fsar_ledger.analysis.walk import Walk
 from fsar_ledger.analysis.words import lines_of
 from fsar_ledger.errors import UsageError
@@ -11,7 +11,7 @@ from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
 from .names import microseconds
-from .provenance import Provenance
+from .provenance import Provenance, of_run
 
 
 class Steps:
@@ -20,7 +20,7 @@ class Steps:
     def __init__(self, record: LedgerRun, provenance: Provenance, at_us: int | None) -> None:
         """Begin after the last event of that time; None: at event 0. Raises: as `Database.rows`."""
         self.run = record.run_id
-        self.provenance = provenance
+        self.provenance = of_run(provenance, Seen(record).lacking)
         self._record = record
         self._timeline = Timeline(record)
         found = lines_of([record], [(record.run_id, seq) for seq in range(len(record.events))])

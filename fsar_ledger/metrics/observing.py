@@ -19,6 +19,10 @@ _TIES = frozenset({"event_principals", "keyed_events", "naming_events"})
 """Relations that read all events only to tell which belong together; the query names what it is about beside them."""
 
 
+_OF_ANY_TYPE = frozenset({"evidence_of_principals", "keyed_events", "revocations"})
+"""Queries that read events of every type, although they also name some."""
+
+
 class Unobserved(msgspec.Struct, frozen=True):
     """A concern that some runs do not observe, and how many of how many."""
 
@@ -32,11 +36,8 @@ def types_read(library: Library, query: Query) -> frozenset[str] | None:
     found: set[str] = set()
     for one in (*library.needs(query.sources() - {query.relation}), query):
         named = _TYPE.findall(_NOT_READ.sub("", one.sql))
-        if (
-            not named
-            and _WIDE >= one.sources() & {"events", *library.relations} > set()
-            and (one is query or one.relation not in _TIES)
-        ):
+        reads_all = not named and _WIDE >= one.sources() & {"events", *library.relations} > set()
+        if (reads_all or one.relation in _OF_ANY_TYPE) and (one is query or one.relation not in _TIES):
             return None
         found.update(named)
     return frozenset(found)

@@ -8,7 +8,7 @@ from typing import Literal, assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import ActionId, OverrideLevel, Principal, Robot, Subject, Supervisor, TaskId
+from fsar_ledger.events.envelope import ActionId, OverrideLevel, Parties, Principal, Robot, Subject, Supervisor, TaskId
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -27,9 +27,8 @@ from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, Ass
 from .authority import rank
 from .maps import put, without
 
-HANDLES = (
-    ExecutionQueued
-    | ApproachStarted
+AtRobot = (
+    ApproachStarted
     | ExecutionHeld
     | ExecutionStarted
     | ExecutionPaused
@@ -37,6 +36,12 @@ HANDLES = (
     | ExecutionPreempted
     | ExecutionResumed
     | ExecutionFailed
+)
+"""What happens to an action at its robot."""
+
+HANDLES = (
+    ExecutionQueued
+    | AtRobot
     | ExecutionFinished
     | ExecutionWithdrawn
     | AssistanceAdmitted
@@ -55,7 +60,7 @@ class Action(msgspec.Struct, frozen=True, gc=False):
     """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left.
 
     `has_begun` says whether a preempted action had begun to execute. `supervised_by` is the supervisor recorded when
-    the action was queued, if any.
+    the action was queued, if any. `capability` is empty where no event on record names it.
     """
 
     task_id: str
@@ -114,48 +119,38 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
         case ExecutionQueued():
             return _queued(state, event)
         case ApproachStarted():
-            return _staged(state, event.subject.action_id, "approaching")
+            return _staged(state, event, "approaching")
         case ExecutionStarted():
-            return _staged(state, event.subject.action_id, "running", ends_us=event.ends_us)
+            return _staged(state, event, "running", ends_us=event.ends_us)
         case ExecutionFinished():
-            return _freed(_ended(state, event.subject.action_id), event.robot)
+            return _ended(state, event.subject.action_id)
         case ExecutionHeld():
             return _held(state, event)
         case ExecutionPaused():
-            return _staged(state, event.subject.action_id, "paused", remaining_us=event.remaining_us)
+            return _staged(state, event, "paused", remaining_us=event.remaining_us)
         case ExecutionHalted():
-            return _staged(state, event.subject.action_id, "halted", remaining_us=event.remaining_us)
+            return _staged(state, event, "halted", remaining_us=event.remaining_us)
         case ExecutionPreempted():
             return _preempted(state, event)
         case ExecutionResumed():
-            return _staged(state, event.subject.action_id, "running", ends_us=event.ends_us)
+            return _staged(state, event, "running", ends_us=event.ends_us)
         case ExecutionFailed():
-            return _staged(
-                state, event.subject.action_id, "failed", remaining_us=event.remaining_us, failures=event.failure
-            )
+            return _staged(state, event, "failed", remaining_us=event.remaining_us, failures=event.failure)
         case ExecutionWithdrawn():
-            withdrawn = _staged(state, event.subject.action_id, "withdrawn")
-            if state.current.get(event.robot) == event.subject.action_id:
-                return _freed(withdrawn, event.robot)
-            queue = tuple(name for name in state.queues.get(event.robot, ()) if name != event.subject.action_id)
-            return Execution(
-                withdrawn.current, put(state.queues, event.robot, queue), withdrawn.actions, withdrawn.served
-            )
+            return _withdrawn(state, event)
         case AssistanceAdmitted():
-            return Execution(
-                put(state.current, event.helper, HELPING + event.subject.action_id),
-                state.queues,
-                state.actions,
-                state.served,
-            )
+            return _helping(state, event)
         case AssistanceEnded() | AssistanceFailed():
-            return _freed(state, event.helper)
+            is_helping = state.current.get(event.helper) == HELPING + event.subject.action_id
+            return _freed(state, event.helper) if is_helping else state
         case _:
             assert_never(event)
 
 
 def _queued(state: Execution, event: ExecutionQueued) -> Execution:
     known = state.actions.get(event.subject.action_id)
+    if known is not None and (known.stage != "withdrawn" or known.on_behalf_of != event.on_behalf_of):
+        state = _ended(state, known.action_id)  # another system's record: nothing told that it was taken from there
     action = Action(
         event.subject.task_id,
         event.subject.action_id,
@@ -175,8 +170,8 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
         supervised_by=event.principals.supervised_by,
     )
     actions, served = put(state.actions, event.subject.action_id, action), state.served
-    if known is None:
-        own = served.get(event.on_behalf_of, ())
+    own = served.get(event.on_behalf_of, ())
+    if event.subject.action_id not in own:
         served = put(served, event.on_behalf_of, (*own, event.subject.action_id))
     if event.robot in state.current:
         queue = state.queues.get(event.robot, ())
@@ -191,14 +186,86 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
 
 
 def _ended(state: Execution, action_id: str) -> Execution:
-    """Forget the action."""
+    """Forget the action, which occupies its robot no more."""
     known = state.actions.get(action_id)
     if known is None:
         return state
     robot = known.on_behalf_of
     left = tuple(name for name in state.served[robot] if name != action_id)
     served = put(state.served, robot, left) if left else without(state.served, robot)
-    return Execution(state.current, state.queues, without(state.actions, action_id), served)
+    actions = without(state.actions, action_id)
+    return _left(Execution(state.current, state.queues, actions, served), known.robot, action_id)
+
+
+def _withdrawn(state: Execution, event: ExecutionWithdrawn) -> Execution:
+    """Take the action from the robot, unless it is at another one by now."""
+    action_id = event.subject.action_id
+    known = state.actions.get(action_id)
+    if known is None or known.robot != event.robot:
+        return state
+    changed = msgspec.structs.replace(known, stage="withdrawn", ends_us=0, remaining_us=0)
+    actions = put(state.actions, action_id, changed)
+    return _left(Execution(state.current, state.queues, actions, state.served), event.robot, action_id)
+
+
+def _left(state: Execution, robot: Robot, action_id: str) -> Execution:
+    """Free the robot of the action, or take the action out of its queue."""
+    if state.current.get(robot) == action_id:
+        return _freed(state, robot)
+    queue = tuple(name for name in state.queues.get(robot, ()) if name != action_id)
+    return Execution(state.current, put(state.queues, robot, queue), state.actions, state.served)
+
+
+def _helping(state: Execution, event: AssistanceAdmitted) -> Execution:
+    """Let the robot help."""
+    free = _set_aside(state, event.helper)
+    current = put(free.current, event.helper, HELPING + event.subject.action_id)
+    return Execution(current, free.queues, free.actions, free.served)
+
+
+def _set_aside(state: Execution, robot: Robot) -> Execution:
+    """Let the action that the robot has in hand, if any, wait for what comes next."""
+    if robot not in state.current:
+        return state
+    held, queue = state.current[robot], state.queues.get(robot, ())
+    queues = put(state.queues, robot, (held, *queue)) if held in state.actions else state.queues
+    return Execution(without(state.current, robot), queues, state.actions, state.served)
+
+
+def _at_robot(state: Execution, event: AtRobot) -> tuple[Execution, Action]:
+    """Return the action, which is at the robot of the event.
+
+    Another system's record may not tell that it came there: then it does now.
+    """
+    known = state.actions.get(event.subject.action_id)
+    if known is None or known.robot != event.robot or known.stage == "withdrawn":
+        state = _queued(_set_aside(state, event.robot), _coming(event, known))
+        known = state.actions[event.subject.action_id]
+    return state, known
+
+
+def _coming(event: AtRobot, known: Action | None) -> ExecutionQueued:
+    """Return the event that was not recorded, with what is on record of the action."""
+    parties: Parties | Action | None = known
+    whose, capability = (known.on_behalf_of, known.capability) if known else (event.robot, "")
+    if isinstance(event, ExecutionStarted):
+        parties, whose, capability = event.principals, event.on_behalf_of, event.capability
+    return ExecutionQueued(
+        subject=event.subject,
+        principals=Parties(
+            requested_by=parties.requested_by if parties else None,
+            executed_by=parties.executed_by if parties else None,
+            supervised_by=parties.supervised_by if parties else None,
+        ),
+        robot=event.robot,
+        on_behalf_of=whose,
+        capability=capability,
+        step=known.step if known else 0,
+        attempt=known.attempt if known else 0,
+        is_delegated=whose != event.robot,
+        has_approach=isinstance(event, ApproachStarted),
+        is_supervised=parties is not None and parties.supervised_by is not None,
+    )
 
 
 def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) -> int:
@@ -215,7 +282,8 @@ def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) ->
 
 def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
     """Put the action at the head of the queue and free the robot for the one that preempted it."""
-    known = state.actions[event.subject.action_id]
+    state, known = _at_robot(state, event)
+    action_id = event.subject.action_id
     changed = msgspec.structs.replace(
         known,
         stage="preempted",
@@ -224,10 +292,11 @@ def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
         preemptions=known.preemptions + 1,
         has_begun=event.remaining_us is not None,
     )
-    held = state.current.get(event.robot) == event.subject.action_id
+    held = state.current.get(event.robot) == action_id
     current = without(state.current, event.robot) if held else state.current
-    queues = put(state.queues, event.robot, (event.subject.action_id, *state.queues.get(event.robot, ())))
-    return Execution(current, queues, put(state.actions, event.subject.action_id, changed), state.served)
+    others = tuple(name for name in state.queues.get(event.robot, ()) if name != action_id)
+    queues = put(state.queues, event.robot, (action_id, *others))
+    return Execution(current, queues, put(state.actions, action_id, changed), state.served)
 
 
 def _held(state: Execution, event: ExecutionHeld) -> Execution:
@@ -235,16 +304,16 @@ def _held(state: Execution, event: ExecutionHeld) -> Execution:
 
     The event has a `path` when the wait is a denial.
     """
-    action = state.actions[event.subject.action_id]
+    state, action = _at_robot(state, event)
     stage: Stage = "polling" if event.reason == "fleet-rule" else "held"
     changed = msgspec.structs.replace(action, stage=stage, was_denied=action.was_denied or bool(event.principals.path))
     return Execution(state.current, state.queues, put(state.actions, event.subject.action_id, changed), state.served)
 
 
 def _staged(
-    state: Execution, action_id: str, stage: Stage, ends_us: int = 0, remaining_us: int = 0, failures: int | None = None
+    state: Execution, event: AtRobot, stage: Stage, ends_us: int = 0, remaining_us: int = 0, failures: int | None = None
 ) -> Execution:
-    action = state.actions[action_id]
+    state, action = _at_robot(state, event)
     changed = msgspec.structs.replace(
         action,
         stage=stage,
@@ -253,7 +322,7 @@ def _staged(
         failures=action.failures if failures is None else failures,
         segments=action.segments + (stage == "running"),
     )
-    return Execution(state.current, state.queues, put(state.actions, action_id, changed), state.served)
+    return Execution(state.current, state.queues, put(state.actions, action.action_id, changed), state.served)
 
 
 def _freed(state: Execution, robot: Robot) -> Execution:

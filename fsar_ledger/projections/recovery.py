@@ -34,13 +34,14 @@ HANDLES = (
 class Recovery(msgspec.Struct, frozen=True, gc=False):
     """The open failure of one action: its attempts, the helpers asked, the one awaited, and the supervisors called.
 
+    `cause` is None where the failure itself is not on record, only its recovery; then `detected_us` says nothing.
     Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends, `since_us` run time at
     which recovery turned to the robot last asked for help.
     """
 
     robot: Robot
     failure: int
-    cause: FailureCause
+    cause: FailureCause | None
     detected_us: int
     level: RecoveryLevel = "local"
     number: int = 0
@@ -63,15 +64,13 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
             failed = Recovery(event.robot, event.failure, event.cause, event.detected_us)
             return put(state, event.subject.action_id, failed)
         case RecoveryAttempted():
-            changed = msgspec.structs.replace(
-                state[event.failed_action], number=event.number, deadline_us=event.deadline_us
-            )
+            changed = msgspec.structs.replace(_failed(state, event), number=event.number, deadline_us=event.deadline_us)
             return put(state, event.failed_action, changed)
         case RecoveryEscalated():
-            failed = msgspec.structs.replace(state[event.failed_action], level=event.to_level, awaited=None)
+            failed = msgspec.structs.replace(_failed(state, event), level=event.to_level, awaited=None)
             return put(state, event.failed_action, failed)
         case AssistanceRequested():
-            known = state[event.failed_action]
+            known = _failed(state, event)
             asked = msgspec.structs.replace(
                 known, tried=(*known.tried, event.helper), since_us=event.since_us or 0, awaited=event.helper
             )
@@ -92,3 +91,9 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
             return without(state, event.subject.action_id)
         case _:
             assert_never(event)
+
+
+def _failed(state: Recoveries, event: RecoveryAttempted | RecoveryEscalated | AssistanceRequested) -> Recovery:
+    """Return the open failure; one that another system's record does not tell is only known to be recovered."""
+    known = state.get(event.failed_action)
+    return Recovery(event.robot, event.failure, None, 0, event.level) if known is None else known

@@ -15,7 +15,6 @@ from fsar_ledger.events.envelope import (
     Robot,
     Subject,
     TaskId,
-    as_robot,
 )
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
@@ -167,7 +166,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case BidReceived():
             return _bid_received(state, event)
         case AwardMade():
-            return _changed(state, state.of_task[event.task_id], target=event.robot, is_questioned=False)
+            return _changed(state, state.of_task.get(event.task_id), target=event.robot, is_questioned=False)
         case SupervisorCalled():
             return _called(state, event)
         case ExecutionQueued():
@@ -207,8 +206,8 @@ def _begun(state: Requests, event: StepBegan) -> Requests:
 
 def _abandoned(state: Requests, event: TaskAbandoned) -> Requests:
     """Keep the requests that a robot has, which continue or are withdrawn there; the rest get no answer."""
-    action_id = state.of_task.get(event.task_id)
-    return state if action_id is None or state.open[action_id].is_received else _removed(state, action_id)
+    known = state.open.get(state.of_task.get(event.task_id, ""))
+    return state if known is None or known.is_received else _removed(state, known.action_id)
 
 
 def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
@@ -229,14 +228,18 @@ def _injected(state: Requests, event: OutsiderRequestInjected) -> Requests:
 
 def _bid_received(state: Requests, event: BidReceived) -> Requests:
     """Record the bid as read, replacing an earlier one: a robot that answers late was asked again."""
-    known = state.open[event.subject.action_id]
+    known = state.open.get(event.subject.action_id)
+    if known is None:
+        return state
     bids = put(without(known.bids, event.robot), event.robot, event.outcome)
     return _changed(state, known.action_id, bids=bids, underway=without(known.underway, event.robot))
 
 
 def _voided(state: Requests, event: ContractVoided) -> Requests:
     """Start another round without bids, target or contract."""
-    known = state.open[event.subject.action_id]
+    known = state.open.get(event.subject.action_id)
+    if known is None:
+        return state
     return _changed(
         state,
         event.subject.action_id,
@@ -261,9 +264,7 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
     carried = event.carried_policy or "allow"
     if action_id in state.open or task_id is None or action_id is None or robot is None or executor is None:
         return _changed(state, action_id, carried=carried, relay=event.relay, override=event.override)
-    begun = Request(
-        task_id, action_id, as_robot(robot), event.capability, 1, 1, True, (executor,), event.relay, carried
-    )
+    begun = Request(task_id, action_id, Robot(robot), event.capability, 1, 1, True, (executor,), event.relay, carried)
     asked = {
         "override": event.override,
         "parent": event.parent,

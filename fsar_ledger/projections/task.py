@@ -19,7 +19,8 @@ class Task(msgspec.Struct, frozen=True, gc=False):
     """An open task.
 
     `step` counts the steps done, `attempt` the attempts at the present one, from 1; `checkpoints` as in `TaskArrived`.
-    `action_id` is the last attempt, empty before the first.
+    `action_id` is the last attempt, empty before the first. `has_arrived`: its arrival is on record; if not, nothing is
+    known of its team, steps and times.
     """
 
     task_id: str
@@ -33,6 +34,7 @@ class Task(msgspec.Struct, frozen=True, gc=False):
     action_id: str = ""
     checkpoints: tuple[str, ...] | None = None
     is_time_critical: bool = False
+    has_arrived: bool = True
 
 
 Tasks = Mapping[str, Task]
@@ -44,10 +46,13 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
     """Return the open tasks after the event."""
     match event:
         case StepBegan():
-            begun = _at(state[event.subject.task_id], 0, event.attempt, event.subject.action_id)
-            return put(state, event.subject.task_id, begun)
+            known = state.get(event.subject.task_id)
+            if known is None:  # another system's record may lack the arrival
+                known = Task(event.subject.task_id, event.robot, 0, (), 0, 0, event.step - 1, has_arrived=False)
+            return put(state, event.subject.task_id, _at(known, 0, event.attempt, event.subject.action_id))
         case StepCompleted():
-            return put(state, event.subject.task_id, _at(state[event.subject.task_id], 1, 0, ""))
+            known = state.get(event.subject.task_id)
+            return state if known is None else put(state, event.subject.task_id, _at(known, 1, 0, ""))
         case TaskArrived():
             about = (event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)
             task = Task(*about, checkpoints=event.checkpoints, is_time_critical=event.is_time_critical)
@@ -90,4 +95,5 @@ def _at(task: Task, more: int, attempt: int, action_id: str) -> Task:
         action_id,
         task.checkpoints,
         task.is_time_critical,
+        task.has_arrived,
     )

@@ -73,7 +73,6 @@ class Drawn(NamedTuple):
     spans: tuple[Span, ...]
     arrows: tuple[Arrow, ...]
     told: tuple[Told, ...]
-    lost: dict[str, int]
 
 
 def type_name(event: Event) -> str:
@@ -88,11 +87,11 @@ def concern_of(event: Event) -> str | None:
 
 def drawn(run: LedgerRun, name: str, words: Sequence[Words]) -> Drawn:
     """Return the run with everything that is drawn of it. `words` has one element for each event."""
-    spans, lost = spans_of(run)
+    spans = spans_of(run)
     told = tuple(_told(event, one) for event, one in zip(run.events, words, strict=True))
     lanes = _lanes(run.events, told, spans)
     arrows = tuple(_arrows(run, told, {lane.name for lane in lanes}))
-    return Drawn(run, name, lanes, spans, arrows, told, lost)
+    return Drawn(run, name, lanes, spans, arrows, told)
 
 
 def _told(event: Event, words: Words) -> Told:

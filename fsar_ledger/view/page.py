@@ -108,7 +108,6 @@ def _document(shown: Shown) -> dict[str, Any]:
         "root": shown.root,
         "is_verified": shown.is_verified,
         "not_observed": shown.not_observed,
-        "lost": drawn.lost,
         "about": [[name.replace("_", " "), f"{about[name]}"] for name in _ABOUT if about.get(name) is not None],
         "lanes": drawn.lanes,
         "types": types.values(),

@@ -59,44 +59,25 @@ class Span(NamedTuple):
     until: int | None
 
 
-class Spans(NamedTuple):
-    """The spans of a run in order of their beginning.
-
-    `lost`: slot of the state -> first event that its projection could not follow. The record of another system may lack
-    what that event presumes, so from there on the slot says nothing.
-    """
-
-    spans: tuple[Span, ...]
-    lost: dict[str, int]
-
-
 def lane_of(principal: Principal | str) -> str:
     """Return the lane of a principal: its own, and that of its robot for an agent."""
     kind, _, rest = principal.partition("/")
     return f"robot/{rest.split('/')[0]}" if kind == "agent" else principal
 
 
-def spans_of(run: LedgerRun) -> Spans:
-    """Return what held from when to when."""
+def spans_of(run: LedgerRun) -> tuple[Span, ...]:
+    """Return what held from when to when, in order of its beginning."""
     state, held = State(), _Held()
-    lost: dict[str, int] = {}
     for seq, (time_us, event) in enumerate(zip(run.times_us, run.events, strict=True)):
         for slot, evolve in ROUTES.get(type(event), ()):
-            if slot in lost:
-                continue
             before = getattr(state, slot)
-            try:
-                after = evolve(before, event)
-            except (LookupError, StopIteration, ValueError):
-                lost[slot] = seq
-                held.now(slot, frozenset(), time_us, seq)
-                continue
+            after = evolve(before, event)
             setattr(state, slot, after)
             if after is not before and slot in FACTS:
                 held.now(slot, frozenset(FACTS[slot](after)), time_us, seq)
         held.beside(event, time_us, seq)
     held.end()
-    return Spans(tuple(sorted(held.spans, key=lambda span: (span.start_us, span.seq, span.fact))), lost)
+    return tuple(sorted(held.spans, key=lambda span: (span.start_us, span.seq, span.fact)))
 
 
 class _Held:
@@ -160,7 +141,8 @@ def _execution(state: Execution) -> Iterator[Fact]:
 
 def _recoveries(state: Recoveries) -> Iterator[Fact]:
     for name, failure in state.items():
-        yield Fact(failure.robot, "recovery", failure.level, name, f"{failure.cause}, failure {failure.failure}")
+        cause = failure.cause or "cause not on record"
+        yield Fact(failure.robot, "recovery", failure.level, name, f"{cause}, failure {failure.failure}")
 
 
 def _requests(state: Requests) -> Iterator[Fact]:

@@ -5,7 +5,7 @@
 -- Key: run_id, robot, capability
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
 -- NULL: successor unless a deprecation names one; visible_to is empty when every role may discover it, may_ask when no
---   other robot has role and trust
+--   other robot has role and trust; may_ask is NULL when the run does not observe fleet and trust
 -- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param
 --   at=30
 --   answers inspect.private_zone 1.0.0 ready: discoverable by role B, and robot/B1 may ask for it
@@ -69,8 +69,9 @@ SELECT
     surfaces.postconditions, surfaces.resources, surfaces.trust_required, surfaces.policy_required,
     surfaces.override_allowed, surfaces.availability, surfaces.embodiment, surfaces.visibility, surfaces.visible_to,
     surfaces.is_deprecated, surfaces.successor,
-    coalesce(admissible.may_ask, []) AS may_ask
+    if(list_has_all(runs.observes, ['fleet', 'trust']), coalesce(admissible.may_ask, []), NULL) AS may_ask
 FROM surfaces
+INNER JOIN runs ON surfaces.run_id = runs.run_id
 LEFT JOIN admissible
     ON
         surfaces.run_id = admissible.run_id AND surfaces.robot = admissible.robot

@@ -5,7 +5,8 @@
 -- Units: spent_us, t_max_us microseconds, spent_us with the time of the help; used, n_max attempts (local), helpers
 --   asked (peer), reassignments (fleet), calls (human); rank 1 local to 4 human
 -- NULL: spent_us when the failure was still at this level at the end of its record; t_max_us, n_max where the run
---   records neither; set_by where the budget is the fleet's own
+--   records neither; set_by where the budget is the fleet's own; used of level human when the run does not observe
+--   supervision
 -- Example: fsar-ledger query audit/recovery_budgets LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers local 2 of 2 attempts, peer 0 of 1 helpers, fleet 0 of 1 reassignments, human 1 of 2 calls
 -- Parameters: run: run = all, action: action = all
@@ -37,8 +38,10 @@ used AS (
 
 SELECT
     used.run_id, used.action_id, used.failure, used.rank, used.level, used.robot, used.spent_us, allowed.t_max_us,
-    used.used, allowed.n_max, allowed.set_by
+    if(used.level <> 'human' OR list_contains(runs.observes, 'supervision'), used.used, NULL) AS used,
+    allowed.n_max, allowed.set_by
 FROM used
+INNER JOIN runs ON used.run_id = runs.run_id
 ASOF LEFT JOIN recovery_allowances AS allowed
     ON
         used.run_id = allowed.run_id AND used.robot = allowed.robot AND used.level = allowed.level

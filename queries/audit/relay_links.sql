@@ -3,7 +3,8 @@
 -- Grain: one row per link (two for a chain: requester to relay, relay to executor) of each request through a relay
 -- Key: run_id, asked_seq, link
 -- Units: link number of the link from 1; passed_us microseconds of run time
--- NULL: passed_us, seq when the relay did not pass it on; a trust scope that had not been set by then
+-- NULL: passed_us, seq when the relay did not pass it on; a trust scope that had not been set by then; is_trusted, too,
+--   when the run does not observe fleet and trust
 -- Example: fsar-ledger query audit/relay_links LEDGER --param run=RUN
 --   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for
 --   robot/D1
@@ -68,7 +69,10 @@ judged AS (
 )
 
 SELECT
-    run_id, action_id, asked_seq, link, seq, passed_us, sender, receiver, link_scope,
-    coalesce(link_scope, 'none') <> 'none' AS is_trusted,
-    direct_scope
+    judged.run_id, judged.action_id, judged.asked_seq, judged.link, judged.seq, judged.passed_us, judged.sender,
+    judged.receiver, judged.link_scope,
+    if(list_has_all(runs.observes, ['fleet', 'trust']), coalesce(judged.link_scope, 'none') <> 'none', NULL)
+        AS is_trusted,
+    judged.direct_scope
 FROM judged
+INNER JOIN runs ON judged.run_id = runs.run_id

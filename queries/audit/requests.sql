@@ -9,7 +9,9 @@
 --   robot was to do or an outsider tried, so that `count_if(is_request)` counts requests
 -- NULL: a principal that the record does not name; capability when the record of the action names none; denied_s,
 --   denied_seq without a denial; denied_under when no window or rule on record explains one; ended_s when the record
---   shows no end; seq while nothing has decided the result
+--   shows no end; seq while nothing has decided the result. What nothing on record tells is NULL where the run does not
+--   observe it: denials without request and knowledge, failures without recovery, result without request, execution
+--   and registry
 -- Example: fsar-ledger query audit/requests LEDGER --param run=RUN
 --   answers A1-1/2.1 door.open.basic: asked by robot/A1, allowed by robot/B1, executed by robot/B1, supervised by
 --   supervisor/B1: success
@@ -40,7 +42,7 @@ SELECT
     denials.denied_us / 1000000 AS denied_s,
     nullif(array_to_string(denials.denied_under, ' and '), '') AS denied_under,
     denials.denied_seq,
-    coalesce(denials.denials, 0) AS denials,
+    if(list_has_all(runs.observes, ['request', 'knowledge']), coalesce(denials.denials, 0), denials.denials) AS denials,
     actions.executed_by,
     nullif(array_to_string(list_sort(list_distinct(actions.supervisors)), ' and '), '') AS supervised_by,
     actions.failures,
@@ -48,6 +50,9 @@ SELECT
         WHEN actions.result IS NOT NULL THEN actions.result
         WHEN actions.refused_seq IS NULL OR actions.begun_seq > actions.refused_seq THEN actions.state
         WHEN actions.refusal = 'nobody to ask' AND actions.is_offered THEN 'no answer'
+        -- It may have begun all the same, and somebody may have been offered.
+        WHEN NOT list_contains(runs.observes, 'execution') THEN NULL
+        WHEN actions.refusal = 'nobody to ask' AND NOT list_contains(runs.observes, 'registry') THEN NULL
         ELSE actions.refusal
     END AS result,
     actions.ended_us / 1000000 AS ended_s,
@@ -58,6 +63,7 @@ SELECT
     END AS seq,
     actions.is_request
 FROM action_records AS actions
+INNER JOIN runs ON actions.run_id = runs.run_id
 LEFT JOIN denials ON actions.run_id = denials.run_id AND actions.action_id = denials.action_id
 WHERE
     $run IN ('all', actions.run_id) AND $action IN ('all', actions.action_id)

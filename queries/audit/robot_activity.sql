@@ -1,9 +1,10 @@
 -- Title: What a robot was doing at a time
 -- Paper: sec:model:robot
--- Grain: one row per run, robot and action that it had in hand; one row `idle` for a robot that had none
+-- Grain: one row per run, robot and action that it had in hand; one row for a robot that had none: `idle`, if so
 -- Key: run_id, robot, action_id?
 -- Units: since_us microseconds of run time; at seconds, by default after the end of every run
--- NULL: action_id, since_us, on_behalf_of when idle; on_behalf_of also when the robot helps another
+-- NULL: action_id, since_us, on_behalf_of when idle; on_behalf_of also when the robot helps another; doing, too, when
+--   nothing is on record and the run does not observe execution and recovery. Without execution only help is told
 -- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at=20
 --   answers executing B1-1/2.1 for robot/B1 since 18.0 s
 -- Parameters: run: run = all, robot: robot = all, at: time = end
@@ -34,15 +35,20 @@ latest AS (
         arg_max(events.on_behalf_of, events.seq) FILTER (WHERE events.on_behalf_of IS NOT NULL) AS on_behalf_of
     FROM event_principals AS events
     INNER JOIN doings ON events.type = doings.type
-    WHERE $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
+    INNER JOIN runs ON events.run_id = runs.run_id
+    WHERE
+        $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
+        -- Whose execution is not observed, of him nothing ends.
+        AND (list_contains(runs.observes, 'execution') OR starts_with(events.type, 'Assistance'))
     -- A helper may have an action of its own in hand, and help with another.
     GROUP BY events.run_id, coalesce(events.helper, events.robot), events.action_id, events.helper IS NOT NULL
 )
 
 SELECT
     members.run_id, members.robot,
-    coalesce(latest.doing, 'idle') AS doing,
+    coalesce(latest.doing, if(list_has_all(runs.observes, ['execution', 'recovery']), 'idle', NULL)) AS doing,
     latest.action_id, latest.on_behalf_of, latest.since_us
 FROM fleet_members AS members
+INNER JOIN runs ON members.run_id = runs.run_id
 LEFT JOIN latest ON members.run_id = latest.run_id AND members.robot = latest.robot AND latest.doing <> 'done'
 WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.joined_us <= $at_us::BIGINT

@@ -3,18 +3,21 @@
 -- Grain: one row per run and robot that had joined by then
 -- Key: run_id, robot
 -- Units: at seconds of run time; the default time is after the end of every run
--- NULL: action_id when the robot had nothing in hand; of several things in hand, one that failed, else the first
+-- NULL: action_id when nothing was in hand; of several things one that failed, else the first; state when nothing is on
+--   record and not all of execution, recovery, registry, supervision and world is observed
 -- Example: fsar-ledger query audit/robot_state_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31
 --   answers robot/D1 is failed, with A1-1/5.1 in hand
 -- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH past AS (
-    SELECT *
-    FROM event_principals
-    WHERE $run IN ('all', run_id) AND time_us <= $at_us::BIGINT
+    SELECT events.*
+    FROM event_principals AS events
+    INNER JOIN runs ON events.run_id = runs.run_id
+    WHERE
+        $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
+        AND (list_contains(runs.observes, 'execution') OR NOT starts_with(events.type, 'Execution')) -- else none ends
 ),
 
-outward AS (
-    -- Failures that are being recovered by others than the robot.
+outward AS ( -- failures that are being recovered by others than the robot
     SELECT run_id, coalesce(failed_action, action_id) AS action_id
     FROM past
     WHERE type IN ('RecoveryEscalated.v1', 'FailureResolved.v1')
@@ -29,14 +32,10 @@ in_hand AS (
         helper IS NOT NULL AS is_help, -- beside what it does itself
         min(seq) AS since_seq, arg_max(type, seq) AS last_type
     FROM past
-    WHERE
-        starts_with(type, 'Execution')
-        OR type IN ('ApproachStarted.v1', 'AssistanceAdmitted.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1')
+    WHERE regexp_matches(type, '^(Execution|ApproachStarted|Assistance(Admitted|Ended|Failed))')
     GROUP BY run_id, coalesce(helper, robot), action_id, helper IS NOT NULL
     HAVING
-        last_type NOT IN (
-            'ExecutionFinished.v1', 'ExecutionWithdrawn.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1'
-        )
+        last_type NOT IN ('ExecutionFinished.v1', 'ExecutionWithdrawn.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1')
 ),
 
 held AS (
@@ -63,10 +62,11 @@ SELECT
         WHEN held.is_failed THEN 'failed'
         WHEN coalesce(degraded.robot, advertised.robot) IS NOT NULL THEN 'degraded'
         WHEN held.robot IS NOT NULL THEN 'executing'
-        ELSE 'idle'
+        WHEN list_has_all(runs.observes, ['execution', 'recovery', 'registry', 'supervision', 'world']) THEN 'idle'
     END AS state,
     held.action_id
 FROM fleet_members AS members
+INNER JOIN runs ON members.run_id = runs.run_id
 LEFT JOIN held ON members.run_id = held.run_id AND members.robot = held.robot
 LEFT JOIN outages AS off
     ON

@@ -4,7 +4,8 @@
 -- Key: run_id, action_id, supervised_by?
 -- Units: first_us, last_us microseconds of run time; first_seq, last_seq positions in the run, for `prove RUN:SEQ`;
 --   records and records_off_shift events
--- NULL: supervised_by for the records that name no supervisor; records_off_shift for these, too
+-- NULL: supervised_by for the records that name no supervisor; records_off_shift for these, too, and when the run does
+--   not observe supervision
 -- Example: fsar-ledger query audit/supervisor_of LEDGER --param run=RUN --param action=B1-1/2.1
 --   answers supervisor/B1 in 3 records, supervisor/C1 in 4 records, none of them while off shift
 -- Parameters: run: run = all, action: action = all
@@ -36,12 +37,16 @@ records AS (
 )
 
 SELECT
-    run_id, action_id, supervised_by,
-    min(time_us) AS first_us,
-    max(time_us) AS last_us,
-    min(seq) AS first_seq,
-    max(seq) AS last_seq,
+    records.run_id, records.action_id, records.supervised_by,
+    min(records.time_us) AS first_us,
+    max(records.time_us) AS last_us,
+    min(records.seq) AS first_seq,
+    max(records.seq) AS last_seq,
     count(*) AS records,
-    CASE WHEN supervised_by IS NOT NULL THEN count_if(is_off) END AS records_off_shift
+    CASE
+        WHEN records.supervised_by IS NOT NULL AND any_value(list_contains(runs.observes, 'supervision'))
+            THEN count_if(records.is_off)
+    END AS records_off_shift
 FROM records
-GROUP BY run_id, action_id, supervised_by
+INNER JOIN runs ON records.run_id = runs.run_id
+GROUP BY records.run_id, records.action_id, records.supervised_by

@@ -4,7 +4,8 @@
 -- Key: run_id, action_id
 -- Units: began_us, ended_us microseconds of run time; begun_seq, refused_seq, result_seq positions in the run of the
 --   last start or command, refusal, and result
--- NULL: what no record of the action tells
+-- NULL: what no record of the action tells; failures when the run does not observe recovery, state when it does not
+--   observe execution and request
 -- Example: fsar-ledger query facts/action_records LEDGER
 -- Stored: requests, interventions and denials read it
 WITH told AS (
@@ -39,7 +40,8 @@ SELECT
     list(coalesce(if(type = 'SupervisorResponded.v1', decided_by, NULL), supervised_by)) FILTER (
         type IN ('ExecutionStarted.v1', 'RequestDenied.v1', 'SupervisorResponded.v1')
     ) AS supervisors,
-    count(*) FILTER (type = 'ExecutionFailed.v1') AS failures,
+    if(any_value(list_contains(runs.observes, 'recovery')), count(*) FILTER (type = 'ExecutionFailed.v1'), NULL)
+        AS failures,
     max(time_us) FILTER (
         type IN ('ExecutionFinished.v1', 'RequestClosed.v1', 'RequestDenied.v1', 'RequestUnanswered.v1')
     ) AS ended_us,
@@ -57,7 +59,10 @@ SELECT
         END,
         events.seq
     ) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')) AS refusal,
-    if(count(*) FILTER (type = 'ExecutionStarted.v1') > 0, 'not finished', 'not begun') AS state,
+    CASE
+        WHEN any_value(list_has_all(runs.observes, ['execution', 'request']))
+            THEN if(count(*) FILTER (type = 'ExecutionStarted.v1') > 0, 'not finished', 'not begun')
+    END AS state,
     coalesce(max(len(candidates)) FILTER (type = 'RegistryQueried.v1'), 0) > 0 AS is_offered,
     count(*) FILTER (
         target_role IS NOT NULL
@@ -65,4 +70,5 @@ SELECT
     ) > 0 AS is_request
 FROM told
 INNER JOIN events ON told.run_id = events.run_id AND told.seq = events.seq
+INNER JOIN runs ON told.run_id = runs.run_id
 GROUP BY told.run_id, told.action_id

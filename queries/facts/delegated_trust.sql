@@ -3,8 +3,8 @@
 -- Grain: one row per ExecutionStarted event of a robot on behalf of another
 -- Key: run_id, seq
 -- Units: none
--- NULL: never; is_direct: the executor itself trusted the other robot; is_chained: each link through the relay that
---   passed the request on was trusted
+-- NULL: both when the run does not observe fleet and trust; is_direct: the executor itself trusted the other robot;
+--   is_chained: each link through the relay that passed the request on was trusted
 -- Example: fsar-ledger query facts/delegated_trust LEDGER
 WITH delegated AS (
     SELECT run_id, seq, task_id, action_id, capability, robot AS executor, on_behalf_of AS requester
@@ -53,8 +53,15 @@ scopes AS (
 )
 
 SELECT
-    run_id, seq,
-    coalesce(bool_or(is_trusted) FILTER (is_direct), FALSE) AS is_direct,
-    coalesce(bool_and(is_trusted) FILTER (NOT is_direct), FALSE) AS is_chained
+    scopes.run_id, scopes.seq,
+    if(
+        any_value(list_has_all(runs.observes, ['fleet', 'trust'])),
+        coalesce(bool_or(scopes.is_trusted) FILTER (scopes.is_direct), FALSE), NULL
+    ) AS is_direct,
+    if(
+        any_value(list_has_all(runs.observes, ['fleet', 'trust'])),
+        coalesce(bool_and(scopes.is_trusted) FILTER (NOT scopes.is_direct), FALSE), NULL
+    ) AS is_chained
 FROM scopes
-GROUP BY run_id, seq
+INNER JOIN runs ON scopes.run_id = runs.run_id
+GROUP BY scopes.run_id, scopes.seq

@@ -3,7 +3,8 @@
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Key: run_id, seq
 -- Units: started_us microseconds of run time; under_seqs positions in the run of the windows and rules in force then
--- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else
+-- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else; outcome and under_seqs when
+--   the run does not observe policy, is_approved without supervision, is_violation when it rests on such
 -- Example: fsar-ledger query facts/governed_starts LEDGER
 WITH starts AS (
     SELECT run_id, seq, time_us AS started_us, task_id, action_id, robot, on_behalf_of, capability
@@ -53,15 +54,27 @@ approved AS (
     FROM supervisor_responded
     WHERE purpose = 'review' AND coalesce(approves, TRUE) -- a response that does not say whether it approves does
     GROUP BY run_id, action_id
+),
+
+judged AS (
+    SELECT
+        starts.run_id, starts.seq, starts.started_us, starts.action_id, starts.robot, starts.on_behalf_of,
+        CASE
+            WHEN checks.is_denied THEN 'deny'
+            WHEN checks.run_id IS NOT NULL THEN 'review'
+            WHEN list_contains(runs.observes, 'policy') THEN 'allow'
+        END AS outcome,
+        coalesce(approved.approved_seq < starts.seq, if(list_contains(runs.observes, 'supervision'), FALSE, NULL))
+            AS is_approved,
+        if(list_contains(runs.observes, 'policy'), coalesce(checks.under_seqs, []), NULL) AS under_seqs
+    FROM starts
+    INNER JOIN runs ON starts.run_id = runs.run_id
+    LEFT JOIN checks ON starts.run_id = checks.run_id AND starts.seq = checks.seq
+    LEFT JOIN approved ON starts.run_id = approved.run_id AND starts.action_id = approved.action_id
 )
 
 SELECT
-    starts.run_id, starts.seq, starts.started_us, starts.action_id, starts.robot, starts.on_behalf_of,
-    CASE WHEN checks.run_id IS NULL THEN 'allow' WHEN checks.is_denied THEN 'deny' ELSE 'review' END AS outcome,
-    coalesce(approved.approved_seq < starts.seq, FALSE) AS is_approved,
-    checks.run_id IS NOT NULL
-    AND (checks.is_denied OR NOT coalesce(approved.approved_seq < starts.seq, FALSE)) AS is_violation,
-    coalesce(checks.under_seqs, []) AS under_seqs
-FROM starts
-LEFT JOIN checks ON starts.run_id = checks.run_id AND starts.seq = checks.seq
-LEFT JOIN approved ON starts.run_id = approved.run_id AND starts.action_id = approved.action_id
+    run_id, seq, started_us, action_id, robot, on_behalf_of, outcome, is_approved,
+    outcome = 'deny' OR (outcome = 'review' AND NOT is_approved) AS is_violation,
+    under_seqs
+FROM judged

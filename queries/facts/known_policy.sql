@@ -3,7 +3,7 @@
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; decision_seq, denied_seq positions in the run
--- NULL: action_id for a motion; denied_seq without an earlier refusal of the action that still stands
+-- NULL: action_id for a motion; denied_seq without a refusal that still stands; outcome but deny unless all is observed
 -- Example: fsar-ledger query facts/known_policy LEDGER
 -- Stored: I3 and A3 both read it
 WITH said AS (
@@ -17,7 +17,7 @@ WITH said AS (
 ),
 
 starts AS (
-    -- The last admission (or acceptance, if nobody admits) decides a delegated action, its start any other.
+    -- The last admission (or acceptance) decides a delegated action, its start any other.
     SELECT
         done.run_id, done.seq, done.time_us, done.type, done.task_id, done.action_id, done.robot, done.capability,
         coalesce(
@@ -49,8 +49,7 @@ outcomes AS (
             AND (windows.capability IS NULL OR starts.capability = windows.capability)
             AND (windows.context IS NULL OR starts.task_id = windows.context)
     UNION ALL
-    -- The fleet's rule for its zone, as the executor had last been told at the decision.
-    SELECT starts.run_id, starts.seq, rules.seq AS known_seq, rules.outcome
+    SELECT starts.run_id, starts.seq, rules.seq AS known_seq, rules.outcome -- as the executor had last been told
     FROM starts
     ASOF JOIN fleet_rule_learned AS rules
         ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
@@ -67,11 +66,12 @@ SELECT
     starts.run_id, starts.seq, starts.time_us, starts.type, starts.action_id, starts.robot, starts.decision_seq,
     CASE
         WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny'
-        WHEN bool_or(outcomes.outcome = 'review') THEN 'review'
-        ELSE 'allow'
+        WHEN any_value(list_has_all(runs.observes, ['policy', 'request', 'knowledge']))
+            THEN if(coalesce(bool_or(outcomes.outcome = 'review'), FALSE), 'review', 'allow')
     END AS outcome,
     if(starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq), starts.denied_seq, NULL) AS denied_seq
 FROM starts
+INNER JOIN runs ON starts.run_id = runs.run_id
 -- A supervisor approves the reviews known by then, or by the admission that follows; a denial stands all the same.
 LEFT JOIN outcomes
     ON

@@ -4,8 +4,9 @@
 --   another
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: never; is_against_*: that policy had not allowed it for at least a second (two messages); is_heeded: it was
---   refused, put to review, or approved in one
+-- NULL: is_against_* when the run does not observe policy, is_heeded when nothing shows it and the run does not
+--   observe request and supervision; is_against_*: that policy had not allowed it for at least a second (two messages);
+--   is_heeded: it was refused, put to review, or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER
 -- Stored: the evidence of governance reads it twice
 WITH approvals AS (
@@ -51,10 +52,19 @@ asked AS (
 )
 
 SELECT
-    asked.run_id, asked.seq, asked.time_us, asked.requester, asked.executor, asked.is_heeded,
-    coalesce(bool_or(windows.scope = 'local' AND windows.robot = asked.requester), FALSE) AS is_against_requester,
-    coalesce(bool_or(windows.scope = 'fleet' AND windows.robot = asked.executor), FALSE) AS is_against_fleet
+    asked.run_id, asked.seq, asked.time_us, asked.requester, asked.executor,
+    asked.is_heeded OR if(any_value(list_has_all(runs.observes, ['request', 'supervision'])), FALSE, NULL)
+        AS is_heeded,
+    coalesce(
+        bool_or(windows.scope = 'local' AND windows.robot = asked.requester),
+        if(any_value(list_contains(runs.observes, 'policy')), FALSE, NULL)
+    ) AS is_against_requester,
+    coalesce(
+        bool_or(windows.scope = 'fleet' AND windows.robot = asked.executor),
+        if(any_value(list_contains(runs.observes, 'policy')), FALSE, NULL)
+    ) AS is_against_fleet
 FROM asked
+INNER JOIN runs ON asked.run_id = runs.run_id
 LEFT JOIN policy_windows AS windows
     ON
         asked.run_id = windows.run_id AND windows.robot IN (asked.requester, asked.executor)

@@ -1,5 +1,7 @@
 """State is the fold of events; every event type has a projection or is listed as a mere record."""
 
+import random
+
 import msgspec
 import pytest
 from hypothesis import given, settings
@@ -17,6 +19,7 @@ from fsar_ledger.projections.fold import ROUTES, STATELESS, State, apply, fold
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
+from tests.foreign.histories import foreign_run
 from tests.runtime.commanded import commanded
 
 A = Robot("robot/A1")
@@ -187,3 +190,19 @@ def test_events_are_immutable_to_the_leaves() -> None:
             assert "list" not in str(field.type)
             assert "dict" not in str(field.type)
             assert "float" not in str(field.type)
+
+
+def test_what_a_robot_has_in_hand_is_an_action_at_it_whatever_was_recorded() -> None:
+    """Other systems record in any order, and not all: nothing that the writer stores ends in an error."""
+    told = 0
+    for seed in range(60):
+        run = foreign_run("night", 200, random.Random(seed))
+        state = State()
+        for seq, event in enumerate(run.events):
+            apply(state, event)
+            of, told = state.execution, told + 1
+            held = [(robot, name) for robot, name in of.current.items() if not name.startswith(execution.HELPING)]
+            held += [(robot, name) for robot, names in of.queues.items() for name in names]
+            at = {name: action.robot for name, action in of.actions.items() if action.stage != "withdrawn"}
+            assert sorted(held) == sorted((robot, name) for name, robot in at.items()), (seed, seq)
+    assert told > 8_000

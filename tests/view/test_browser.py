@@ -110,7 +110,7 @@ def test_the_state_is_that_of_the_projections(one: Page, pages: Path) -> None:
 
 def test_at_any_moment_as_many_facts_are_shown_as_hold(one: Page, pages: Path) -> None:
     record = fsar_ledger.open_ledger(pages / "ledger").record("fsar.full")
-    spans = spans_of(record).spans
+    spans = spans_of(record)
     press(one, "Home")
     shown = 0
     for _ in range(12):

@@ -181,7 +181,7 @@ def _told(run: str, action: str, timeline: Timeline, parties: Mapping[str, Any])
     yield ""
     yield from (f"{name.replace('_', ' '):<14} {found}" for name, found in _parties(parties))
     took = "" if parties["ended_s"] is None else f", {parties['ended_s'] - parties['began_s']:.3f} s after it began"
-    yield f"{'result':<14} {parties['result']}{took}"
+    yield f"{'result':<14} {parties['result'] or 'not observed'}{took}"
 
 
 def _parties(parties: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

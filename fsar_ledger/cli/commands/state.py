@@ -91,7 +91,7 @@ def _lines(asked: "Ledger", found: "Moment") -> Iterator[str]:
 
 def standing_lines(found: "Standing") -> Iterator[str]:
     """Yield how things stand: a paragraph for each robot, and one for each kind of what is open."""
-    for robot in found.robots:
+    for robot in found.robots or ():
         yield ""
         yield from _robot(robot)
     for name, lines in _lists(found):
@@ -99,17 +99,20 @@ def standing_lines(found: "Standing") -> Iterator[str]:
             yield ""
             yield name
             yield from (f"{BESIDE}{line}" for line in lines)
+    if found.not_observed:
+        yield ""
+        yield f"not observed, so that nothing is said of it: {', '.join(found.not_observed)}"
 
 
 def _robot(one: "RobotNow") -> Iterator[str]:
     signs = [f"supervisor {printable.value(one.supervisor)}"] if one.supervisor else ["no supervisor"]
-    signs += [] if one.is_on else ["OFF"]
-    signs += [] if one.is_linked else ["NOT LINKED"]
+    signs += ["OFF"] if one.is_on is False else []
+    signs += ["NOT LINKED"] if one.is_linked is False else []
     signs += [f"actuator {one.grade}"] if one.grade else []
     yield f"{printable.value(one.robot)}  role {printable.value(one.role)}, team {one.team}; {', '.join(signs)}"
     work = one.work
     if work is None:
-        yield f"{BESIDE}idle"
+        yield f"{BESIDE}{'idle' if one.is_idle else 'what it does is not observed'}"
     else:
         what = f" {printable.value(work.capability)}" if work.capability else ""
         whose = f" for {printable.value(work.on_behalf_of)}" if work.on_behalf_of else ""
@@ -119,12 +122,12 @@ def _robot(one: "RobotNow") -> Iterator[str]:
         yield f"{BESIDE}waiting: {printable.some(map(printable.value, one.queue))}"
     if one.obstructions:
         yield f"{BESIDE}in its way: {printable.some(map(printable.value, one.obstructions))}"
-    for window in one.windows:
+    for window in one.windows or ():
         yield (
             f"{BESIDE}{window.scope} policy: {window.outcome}, window {printable.value(window.window)} since "
             f"{window.since_s:.3f} s (event {window.seq})"
         )
-    for availability, names in one.offers.items():
+    for availability, names in (one.offers or {}).items():
         if availability != "ready":
             yield f"{BESIDE}offers as {availability}: {printable.some(map(printable.value, names))}"
 
@@ -134,11 +137,12 @@ def _lists(found: "Standing") -> Iterator[tuple[str, list[str]]]:
     yield (
         "tasks",
         [
-            f"{text(one.task_id)} of {text(one.robot)}: {one.steps_done} of {one.steps} steps done"
+            f"{text(one.task_id)} of {text(one.robot)}: {one.steps_done}"
+            + (" steps done" if one.steps is None else f" of {one.steps} steps done")
             + (f", now {text(one.step)}" if one.step else "")
             + (f", attempt {one.attempt}" if one.attempt > 1 else "")
-            + f"; due {one.due_s:.3f} s"
-            for one in found.tasks
+            + ("; its arrival is not on record" if one.due_s is None else f"; due {one.due_s:.3f} s")
+            for one in found.tasks or ()
         ],
     )
     yield (
@@ -146,31 +150,34 @@ def _lists(found: "Standing") -> Iterator[tuple[str, list[str]]]:
         [
             f"{text(one.action_id)} {text(one.capability)}: {text(one.requester)} -> {text(one.target or '?')}, "
             f"{one.phase}"
-            for one in found.requests
+            for one in found.requests or ()
             if one.target != one.requester
         ],
     )
-    yield "claims", [f"{text(one.action_id)} {one.dimension}: {text(one.claimant)}" for one in found.claims]
+    yield "claims", [f"{text(one.action_id)} {one.dimension}: {text(one.claimant)}" for one in found.claims or ()]
     yield (
         "recoveries",
         [
-            f"{text(one.action_id)} at {text(one.robot)}: {one.cause}, level {one.level}, {one.attempts} attempts, "
-            f"since {one.since_s:.3f} s"
-            for one in found.recoveries
+            f"{text(one.action_id)} at {text(one.robot)}: {one.cause or 'cause not on record'}, level {one.level}, "
+            f"{one.attempts} attempts" + ("" if one.since_s is None else f", since {one.since_s:.3f} s")
+            for one in found.recoveries or ()
         ],
     )
     yield (
         "calls",
-        [f"{one.number}: {text(one.supervisor)} about {text(one.action_id)}, {one.purpose}" for one in found.calls],
+        [
+            f"{one.number}: {text(one.supervisor)} about {text(one.action_id)}, {one.purpose}"
+            for one in found.calls or ()
+        ],
     )
-    yield "supervisors off shift", [text(one) for one in found.off_shift]
+    yield "supervisors off shift", [text(one) for one in found.off_shift or ()]
     yield (
         "rules",
         [
             f"{one.scope} {one.outcome} for {text(one.robot or 'every robot')}"
             + (f", {text(one.capability)}" if one.capability else "")
             + (f", task {text(one.task)}" if one.task else "")
-            for one in found.rules
+            for one in found.rules or ()
         ],
     )
     yield (
@@ -179,14 +186,15 @@ def _lists(found: "Standing") -> Iterator[tuple[str, list[str]]]:
             f"{text(one.robot)} -> {text(one.peer)}: {one.scope}"
             + (f", {text(one.capability)}" if one.capability else "")
             + (f", task {text(one.task)}" if one.task else "")
-            for one in found.trust
+            for one in found.trust or ()
         ],
     )
 
 
 def _belief(one: "Belief") -> str:
     about = f"{printable.value(one.about)}, {one.what}"
+    holds = "what holds is not observed" if one.holds is None else f"is {one.holds}"
     if one.believed is None:
-        return f"{about}: never told; is {one.holds}"
+        return f"{about}: {'never told' if one.was_told is False else 'what it was told is not observed'}; {holds}"
     age = "" if one.age_s is None else f" ({one.age_s:.3f} s old)"
-    return f"{about}: {one.believed}{age}" + (f", is {one.holds}" if one.is_stale else "")
+    return f"{about}: {one.believed}{age}" + (f", {holds}" if one.is_stale is not False else "")

@@ -78,7 +78,7 @@ def capable(fleet: Fleet, registry: Registry, capability: str, requester: Robot)
     )
 
 
-def helpers(fleet: Fleet, registry: Registry, action: Action, cause: str) -> tuple[Robot, ...]:
+def helpers(fleet: Fleet, registry: Registry, action: Action, cause: str | None) -> tuple[Robot, ...]:
     """Return every robot whose body could help with the failure, nearest team first.
 
     Paper: sec:model:recovery, level 2.

@@ -61,7 +61,6 @@ export interface Run {
   root: string;
   isVerified: boolean;
   notObserved: string[];
-  lost: Record<string, number>;
   about: [string, string][];
   lanes: Lane[];
   spans: Span[];
@@ -85,7 +84,6 @@ type Stored = {
   root: string;
   is_verified: boolean;
   not_observed: string[];
-  lost: Record<string, number>;
   about: [string, string][];
   lanes: [string, string][];
   types: [string, string | null, string[]][];
@@ -160,7 +158,6 @@ function runOf(stored: Stored, index: number): Run {
     root: stored.root,
     isVerified: stored.is_verified,
     notObserved: stored.not_observed,
-    lost: stored.lost,
     about: stored.about,
     lanes: stored.lanes.map(([name, about], at) => ({ index: at, name, about })),
     spans: stored.spans.map(([lane, track, kind, about, words, start, end, seq, until], at) => ({

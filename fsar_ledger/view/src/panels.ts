@@ -7,6 +7,8 @@ import { type State } from "./state";
 
 type Choose = (run: number, seq: number) => void;
 const LINKS_MOST = 40;
+/** The concerns without which nobody knows that a robot is idle. */
+const DOINGS = ["execution", "recovery"];
 
 const WORDS: Record<string, (span: Span) => string> = {
   task: (span) => `task ${span.about}`,
@@ -40,6 +42,8 @@ function momentOf(state: State, run: Run, choose: Choose): HTMLElement {
   found.append(element("p", { class: "last" }, "last event ", link(run, last, choose)));
   const order = Object.keys(WORDS);
   const held = heldAt(run, state.cursor).sort((one, other) => order.indexOf(one.track) - order.indexOf(other.track));
+  const unseen = run.notObserved.filter((concern) => DOINGS.includes(concern));
+  const nothing = unseen.length > 0 ? `not observed: ${unseen.join(", ")}` : "idle";
   const list = element("dl", { class: "lanes" });
   for (const lane of run.lanes.filter((one) => showsLane(state.filters, run, one.index))) {
     const mine = held.filter((span) => span.lane === lane.index && showsSpan(state.filters, run, span));
@@ -51,14 +55,10 @@ function momentOf(state: State, run: Run, choose: Choose): HTMLElement {
     if (chips.length === 0 && !lane.name.startsWith("robot/")) {
       continue;
     }
-    const value = element("dd", {}, ...(chips.length > 0 ? chips : [element("span", { class: "nothing" }, "idle")]));
+    const value = element("dd", {}, ...(chips.length > 0 ? chips : [element("span", { class: "nothing" }, nothing)]));
     list.append(element("div", {}, element("dt", {}, lane.name), value));
   }
   found.append(list);
-  const lost = Object.entries(run.lost).map(([slot, seq]) => `${slot} (from event ${seq})`);
-  if (lost.length > 0) {
-    found.append(element("p", { class: "note" }, `The record does not say enough to follow: ${lost.join(", ")}.`));
-  }
   if (run.notObserved.length > 0) {
     found.append(element("p", { class: "note" }, `Not observed: ${run.notObserved.join(", ")}.`));
   }

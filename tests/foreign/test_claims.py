@@ -1,0 +1,165 @@
+"""Not observed is not "allow", not "idle" and not zero: whatever is asked of a run that lacks a concern."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+from msgspec.structs import asdict
+
+from fsar_ledger.api.opening import open_ledger
+from fsar_ledger.constants import Constants
+from fsar_ledger.events import CONCERN_OF
+from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.library import library
+from fsar_ledger.metrics.observing import types_read, unobserved
+from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from tests.foreign.claims import (
+    BY_RUN,
+    GAPS,
+    MADE_ELSEWHERE,
+    OF_GAPS,
+    WHOLE,
+    recorded_without,
+    vain_claims,
+    without,
+)
+from tests.foreign.histories import append
+from tests.foreign.verbs import ask
+from tests.queries.keys import required
+from tests.quick import few
+from tests.recycled import from_table
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[LedgerRun]:
+    """A run of each architecture in which robots fail, ask, are refused and are helped."""
+    return [
+        simulate_run(RunSpec(42, architecture, "full", "failure-recovery-chain", 4, 12), Constants())
+        for architecture in ARCHITECTURES
+    ]
+
+
+@pytest.fixture(scope="module")
+def database(runs: list[LedgerRun]) -> Iterator[Database]:
+    """Each run in full, and once without each concern."""
+    variants = [without(runs, None, WHOLE), *(without(runs, concern, concern) for concern in CONCERNS)]
+    with from_table(pa.concat_tables(variants)) as made:
+        yield made
+
+
+@pytest.mark.parametrize("name", few(BY_RUN, [one for one in BY_RUN if one.startswith("audit/")]))
+def test_a_query_says_null_of_what_is_not_observed_and_names_it(database: Database, name: str) -> None:
+    assert list(vain_claims(database, library().find(name), WHOLE)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("concern", CONCERNS)
+def test_a_query_about_all_runs_names_what_is_not_observed(runs: list[LedgerRun], concern: str) -> None:
+    answers: list[dict[str, tuple[object, set[str]]]] = []
+    for rows in (without(runs, None, WHOLE), without(runs, concern, WHOLE)):
+        with from_table(rows) as made:
+            answers.append(
+                {
+                    name: (
+                        [_without_gaps(row) for row in made.query(name, required(query)).to_pylist()],
+                        {one.concern for one in unobserved(made, query)},
+                    )
+                    for name, query in library().queries.items()
+                    if name not in {*BY_RUN, *OF_GAPS, *MADE_ELSEWHERE}
+                }
+            )
+    whole, part = answers
+    silent = [name for name, (rows, said) in part.items() if rows != whole[name][0] and concern not in said]
+    assert len(part) > 20
+    assert silent == []
+
+
+# --- the verbs ---
+
+
+@pytest.fixture(scope="module")
+def ledgers(tmp_path_factory: pytest.TempPathFactory, runs: list[LedgerRun]) -> dict[str, Path]:
+    """Ledgers of the run of CFC, whose deciders keep copies: one for each concern that its source does not record."""
+    folder = tmp_path_factory.mktemp("ledgers")
+    run = next(one for one in runs if "cfc" in one.run_id)
+    for concern in CONCERNS:
+        append(folder / concern, [recorded_without(run, concern)], version=2)
+    return {concern: folder / concern for concern in CONCERNS}
+
+
+OF_FLEET = {
+    "fleet": "robots",
+    "request": "requests",
+    "authority": "claims",
+    "recovery": "recoveries",
+    "supervision": "calls",
+    "task": "tasks",
+    "trust": "trust",
+    "policy": "rules",
+}
+OF_ROBOT = {
+    "world": {"is_on", "is_linked", "grade", "obstructions"},
+    "execution": {"is_idle", "queue"},
+    "policy": {"windows"},
+    "registry": {"offers"},
+}
+
+
+@pytest.mark.parametrize("concern", few(CONCERNS, ("execution", "policy", "task")))
+def test_state_and_step_say_nothing_of_what_is_not_observed(ledgers: dict[str, Path], concern: str) -> None:
+    ledger = ledgers[concern]
+    for at in ("0s", "20s", "40s"):
+        moment = open_ledger(ledger).state(1, at, as_known_by="coordinator" if concern != "fleet" else None)
+        assert [one.concern for one in moment.provenance.not_observed] == [concern]
+        stands = asdict(moment.standing)
+        assert {name for name, value in stands.items() if value is None} - {"off_shift"} == (
+            {OF_FLEET[concern]} if concern in OF_FLEET else set()
+        )
+        for robot in stands["robots"] or ():
+            assert all(getattr(robot, name) is None for name in OF_ROBOT.get(concern, ()))
+            assert robot.is_idle is not True or concern not in ("execution", "recovery")
+        for one in moment.beliefs or ():
+            is_about_policy = one.what in ("own policy", "fleet's rule")
+            assert (one.holds is None) == (is_about_policy and concern == "policy") or concern in NOT_POLICY
+            assert one.believed is None or concern != "knowledge"
+        said = ask("state", ledger, "--run", "1", "--at", at)
+        walked = ask("step", ledger, "--run", "1", "--script", f"go {at};state")
+        for called in (said, walked):
+            assert called.code == 0
+            assert f"not observed, so that nothing is said of it: {concern}" in called.out
+            assert "idle" not in called.out or concern not in ("execution", "recovery")
+
+
+NOT_POLICY = ("execution", "recovery", "world")
+"""Concerns on which something else than policy rests that a decider may be told."""
+
+
+@pytest.mark.parametrize("concern", few(CONCERNS, ("execution", "request")))
+def test_log_explain_and_view_name_what_is_not_observed(ledgers: dict[str, Path], tmp_path: Path, concern: str) -> None:
+    ledger = ledgers[concern]
+    logged = ask("log", ledger, "--run", "1")
+    assert (logged.code, f"says nothing about it: {concern} (1 of 1 runs)" in logged.err) == (0, True)
+    page = tmp_path / "page.html"
+    assert ask("view", ledger, "--out", page).code == 0
+    assert f'"not_observed":["{concern}"]' in page.read_text("utf-8")
+    rests = types_read(library(), library().find("audit/request_timeline"))
+    assert rests is not None
+    explained = ask("explain", ledger, "--run", "1", "--json")
+    names = {one["concern"] for one in json.loads(explained.out).get("not_observed", ())}
+    assert names == ({concern} if any(CONCERN_OF.get(tag.partition(".")[0]) == concern for tag in rests) else set())
+
+
+def test_a_request_of_which_nothing_tells_the_end_has_no_result(ledgers: dict[str, Path]) -> None:
+    found = open_ledger(ledgers["execution"]).requests(1).rows()
+    assert {row["result"] for row in found} >= {None}
+    assert not {row["result"] for row in found} & {"not begun", "not finished"}
+    assert {row["failures"] for row in open_ledger(ledgers["recovery"]).requests(1).rows()} == {None}
+    assert {row["denials"] for row in open_ledger(ledgers["request"]).requests(1).rows()} == {None}
+
+
+def _without_gaps(row: dict[str, object]) -> dict[str, object]:
+    return {column: value for column, value in row.items() if column not in GAPS}
