@@ -35,7 +35,7 @@ SELECT
     CASE WHEN grounds.ground_seq IS NOT NULL THEN coalesce(grounds.closed_us > denials.time_us, TRUE) END AS was_open,
     denials.supervised_by
 FROM denied_actions AS denials
-LEFT JOIN denial_grounds AS grounds ON denials.run_id = grounds.run_id AND denials.seq = grounds.seq
+LEFT JOIN policy_grounds AS grounds ON denials.run_id = grounds.run_id AND denials.seq = grounds.seq
 LEFT JOIN action_records AS actions
     ON denials.run_id = actions.run_id AND denials.action_id = actions.action_id
 WHERE

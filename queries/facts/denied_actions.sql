@@ -24,40 +24,20 @@ actions AS (
     SELECT run_id, seq, max(action_id) AS action_id
     FROM causes
     GROUP BY run_id, seq
-),
-
-grounds AS (
-    SELECT
-        under.run_id, under.seq,
-        list(coalesce(under."window", 'rule ' || under.ground_seq) ORDER BY under.ground_seq, under.robot)
-            AS denied_under,
-        list(DISTINCT under.ground_seq ORDER BY under.ground_seq) AS under_seqs,
-        string_agg(
-            if(under."window" IS NULL, 'rule ' || under.ground_seq, 'window ' || under."window") || ' of '
-            || if(under.scope = 'fleet', 'the fleet''s policy for ' || under.robot, under.robot || '''s local policy')
-            || if(
-                under.closed_us <= denied.time_us,
-                ', over since ' || under.closed_us / 1000000 || ' s, last seen at ' || under.seen_us / 1000000 || ' s',
-                ''
-            ),
-            ' and ' ORDER BY under.ground_seq, under.robot
-        ) AS grounds
-    FROM denial_grounds AS under
-    INNER JOIN request_denied AS denied ON under.run_id = denied.run_id AND under.seq = denied.seq
-    GROUP BY under.run_id, under.seq
 )
 
 SELECT
     denied.run_id, denied.seq, denied.time_us, actions.action_id, denied.requested_by, denied.executed_by,
-    denied.decided_by, denied.reason, grounds.denied_under, grounds.under_seqs, denied.supervised_by,
+    denied.decided_by, denied.reason, grounds.names AS denied_under,
+    grounds.ground_seqs AS under_seqs, denied.supervised_by,
     nullif(concat_ws(
         '; ',
         'asked of ' || if(denied.executed_by = denied.decided_by, NULL, denied.executed_by),
-        'under ' || grounds.grounds,
+        'under ' || grounds.told,
         'decided through '
         || nullif(array_to_string(list_filter(denied.path, LAMBDA one: one <> denied.decided_by), ', '), ''),
         'supervised by ' || denied.supervised_by
     ), '') AS note
 FROM request_denied AS denied
 INNER JOIN actions ON denied.run_id = actions.run_id AND denied.seq = actions.seq
-LEFT JOIN grounds ON denied.run_id = grounds.run_id AND denied.seq = grounds.seq
+LEFT JOIN named_grounds AS grounds ON denied.run_id = grounds.run_id AND denied.seq = grounds.seq

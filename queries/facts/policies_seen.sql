@@ -1,18 +1,89 @@
--- Title: Each denial that a policy can explain: for which capability, and at which moments its decider saw the policies
--- Paper: eq:policy, eq:admissible
--- Grain: one row per RequestDenied event for policy, a bid, an own step or a review
+-- Title: Each denial and call for review that a policy can explain: for which capability, and at which moments its
+--   decider saw the policies
+-- Paper: eq:policy, eq:admissible, eq:supervision
+-- Grain: one row per RequestDenied event for policy, a bid, an own step or a review, and per SupervisorCalled event for
+--   review
 -- Key: run_id, seq
--- Units: time_us microseconds of run time; local_us, fleet_us when the decider last saw the executor's own policy and
---   the fleet's policy for it, fleet_us -1 when it never had learned a rule of the fleet
+-- Units: time_us microseconds of run time; decided_seq, decided_us position and time of the decision by policy: of the
+--   call for a denial after a review, of the bid for a call about a bid, else of the event; local_us, fleet_us when the
+--   decider last saw the executor's own policy and the fleet's policy for it, fleet_us -1 when it never had learned a
+--   rule of the fleet
 -- NULL: a principal, task or action that the record does not name; capability when no record before names one
 -- Example: fsar-ledger query facts/policies_seen LEDGER
-WITH denied AS (
+WITH bids AS (
+    SELECT
+        run_id, seq, time_us, action_id,
+        coalesce(executed_by, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS robot
+    FROM request_admitted
+    WHERE outcome = 'review'
+),
+
+asked AS (
+    SELECT run_id, seq, action_id, executed_by
+    FROM request_events
+    WHERE type IN ('RequestIssued.v1', 'RequestRelayed.v1') AND executed_by IS NOT NULL
+),
+
+calls AS (
+    -- Who calls is not recorded: the coordinator names the robot that it has picked, a bidder has said that its policy
+    -- wants a review, an executor was asked before, and otherwise the step is the robot's own.
+    SELECT
+        called.run_id, called.seq, called.time_us, called.task_id, called.action_id,
+        CASE
+            WHEN called.robot IS NOT NULL THEN 'review'
+            WHEN bids.seq IS NOT NULL THEN 'bid'
+            WHEN asked.seq IS NOT NULL THEN 'review'
+            ELSE 'own step'
+        END AS reason,
+        if(called.robot IS NULL, NULL, 'coordinator') AS decided_by,
+        coalesce(called.robot, bids.robot, asked.executed_by, steps.robot) AS robot,
+        if(called.robot IS NULL, coalesce(bids.seq, called.seq), called.seq) AS decided_seq,
+        if(called.robot IS NULL, coalesce(bids.time_us, called.time_us), called.time_us) AS decided_us
+    FROM supervisor_called AS called
+    ASOF LEFT JOIN bids
+        ON called.run_id = bids.run_id AND called.action_id = bids.action_id AND called.seq > bids.seq
+    ASOF LEFT JOIN asked
+        ON called.run_id = asked.run_id AND called.action_id = asked.action_id AND called.seq > asked.seq
+    ASOF LEFT JOIN step_began AS steps
+        ON called.run_id = steps.run_id AND called.task_id = steps.task_id AND called.seq > steps.seq
+    WHERE called.purpose = 'review'
+),
+
+denied AS (
     SELECT
         run_id, seq, time_us, task_id, action_id, reason, decided_by,
-        coalesce(executed_by, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS robot,
-        if(reason = 'review', 'review', 'deny') AS outcome
+        coalesce(executed_by, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS robot
     FROM request_denied
     WHERE reason IN ('policy', 'bid', 'own step', 'review')
+),
+
+judged AS (
+    SELECT
+        run_id, seq, time_us, task_id, action_id, reason, decided_by, robot,
+        seq AS decided_seq,
+        time_us AS decided_us,
+        'deny' AS outcome
+    FROM denied
+    WHERE reason <> 'review'
+    UNION ALL
+    -- What is denied after a review was put to it by the policies at the call.
+    SELECT
+        denied.run_id, denied.seq, denied.time_us, denied.task_id, denied.action_id,
+        coalesce(calls.reason, denied.reason) AS reason,
+        if(calls.seq IS NULL, denied.decided_by, calls.decided_by) AS decided_by,
+        coalesce(calls.robot, denied.robot) AS robot,
+        coalesce(calls.decided_seq, denied.seq) AS decided_seq,
+        coalesce(calls.decided_us, denied.time_us) AS decided_us,
+        'review' AS outcome
+    FROM denied
+    ASOF LEFT JOIN calls
+        ON denied.run_id = calls.run_id AND denied.task_id = calls.task_id AND denied.seq > calls.seq
+    WHERE denied.reason = 'review'
+    UNION ALL
+    SELECT
+        run_id, seq, time_us, task_id, action_id, reason, decided_by, robot, decided_seq, decided_us,
+        'review' AS outcome
+    FROM calls
 ),
 
 copied AS (
@@ -23,22 +94,22 @@ copied AS (
 )
 
 SELECT
-    denied.run_id, denied.seq, denied.time_us, denied.task_id, denied.action_id, denied.reason, denied.robot,
-    denied.outcome,
+    judged.run_id, judged.seq, judged.time_us, judged.task_id, judged.action_id, judged.reason, judged.robot,
+    judged.decided_seq, judged.decided_us, judged.outcome,
     coalesce(issued.capability, steps.capability) AS capability,
     -- Planners and the coordinator decide by their last snapshot or copy of a robot's own policy.
-    coalesce(snapshots.time_us, copied.time_us, denied.time_us) AS local_us,
+    coalesce(snapshots.time_us, copied.time_us, judged.decided_us) AS local_us,
     coalesce(
-        learned.as_of_us, if(denied.run_id IN (SELECT run_id FROM fleet_rule_learned), -1, denied.time_us)
+        learned.as_of_us, if(judged.run_id IN (SELECT run_id FROM fleet_rule_learned), -1, judged.decided_us)
     ) AS fleet_us
-FROM denied
+FROM judged
 ASOF LEFT JOIN request_issued AS issued
-    ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
+    ON judged.run_id = issued.run_id AND judged.action_id = issued.action_id AND judged.decided_seq > issued.seq
 ASOF LEFT JOIN step_began AS steps
-    ON denied.run_id = steps.run_id AND denied.task_id = steps.task_id AND denied.seq > steps.seq
+    ON judged.run_id = steps.run_id AND judged.task_id = steps.task_id AND judged.decided_seq > steps.seq
 ASOF LEFT JOIN snapshot_taken AS snapshots
-    ON denied.run_id = snapshots.run_id AND denied.robot = snapshots.robot AND denied.seq > snapshots.seq
+    ON judged.run_id = snapshots.run_id AND judged.robot = snapshots.robot AND judged.decided_seq > snapshots.seq
 ASOF LEFT JOIN copied
-    ON denied.run_id = copied.run_id AND denied.decided_by = copied.decided_by AND denied.seq > copied.seq
+    ON judged.run_id = copied.run_id AND judged.decided_by = copied.decided_by AND judged.decided_seq > copied.seq
 ASOF LEFT JOIN fleet_rule_learned AS learned
-    ON denied.run_id = learned.run_id AND denied.robot = learned.robot AND denied.seq > learned.seq
+    ON judged.run_id = learned.run_id AND judged.robot = learned.robot AND judged.decided_seq > learned.seq
