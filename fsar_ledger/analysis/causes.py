@@ -104,7 +104,7 @@ class Search:
         self.candidates: tuple[str, ...] = (*self._places, *dict.fromkeys(answers))
 
     def judge(self, sets: Sequence[frozenset[str]]) -> list[bool | None]:
-        """Return for each set whether the outcome stands with it alone; None if it is undefined. Raises: QueryFailed."""
+        """Return for each set whether the outcome stands with it alone; None: it is undefined. Raises: QueryFailed."""
         new = [one for one in dict.fromkeys(sets) if one not in self._known]
         for begin in range(0, len(new), MOST_AT_ONCE):
             batch = new[begin : begin + MOST_AT_ONCE]

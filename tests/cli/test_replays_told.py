@@ -211,6 +211,11 @@ def test_a_pair_without_a_value_does_not_disagree(call: Call, ledger: Path) -> N
     assert "no pair disagrees" in answer.out
     told = json.loads(call("bisect", ledger, *changed, "--outcome", "coordination_success > 0", "--json").out)
     assert (told["pairs"], told["undefined"], told["first_only"]) == (0, 4, 0)
+    always = "reassignment_latency_s >= 0"
+    sides = json.loads(call("bisect", ledger, "--first", "fsar", "--second", "dhma", "--outcome", always, "--json").out)
+    assert sides["pairs"] + sides["undefined"] == 4
+    assert 0 < sides["undefined"] < 4
+    assert (sides["pairs"], sides["diff"]) == (sides["both"], None)
 
 
 @pytest.mark.parametrize(

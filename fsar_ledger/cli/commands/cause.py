@@ -52,8 +52,9 @@ def cause(
 
     A cause is a set of facts of the world and answers at ports with which alone the outcome stands, and without any one
     of which it falls. It is found over forks of the run, so it is a cause and no mere correlation; others may suffice,
-    too. A fact without which the outcome has no value is no cause of it: without a task nothing fails. Then the curve: from moments of the run on, the share of futures, drawn anew, that avoid the outcome, up to the
-    event after which none does.
+    too. A fact without which the outcome has no value is no cause of it: without a task nothing fails. Then the curve:
+    from moments of the run on, the share of futures, drawn anew, that avoid the outcome, up to the event after which
+    none does.
     """
     from fsar_ledger.cli.answering import opened, warn
 
