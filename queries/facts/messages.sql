@@ -4,20 +4,10 @@
 -- Key: run_id, seq, part
 -- Units: time_us microseconds of run time; part counts from 1
 -- NULL: action_id, sender, receiver when the record does not say; note when there is nothing to add. A robot's own
---   deed has the robot as both, whatever principal the record names. Who calls a supervisor is not recorded: for a
---   review that names a robot it is the coordinator, for one about a bid the requester, for recovery the decider that
---   was named last, else the executor named last or the robot whose step it is. The answer goes to the executor that
---   it names, or to who called; the supervisor has it as a deed when neither is on record
+--   deed has the robot as both, whatever principal the record names.
+--   Who calls a supervisor, and whom the answer reaches, is that of facts/supervision_ends
 -- Example: fsar-ledger query facts/messages LEDGER
-WITH calls AS (
-    SELECT
-        run_id, seq,
-        reason AS is_about,
-        robot AS is_of
-    FROM policies_seen
-),
-
-told AS (
+WITH told AS (
     SELECT
         events.run_id, events.seq, events.time_us, events.type, keyed_events.action_id,
         MAP {
@@ -29,12 +19,7 @@ told AS (
                 'service/registry'
             ),
             'target': if(events.action_id IS NULL AND request_id IS NULL, decided_by, coalesce(relay, executed_by)),
-            'caller': CASE
-                WHEN purpose = 'review' AND robot IS NOT NULL THEN 'coordinator'
-                WHEN purpose = 'recovery' THEN last_value(decided_by IGNORE NULLS) OVER earlier
-                WHEN calls.is_about = 'bid' THEN last_value(requested_by IGNORE NULLS) OVER earlier
-                ELSE coalesce(last_value(executed_by IGNORE NULLS) OVER earlier, calls.is_of)
-            END
+            'caller': ends.caller, 'asker': ends.asker
         } AS parties,
         MAP {
             'capability': capability, 'cause': cause, 'result': result, 'purpose': purpose, 'reason': reason,
@@ -71,34 +56,16 @@ told AS (
     FROM events
     INNER JOIN keyed_events ON events.run_id = keyed_events.run_id AND events.seq = keyed_events.seq
     INNER JOIN runs ON events.run_id = runs.run_id
-    LEFT JOIN calls ON events.run_id = calls.run_id AND events.seq = calls.seq
+    LEFT JOIN supervision_ends AS ends ON events.run_id = ends.run_id AND events.seq = ends.seq
     WHERE
         events.type IN (SELECT message_words.type FROM message_words)
         AND (events.type <> 'AuthorityClaimed.v1' OR reason = 'revocation')
-    WINDOW earlier AS (
-        PARTITION BY events.run_id, keyed_events.action_id ORDER BY events.seq
-        ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
-    )
-),
-
-answered AS (
-    SELECT
-        run_id, seq,
-        coalesce(
-            parties['executor'],
-            last_value(if(type = 'SupervisorCalled.v1', parties['caller'], NULL) IGNORE NULLS) OVER (
-                PARTITION BY run_id, action_id, details['purpose'] ORDER BY seq
-            ),
-            parties['requester'], parties['decider'], parties['supervisor']
-        ) AS receiver
-    FROM told
-    WHERE type IN ('SupervisorCalled.v1', 'SupervisorResponded.v1')
 )
 
 SELECT
     told.run_id, told.seq, words.part, told.time_us, told.type, told.action_id,
     told.parties[words.sender] AS sender,
-    if(words.receiver = 'asker', answered.receiver, told.parties[words.receiver]) AS receiver,
+    told.parties[words.receiver] AS receiver,
     words.words || coalesce(': ' || told.details[words.detail], '') AS message,
     nullif(concat_ws(
         '; ',
@@ -108,7 +75,6 @@ SELECT
     ), '') AS note
 FROM told
 INNER JOIN message_words AS words ON told.type = words.type
-LEFT JOIN answered ON told.run_id = answered.run_id AND told.seq = answered.seq
 LEFT JOIN denied_actions AS denied ON told.run_id = denied.run_id AND told.seq = denied.seq
 LEFT JOIN named_grounds AS called
     ON told.type = 'SupervisorCalled.v1' AND told.run_id = called.run_id AND told.seq = called.seq

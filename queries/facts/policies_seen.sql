@@ -10,46 +10,7 @@
 --   rule of the fleet
 -- NULL: a principal, task or action that the record does not name; capability when no record before names one
 -- Example: fsar-ledger query facts/policies_seen LEDGER
-WITH bids AS (
-    SELECT
-        run_id, seq, time_us, action_id,
-        coalesce(executed_by, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS robot
-    FROM request_admitted
-    WHERE outcome = 'review'
-),
-
-asked AS (
-    SELECT run_id, seq, action_id, executed_by
-    FROM request_events
-    WHERE type IN ('RequestIssued.v1', 'RequestRelayed.v1') AND executed_by IS NOT NULL
-),
-
-calls AS (
-    -- Who calls is not recorded: the coordinator names the robot that it has picked, a bidder has said that its policy
-    -- wants a review, an executor was asked before, and otherwise the step is the robot's own.
-    SELECT
-        called.run_id, called.seq, called.time_us, called.task_id, called.action_id,
-        CASE
-            WHEN called.robot IS NOT NULL THEN 'review'
-            WHEN bids.seq IS NOT NULL THEN 'bid'
-            WHEN asked.seq IS NOT NULL THEN 'review'
-            ELSE 'own step'
-        END AS reason,
-        if(called.robot IS NULL, NULL, 'coordinator') AS decided_by,
-        coalesce(called.robot, bids.robot, asked.executed_by, steps.robot) AS robot,
-        if(called.robot IS NULL, coalesce(bids.seq, called.seq), called.seq) AS decided_seq,
-        if(called.robot IS NULL, coalesce(bids.time_us, called.time_us), called.time_us) AS decided_us
-    FROM supervisor_called AS called
-    ASOF LEFT JOIN bids
-        ON called.run_id = bids.run_id AND called.action_id = bids.action_id AND called.seq > bids.seq
-    ASOF LEFT JOIN asked
-        ON called.run_id = asked.run_id AND called.action_id = asked.action_id AND called.seq > asked.seq
-    ASOF LEFT JOIN step_began AS steps
-        ON called.run_id = steps.run_id AND called.task_id = steps.task_id AND called.seq > steps.seq
-    WHERE called.purpose = 'review'
-),
-
-denied AS (
+WITH denied AS (
     SELECT
         run_id, seq, time_us, task_id, action_id, reason, decided_by,
         coalesce(executed_by, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS robot
@@ -76,14 +37,14 @@ judged AS (
         coalesce(calls.decided_us, denied.time_us) AS decided_us,
         'review' AS outcome
     FROM denied
-    ASOF LEFT JOIN calls
+    ASOF LEFT JOIN review_calls AS calls
         ON denied.run_id = calls.run_id AND denied.task_id = calls.task_id AND denied.seq > calls.seq
     WHERE denied.reason = 'review'
     UNION ALL
     SELECT
         run_id, seq, time_us, task_id, action_id, reason, decided_by, robot, decided_seq, decided_us,
         'review' AS outcome
-    FROM calls
+    FROM review_calls
 ),
 
 copied AS (

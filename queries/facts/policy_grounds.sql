@@ -62,51 +62,12 @@ under_policy AS (
             AND (windows.capability IS NULL OR seen.capability = windows.capability)
             AND (windows.context IS NULL OR seen.task_id = windows.context)
     GROUP BY ALL
-),
-
-densities AS (
-    -- A density of the robot's own takes precedence over the one for every robot.
-    SELECT
-        policies.run_id, policies.seq, policies.decided_seq, policies.robot, policies.decided_us,
-        arg_max(sets.seq, (sets.robot IS NOT NULL, sets.seq)) AS ground_seq,
-        arg_max(sets.time_us, (sets.robot IS NOT NULL, sets.seq)) AS opened_us,
-        arg_max(sets.review_every, (sets.robot IS NOT NULL, sets.seq)) AS review_every
-    FROM policies_seen AS policies
-    INNER JOIN supervision_density_set AS sets
-        ON
-            policies.run_id = sets.run_id AND policies.decided_seq > sets.seq
-            AND coalesce(sets.robot, policies.robot) = policies.robot
-    WHERE policies.outcome = 'review' AND policies.reason = 'review'
-    GROUP BY policies.run_id, policies.seq, policies.decided_seq, policies.robot, policies.decided_us
-),
-
-under_supervision AS (
-    SELECT
-        densities.run_id, densities.seq, densities.ground_seq,
-        NULL::VARCHAR AS "window",
-        densities.robot,
-        NULL::VARCHAR AS scope,
-        NULL::VARCHAR AS capability,
-        NULL::VARCHAR AS context,
-        'review' AS outcome,
-        densities.opened_us,
-        NULL::BIGINT AS closed_us,
-        densities.decided_us AS seen_us,
-        densities.review_every
-    FROM densities
-    LEFT JOIN request_admitted AS admitted
-        ON
-            densities.run_id = admitted.run_id AND densities.robot = admitted.executed_by
-            AND densities.decided_seq > admitted.seq
-    WHERE densities.review_every > 0
-    GROUP BY ALL
-    HAVING (count(admitted.seq) + 1) % any_value(densities.review_every) = 0
 )
 
 SELECT *
 FROM under_policy
 UNION ALL
-SELECT under_supervision.*
-FROM under_supervision
+SELECT density.*
+FROM density_reviews AS density
 ANTI JOIN under_policy
-    ON under_supervision.run_id = under_policy.run_id AND under_supervision.seq = under_policy.seq
+    ON density.run_id = under_policy.run_id AND density.seq = under_policy.seq

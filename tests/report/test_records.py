@@ -91,5 +91,9 @@ def test_a_record_is_renewed_only_if_its_results_are_the_same(
     record.write_text(json.dumps({"numbers": [1], "rules": {"facts/conflicts": "old"}}))
     before = record.read_text()
     again = json.dumps({**made, "rules": {"facts/conflicts": "new"}})
-    assert renew(record, lambda out: out.write_text(again) and None) == is_same
+
+    def make(out: Path) -> None:
+        out.write_text(again)
+
+    assert renew(record, make) == is_same
     assert record.read_text() == (again if is_same else before)
