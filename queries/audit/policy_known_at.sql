@@ -3,17 +3,13 @@
 -- Grain: one row per run, robot, scope and decider that had been told of it by then; one for a robot and scope of
 --   which nobody had, which says why
 -- Key: run_id, known_by?, robot, scope
--- Units: learned_us, as_of_us microseconds of run time; true_outcome that of the windows, of which deciders are told;
---   at seconds, by default after the end of every run
+-- Units: learned_us, as_of_us microseconds of run time; at seconds, by default the end; true_outcome of the windows
 -- NULL: what was known, and the comparison, when nobody had been told; why_unknown when somebody had; true_outcome,
 --   is_wrong when no window on record asks for review or denies and the run does not observe policy
 -- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
 -- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH asked AS (
-    SELECT
-        members.run_id, members.robot, scopes.scope, runs.architecture,
-        coalesce(list_contains(runs.observes, 'knowledge'), FALSE) AS is_told_observed,
-        coalesce(list_contains(runs.observes, 'policy'), FALSE) AS is_observed
+    SELECT members.run_id, members.robot, scopes.scope, runs.architecture, runs.observes
     FROM fleet_members AS members
     INNER JOIN runs ON members.run_id = runs.run_id
     CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
@@ -40,12 +36,12 @@ later AS (
 known AS (
     SELECT
         asked.run_id, latest.known_by, asked.robot, asked.scope, latest.known_outcome, latest.learned_us,
-        latest.as_of_us, asked.is_observed,
+        latest.as_of_us, asked.observes,
         CASE
             WHEN latest.known_by IS NOT NULL THEN NULL
             WHEN later.first_us IS NOT NULL
                 THEN 'nobody had been told by then; the first is told at ' || later.first_us / 1000000 || ' s'
-            WHEN NOT asked.is_told_observed
+            WHEN NOT coalesce(list_contains(asked.observes, 'knowledge'), FALSE)
                 THEN 'not observable: the run does not observe knowledge, that is what deciders are told'
             WHEN asked.architecture = 'fsar' AND asked.scope = 'local'
                 THEN 'fsar keeps no copies: each robot reads its own policy'
@@ -63,7 +59,7 @@ judged AS (
         CASE
             WHEN bool_or(windows.outcome = 'deny') THEN 'deny'
             WHEN bool_or(windows.outcome = 'review') THEN 'review'
-            WHEN bool_and(known.is_observed) THEN 'allow'
+            WHEN bool_and(list_contains(known.observes, 'policy')) THEN 'allow'
         END AS true_outcome,
         known.why_unknown
     FROM known
