@@ -27,6 +27,7 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.metrics.results import MetricRow, metric_rows
+from fsar_ledger.metrics.rules import METRICS, rules
 from fsar_ledger.metrics.verdicts import published
 from fsar_ledger.recording import require_writable, write_record
 from fsar_ledger.registration import Free, registration
@@ -229,6 +230,7 @@ def _record(start: Vector, last: Search, rows: list[MetricRow], evaluations: int
         "runs_per_scenario": PLAN.judged_runs,
         "evaluations": evaluations,
         "model_version": MODEL_VERSION,
+        "rules": rules(METRICS),
         "command": "fsar-ledger calibrate --out FILE",
         "parameters": [
             _parameter(one, begun, constants, directions, singular, index) for index, one in enumerate(FREE)

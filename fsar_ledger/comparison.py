@@ -13,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
@@ -21,6 +22,7 @@ from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.results import MetricRow
+from fsar_ledger.metrics.rules import changed
 from fsar_ledger.metrics.verdicts import MARGINS, Answer, judge
 from fsar_ledger.prediction import CASES, SEED, SEEDS, Predicted, Record
 from fsar_ledger.recording import require_another, require_writable, write_record
@@ -64,12 +66,13 @@ class CellBeside(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "cla
 class Comparison(msgspec.Struct, frozen=True):
     """The printed cells of the results, ablation and scaling tables, and all predictions.
 
-    `model_version` and `parameters` are the model and the constants that they rest on. The tests of the significance
-    table and the numbers of the cases are in `report`.
+    `model_version`, `parameters` and `rules` are the model, the constants and the queries that they rest on. The tests
+    of the significance table and the numbers of the cases are in `report`.
     """
 
     model_version: str
     parameters: str
+    rules: dict[str, str]
     command: str
     cells: list[CellBeside]
     predictions: list[Outcome]
@@ -161,7 +164,7 @@ def read(path: Path) -> Record:
 
 
 def _require_of_today(record: Record, path: Path) -> None:
-    """Check that the record has this version's model and constants, which are those of the registration.
+    """Check that the record has this version's model and constants, which are those of the registration, and its rules.
 
     Raises: UsageError.
     """
@@ -175,6 +178,11 @@ def _require_of_today(record: Record, path: Path) -> None:
             f"{path}: found predictions with the constants {_digest(record.parameters)} (SHA-256), expected those of "
             f"this version, {_digest(today)}; "
             "judge them with the version that wrote them, or predict again"
+        )
+    if judged_otherwise := changed(record.rules):
+        raise UsageError(
+            f"{path}: found predictions that other queries made, expected those of this version; changed since: "
+            f"{printable.some(map(printable.value, judged_otherwise))}; predict again"
         )
 
 
@@ -190,7 +198,12 @@ def compared(record: Record) -> Comparison:
         _outcome(said.name, said.implies, list(CHECKS[said.name](numbers))) for said in registration().prediction
     ]
     return Comparison(
-        record.model_version, record.parameters, "fsar-ledger judge PREDICTIONS --out FILE", cells, outcomes
+        record.model_version,
+        record.parameters,
+        record.rules,
+        "fsar-ledger judge PREDICTIONS --out FILE",
+        cells,
+        outcomes,
     )
 
 

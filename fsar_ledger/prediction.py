@@ -20,6 +20,7 @@ from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
+from fsar_ledger.metrics.rules import CLAIMS, METRICS, rules
 from fsar_ledger.recording import require_writable, write_record
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
@@ -87,10 +88,11 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Record(msgspec.Struct, frozen=True):
-    """All predictions, with the model and the constants that they rest on."""
+    """All predictions, with the model, the constants and the queries that they rest on (`metrics/rules.py`)."""
 
     model_version: str
     parameters: str
+    rules: dict[str, str]
     command: str
     numbers: list[Predicted]
     cases: list[Claim]
@@ -158,9 +160,8 @@ def predict(out: Path, progress: Progress | None = None, workers: int = 2) -> No
                 claims += typed(database.rows(CLAIMS_SQL), Claim)
         if progress is not None:
             progress(done, len(every))
-    write_record(
-        out, Record(MODEL_VERSION, write_constants(Constants()), "fsar-ledger predict --out FILE", numbers, claims)
-    )
+    parameters, judged_by = write_constants(Constants()), rules(METRICS, CLAIMS)
+    write_record(out, Record(MODEL_VERSION, parameters, judged_by, "fsar-ledger predict --out FILE", numbers, claims))
 
 
 @contextmanager

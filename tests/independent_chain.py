@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import independent_parquet  # type: ignore[import-not-found]
+from independent_tree import Forest, places_between  # type: ignore[import-not-found]
 from independent_verifier import (  # type: ignore[import-not-found]
     COUNT,
     ENVELOPE,
@@ -330,7 +331,10 @@ class ChainVerifier:
     def tree_of(self, chain: Chain) -> list[bytes]:
         """Return subtrees whose root is that of the events in segments, as `root_over` takes them."""
         last = max(chain.placed.values(), key=lambda one: int(one["first"]), default=None)
-        return Forest([bytes.fromhex(each) for each in last["frontier"]] if last else [], chain.placed_size)
+        found: list[bytes] = Forest(
+            [bytes.fromhex(each) for each in last["frontier"]] if last else [], chain.placed_size
+        )
+        return found
 
     def parsed(self, name: str, rows: list[bytes], number: int) -> list[Row]:
         found = []
@@ -562,26 +566,6 @@ class Whole:
         self.whole, self.note = whole, note
 
 
-class Forest(list[bytes]):
-    """Complete subtrees, largest first, of `size` leaves in all; leaves may be added behind them."""
-
-    def __init__(self, subtrees: list[bytes], size: int):
-        super().__init__(subtrees)
-        self.size = size
-
-    def __add__(self, leaves: list[bytes]) -> "Forest":  # type: ignore[override]
-        found, size = list(self), self.size
-        for leaf in leaves:
-            found.append(leaf)
-            size += 1
-            bits = size
-            while not bits & 1:
-                right, left = found.pop(), found.pop()
-                found.append(sha256(b"\x01", left, right))
-                bits >>= 1
-        return Forest(found, size)
-
-
 def is_placement(line: bytes) -> bool:
     try:
         return bool(read_record(line)["kind"] == "placement")
@@ -596,17 +580,3 @@ def later(data: bytes) -> list[tuple[bytes, bytes]]:
         found.append((data[at:stop], data[stop + 1 :]))
         at = stop + 1
     return found
-
-
-def places_between(old: int, new: int) -> list[tuple[int, int, int]]:
-    """Return place in `nodes`, height and number of each root that becomes complete between these numbers of leaves."""
-    found = []
-    for j in range(30):
-        height = 4 + 2 * j
-        for number in range(old >> height, new >> height):
-            b = (number + 1) * 4**j - 1
-            place = j
-            while b:
-                place, b = place + b, b // 4
-            found.append((place, height, number))
-    return sorted(found)

@@ -12,6 +12,7 @@ from fsar_ledger.comparison import CHECKS, compare_predictions, compared
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.metrics.paper_numbers import printed
+from fsar_ledger.metrics.rules import METRICS, rules
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.prediction import Predicted, Record, plays
 from fsar_ledger.registration import registration
@@ -59,7 +60,7 @@ NUMBERS = every_number()
 def record(change: Callable[[Predicted], float | None] | None = None) -> Record:
     """Make a record of all numbers; `change` gives the mean of each."""
     numbers = NUMBERS if change is None else [msgspec.structs.replace(one, mean=change(one)) for one in NUMBERS]
-    return Record(MODEL_VERSION, write_constants(Constants()), "predict", numbers, [])
+    return Record(MODEL_VERSION, write_constants(Constants()), rules(METRICS), "predict", numbers, [])
 
 
 def holding(of: Record) -> dict[str, bool | None]:

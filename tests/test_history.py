@@ -1,5 +1,6 @@
 """The order of registration, fit, predictions and comparison is read from a history, and each violation is found."""
 
+import json
 import subprocess
 from pathlib import Path
 
@@ -64,6 +65,20 @@ def test_a_change_of_the_model_after_the_registration_is_found(root: Path, chang
 @pytest.mark.parametrize("order", [(1, 0, 2, 3), (0, 2, 1, 3), (0, 1, 3, 2)])
 def test_stages_in_another_order_are_found(root: Path, order: tuple[int, ...]) -> None:
     assert any("does not come after the" in one for one in staged(root, order=order))
+
+
+def test_digests_of_queries_can_be_renewed_in_any_order_and_results_cannot(root: Path) -> None:
+    def record(number: int, rules: str) -> str:
+        return json.dumps({"numbers": [number], "rules": {"facts/conflicts": rules}})
+
+    paths = [path for _, path in STAGES]
+    for number, path in enumerate(paths):
+        commit(root, {path: record(number, "before")})
+    commit(root, {HANDLER: "RULE = 2\n"})
+    commit(root, {path: record(number, "after") for number, path in enumerate(paths) if number})
+    assert list(findings(root)) == []
+    commit(root, {paths[1]: record(9, "after")})
+    assert any("predictions" in one and "does not come after the fit" in one for one in findings(root))
 
 
 def test_stages_in_one_commit_have_no_order(root: Path) -> None:

@@ -3,7 +3,8 @@
 All that a run takes from outside is its world's facts and the answers at its ports. Without a fact, it does not happen;
 without an answer, an attempt holds, a supervisor answers as usual, and with `lengths`, what lasts takes the middle of
 its law. A set suffices if the outcome stands with it alone, and is 1-minimal if the outcome falls without any one of
-it. But-for tests alone would miss causes of which either suffices.
+it. But-for tests alone would miss causes of which either suffices. A fact of the set without which the outcome has no
+value to compare is presupposed and no cause: without a task nothing fails, and nothing succeeds.
 
 Zeller, Hildebrandt: Simplifying and Isolating Failure-Inducing Input (2002), whose delta debugging this is, with many
 forks judged by one query.
@@ -53,12 +54,14 @@ class Element(msgspec.Struct, frozen=True):
 class Cause(msgspec.Struct, frozen=True):
     """A smallest set that suffices for an outcome, of `candidates` facts and answers; `forks` were played to find it.
 
-    `also_necessary` are those outside of the set without any one of which the outcome falls, because it would be
-    prevented or come otherwise; a set can suffice without them.
+    `elements` are those of the set without any one of which the outcome falls, `presupposed` those without any one of
+    which there is nothing to judge. `also_necessary` are those outside of the set without any one of which the outcome
+    falls, because it would be prevented or come otherwise; a set can suffice without them.
     """
 
     outcome: str
     elements: tuple[Element, ...]
+    presupposed: tuple[Element, ...]
     also_necessary: tuple[Element, ...]
     candidates: int
     forks: int
@@ -94,14 +97,14 @@ class Search:
         self._lengths = lengths
         self._outcome = outcome
         self._progress = progress
-        self._known: dict[frozenset[str], bool] = {}
+        self._known: dict[frozenset[str], bool | None] = {}
         answers = [one.name for one in dict.fromkeys(repeated.asked) if one.answer != USUAL.get(one.kind)]
         if not lengths:
             answers = [name for name in answers if name.partition(":")[0] in USUAL]
         self.candidates: tuple[str, ...] = (*self._places, *dict.fromkeys(answers))
 
-    def hold(self, sets: Sequence[frozenset[str]]) -> list[bool]:
-        """Return for each set whether the outcome stands with it alone. Raises: QueryFailed."""
+    def judge(self, sets: Sequence[frozenset[str]]) -> list[bool | None]:
+        """Return for each set whether the outcome stands with it alone; None: it is undefined. Raises: QueryFailed."""
         new = [one for one in dict.fromkeys(sets) if one not in self._known]
         for begin in range(0, len(new), MOST_AT_ONCE):
             batch = new[begin : begin + MOST_AT_ONCE]
@@ -112,6 +115,10 @@ class Search:
             if self._progress is not None:
                 self._progress(self.played)
         return [self._known[one] for one in sets]
+
+    def hold(self, sets: Sequence[frozenset[str]]) -> list[bool]:
+        """Return for each set whether the outcome is defined and stands with it alone. Raises: QueryFailed."""
+        return [stands is True for stands in self.judge(sets)]
 
     def holds(self, one: frozenset[str]) -> bool:
         """Return whether the outcome stands with this set alone. Raises: QueryFailed."""
@@ -193,8 +200,10 @@ def cause(repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progre
     search = Search(repeated, outcome, lengths=lengths, progress=progress)
     found = smallest(search)
     whole = frozenset(search.candidates)
-    singles = search.hold([whole - {name} for name in search.candidates])
-    necessary = {name for name, stands in zip(search.candidates, singles, strict=True) if not stands}
+    names = [name for name in search.candidates if name in found]
+    alone = dict(zip(names, search.judge([found - {name} for name in names]), strict=True))
+    singles = search.judge([whole - {name} for name in search.candidates])
+    necessary = {name for name, stands in zip(search.candidates, singles, strict=True) if stands is False}
     shown = found | necessary
     told = {one.name: one for one in repeated.changeable() if one.name in shown}
     seqs = {name: _seq(repeated, one.begins_s) for name, one in told.items() if one.begins_s is not None}
@@ -209,7 +218,8 @@ def cause(repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progre
 
     return Cause(
         outcome.text,
-        tuple(element(name) for name in search.candidates if name in found),
+        tuple(element(name) for name in names if alone[name] is False),
+        tuple(element(name) for name in names if alone[name] is None),
         tuple(element(name) for name in search.candidates if name in necessary - found),
         len(search.candidates),
         search.played,

@@ -32,14 +32,18 @@ Z = 1.959963984540054
 
 
 class Chance(msgspec.Struct, frozen=True):
-    """In `avoided` of `futures` from this moment on the outcome did not come about; 95 % interval after Wilson."""
+    """In `avoided` of `futures` from this moment on the outcome did not come about; 95 % interval after Wilson.
+
+    `undefined` more had no value to compare, and avoided nothing. None: all of them.
+    """
 
     at_s: float
     futures: int
     avoided: int
-    share: float
-    low: float
-    high: float
+    undefined: int
+    share: float | None
+    low: float | None
+    high: float | None
 
 
 class Curve(msgspec.Struct, frozen=True):
@@ -118,13 +122,13 @@ class _Chances:
     def add(self, times_us: Sequence[int]) -> None:
         """Play the futures from these moments on. Raises: QueryFailed."""
         asked = [(at_us, world) for at_us in times_us for world in self._worlds if at_us not in self.found]
-        avoided: dict[int, list[bool]] = {}
+        avoided: dict[int, list[bool | None]] = {}
         for begin in range(0, len(asked), MOST_AT_ONCE):
             part = asked[begin : begin + MOST_AT_ONCE]
             with without_collection():
                 runs = [_played(self._repeated, at_us, world) for at_us, world in part]
             for (at_us, _), has_it in zip(part, self._outcome.of(runs), strict=True):
-                avoided.setdefault(at_us, []).append(not has_it)
+                avoided.setdefault(at_us, []).append(None if has_it is None else not has_it)
             self._played += len(part)
             if self._progress is not None:
                 self._progress(min(self._played, self._total), self._total)
@@ -176,11 +180,13 @@ def _facts(own: Sequence[Fact], other: Sequence[Fact], at_us: int) -> tuple[Fact
     return tuple(apart)
 
 
-def _chance(at_us: int, avoided: Sequence[bool]) -> Chance:
+def _chance(at_us: int, avoided: Sequence[bool | None]) -> Chance:
     """Return the share with its interval. Wilson, Probable Inference (1927)."""
-    n, found = len(avoided), sum(avoided)
+    n, found, undefined = (avoided.count(False) + avoided.count(True), avoided.count(True), avoided.count(None))
+    if not n:
+        return Chance(at_us / 1_000_000, 0, 0, undefined, None, None, None)
     share = found / n
     centre = (share + Z * Z / (2 * n)) / (1 + Z * Z / n)
     half = Z * ((share * (1 - share) / n + Z * Z / (4 * n * n)) ** 0.5) / (1 + Z * Z / n)
     low, high = 0.0 if not found else centre - half, 1.0 if found == n else centre + half
-    return Chance(at_us / 1_000_000, n, found, share, low, high)
+    return Chance(at_us / 1_000_000, n, found, undefined, share, low, high)

@@ -1,7 +1,8 @@
 """Outcomes: conditions over a run, judged by SQL for many runs at once.
 
 `policy_violations > 0` compares a metric of the run, `i3 > 0` how many events violate an invariant; a SELECT gives the
-`run_id` of each run that has the outcome.
+`run_id` of each run that has the outcome. A run in which a metric has no value neither has the outcome nor lacks it:
+without a task, nothing succeeded and nothing failed.
 """
 
 import re
@@ -23,14 +24,18 @@ SECONDS, MEMORY_BYTES = 60, 1 << 32
 
 
 class Outcome(NamedTuple):
-    """A condition as it was given, and the SELECT of the runs that meet it; `is_own` if people wrote that SELECT."""
+    """A condition as it was given, and the SELECT of the runs that meet it; `is_own` if people wrote that SELECT.
+
+    `defined` is the SELECT of the runs in which there is a value to compare; empty: in all of them.
+    """
 
     text: str
     sql: str
     is_own: bool = False
+    defined: str = ""
 
-    def of(self, runs: Sequence[Sequence[object]]) -> list[bool]:
-        """Return for each run, as (times, causes, events), whether it has the outcome.
+    def of(self, runs: Sequence[Sequence[object]]) -> list[bool | None]:
+        """Return for each run, as (times, causes, events), whether it has the outcome; None where that is undefined.
 
         Raises:
             QueryFailed: The SELECT fails, or has no column `run_id`.
@@ -45,11 +50,13 @@ class Outcome(NamedTuple):
                 database.prepare(self.sql)
                 database.lock(SECONDS, MEMORY_BYTES)
             found = database.table(self.sql)
+            valued = {row["run_id"] for row in database.rows(self.defined)} if self.defined else None
         if "run_id" not in found.column_names:
             named = printable.some(map(printable.value, found.column_names))
             raise QueryFailed(f"outcome: found the columns {named}, expected run_id of each run with the outcome")
         held = set(found.column("run_id").to_pylist())
-        return [f"{number}" in held for number in range(len(records))]
+        names = [one.run_id for one in records]
+        return [None if valued is not None and name not in valued else name in held for name in names]
 
 
 def outcome_of(text: str) -> Outcome:
@@ -64,7 +71,8 @@ def outcome_of(text: str) -> Outcome:
         )
     name, operator, number = match[1], _OPERATORS.get(match[2], match[2]), match[3]
     if name in (one.name for one in metrics()):
-        return Outcome(text, f"SELECT run_id FROM {name} WHERE value {operator} {number}")
+        defined = f"SELECT run_id FROM {name} WHERE value IS NOT NULL"
+        return Outcome(text, f"SELECT run_id FROM {name} WHERE value {operator} {number}", defined=defined)
     aliases = {alias: query.relation for query in invariants() for alias in (query.relation, query.relation[:2])}
     relation = aliases.get(name.lower())
     if relation is None:

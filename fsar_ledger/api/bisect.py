@@ -1,6 +1,6 @@
 """The first run in which two sides disagree on an outcome, and the first event at which they part there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -38,7 +38,8 @@ World = tuple[object, object, object]
 class Bisected(msgspec.Struct, frozen=True, kw_only=True):
     """The pairs of two sides that met the same seed, scenario and number, by whether they have the outcome.
 
-    `diff` are the differences of the first pair that disagrees, in the order of the ledger; None: none does.
+    `undefined` pairs more have a run in which there is no value to compare; they neither agree nor disagree. `diff` are
+    the differences of the first pair that disagrees, in the order of the ledger; None: none does.
     """
 
     outcome: str
@@ -49,6 +50,7 @@ class Bisected(msgspec.Struct, frozen=True, kw_only=True):
     neither: int
     first_only: int
     second_only: int
+    undefined: int
     diff: Diff | None
     provenances: tuple[Provenance, ...]
 
@@ -77,8 +79,8 @@ def bisect_sides(
             f"{both[0]} and {both[1]}: found no run of both with the same seed, scenario and number; simulate one as "
             "the other"
         )
-    has = [(first in having[0], second in having[-1]) for first, second in pairs]
-    at = next((at for at, (one, other) in enumerate(has) if one != other), None)
+    has = [(having[0](first), having[-1](second)) for first, second in pairs]
+    at = next((at for at, found in enumerate(has) if disagree(*found)), None)
     diff = None
     if at is not None:
         one, other = pairs[at]
@@ -92,7 +94,7 @@ def bisect_changes(
     """Compare the runs of a ledger with their forks by an outcome. Raises: as `bisect_sides` and `Ledger.whatif`."""
     asked = outcome_of(outcome)
     runs, parsed = runs_of(view, architectures), changes_of(changes)
-    has: list[tuple[bool, bool]] = []
+    has: list[tuple[bool | None, bool | None]] = []
     diff: Diff | None = None
     pairs = fork_pairs(view, runs, parsed)
     while batch := list(islice(pairs, PAIRS_AT_ONCE)):
@@ -102,7 +104,7 @@ def bisect_changes(
         held = asked.of(both)
         for pair, first, second in zip(batch, held[::2], held[1::2], strict=True):
             has.append((first, second))
-            if first != second and diff is None:
+            if disagree(first, second) and diff is None:
                 diff = difference_of(pair.base.record, pair.fork.record, (provenance,))
     return _bisected(asked, ("as recorded", "changed"), has, diff, (provenance,))
 
@@ -110,7 +112,7 @@ def bisect_changes(
 def _bisected(
     asked: Outcome,
     names: tuple[str, str],
-    has: list[tuple[bool, bool]],
+    has: list[tuple[bool | None, bool | None]],
     diff: Diff | None,
     provenances: tuple[Provenance, ...],
 ) -> Bisected:
@@ -118,11 +120,12 @@ def _bisected(
         outcome=asked.text,
         first=names[0],
         second=names[1],
-        pairs=len(has),
+        pairs=sum(None not in found for found in has),
         both=has.count((True, True)),
         neither=has.count((False, False)),
         first_only=has.count((True, False)),
         second_only=has.count((False, True)),
+        undefined=sum(None in found for found in has),
         diff=diff,
         provenances=provenances,
     )
@@ -134,11 +137,19 @@ def _runs(database: "Database", side: Side) -> dict[World, str]:
     return {(row["seed"], row["scenario"], row["run"]): row["run_id"] for row in rows}
 
 
-def _having(ledger: "Ledger", database: "Database", outcome: Outcome) -> set[object]:
-    """Return the runs of a ledger that have the outcome. Raises: QueryFailed."""
-    if not outcome.is_own:
-        return {row["run_id"] for row in database.rows(outcome.sql)}
-    found = ledger.sql(outcome.sql)
-    if "run_id" not in found.columns:
-        raise QueryFailed(f"outcome: found the columns {', '.join(found.columns)}, expected run_id")
-    return {row["run_id"] for row in found}
+def disagree(first: bool | None, second: bool | None) -> bool:
+    """Tell whether one has the outcome and the other lacks it; without a value, a run does neither."""
+    return {first, second} == {True, False}
+
+
+def _having(ledger: "Ledger", database: "Database", outcome: Outcome) -> Callable[[object], bool | None]:
+    """Return what tells of a run of the ledger whether it has the outcome, None if undefined. Raises: QueryFailed."""
+    valued = {row["run_id"] for row in database.rows(outcome.defined)} if outcome.defined else None
+    if outcome.is_own:
+        own = ledger.sql(outcome.sql)
+        if "run_id" not in own.columns:
+            raise QueryFailed(f"outcome: found the columns {', '.join(own.columns)}, expected run_id")
+        held = {row["run_id"] for row in own}
+    else:
+        held = {row["run_id"] for row in database.rows(outcome.sql)}
+    return lambda run: None if valued is not None and run not in valued else run in held

@@ -20,7 +20,8 @@ class Caused(msgspec.Struct, frozen=True, kw_only=True):
     """A smallest cause of an outcome of a run, and how its chances went.
 
     `elements` are facts of the world and answers at ports that suffice for the outcome together, of `candidates`; it
-    falls without any one of them. `also_necessary`: others without any one of which it falls in the whole run.
+    falls without any one of them. `presupposed`: what else the set needs for the outcome to have a value at all, and
+    no cause of it. `also_necessary`: others without any one of which it falls in the whole run.
     `chances`: by moment, in how many futures from then on the outcome is avoided; none if no futures were asked for.
     `last_open_s`: the last moment found from which some future avoids it; `closing_seq`: the event from which on none
     does. `forks`: runs that were played for this.
@@ -29,6 +30,7 @@ class Caused(msgspec.Struct, frozen=True, kw_only=True):
     run: str
     outcome: str
     elements: tuple[Element, ...]
+    presupposed: tuple[Element, ...]
     also_necessary: tuple[Element, ...]
     candidates: int
     forks: int
@@ -75,9 +77,10 @@ def cause_of(
         run=record.run_id,
         outcome=found.outcome,
         elements=found.elements,
+        presupposed=found.presupposed,
         also_necessary=found.also_necessary,
         candidates=found.candidates,
-        forks=found.forks + (0 if chances is None else sum(one.futures for one in chances.chances)),
+        forks=found.forks + (0 if chances is None else sum(one.futures + one.undefined for one in chances.chances)),
         chances=() if chances is None else chances.chances,
         last_open_s=None if chances is None else chances.last_open_s,
         closing_seq=closing,

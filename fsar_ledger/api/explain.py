@@ -22,12 +22,24 @@ if TYPE_CHECKING:
 
 Rows = list[dict[str, Any]]
 
+GROUNDS = """
+    SELECT DISTINCT unnest(ground_seqs) AS seq
+    FROM named_grounds
+    WHERE run_id = $run AND (
+        seq = $seq
+        OR seq IN (SELECT call.seq FROM supervisor_called AS call WHERE call.run_id = $run AND call.seq IN $told)
+    )
+    ORDER BY seq
+"""
+"""The windows and rules of the event that decided a request, and of the calls for review that are told of it."""
+
 
 class Account(msgspec.Struct, frozen=True):
     """The account of one request: who asked, who allowed or denied, who acted, who supervised.
 
     `timeline` has a row for each step, `recovery` one for each attempt after a failure, level by level. `grounds` are
-    the positions in the run of the windows and rules under which the decisive event denied the request.
+    the positions in the run of the windows and rules under which the request was put to review, or denied by the
+    decisive event.
     """
 
     run: str
@@ -94,10 +106,7 @@ def account(about: AboutRun, ledger: Path, request: str | None, failure: str | N
                 f"{option('failure', failure)}: found no failure of this action in run {run}; "
                 f"{option('request', failure)} shows what happened"
             )
-    grounds = database.rows(
-        "SELECT unnest(under_seqs) AS seq FROM denied_actions WHERE run_id = $run AND seq = $seq",
-        {"run": run, "seq": parties["seq"]},
-    )
+    grounds = database.rows(GROUNDS, {"run": run, "seq": parties["seq"], "told": [row["seq"] for row in timeline]})
     found = tuple(row["seq"] for row in grounds)
     return Account(run, action, parties, timeline, recovery, found, failure is not None, _about(database, run))
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.checkpoint import check_chain_checkpoint
 from fsar_ledger.ledger.chain.read import ChainView, open_chain
-from fsar_ledger.ledger.store import disk, read
+from fsar_ledger.ledger.store import read, turns
 from fsar_ledger.ledger.store.derived import check_checkpoint
 from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem
@@ -60,7 +60,7 @@ def open_for_answers(path: Path) -> View:
     view = open_ledger(path)
     problems = _doubts(view)
     if problems:
-        with disk.turn(path / (COMMITS if version_of(path) == VERSION else SEGMENTS), is_shared=True):
+        with turns.turn(path / (COMMITS if version_of(path) == VERSION else SEGMENTS), is_shared=True):
             view = open_ledger(path)
             problems = _doubts(view)
     for problem in problems:

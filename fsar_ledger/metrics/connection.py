@@ -112,11 +112,10 @@ class Database:
         # everywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'"):
             self._connection.execute(f"SET {setting}")
-        # In a notebook without ipywidgets the bar is off, and DuckDB refuses the setting.
+        # In a notebook without ipywidgets the bar is off, and refuses the setting.
         if self._connection.execute("SELECT current_setting('enable_progress_bar')").fetchone() != (False,):
             self._connection.execute("SET enable_progress_bar = false")
-        # A reader of a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder. The
-        # rest of the memory is for what DuckDB does not count.
+        # A reader of a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder.
         self._connection.execute("SET temp_directory = ''")
         if (most := memory.limit()) is not None:
             self._connection.execute(f"SET memory_limit = '{int(most * DUCKDB_SHARE)} bytes'")
@@ -276,10 +275,9 @@ class Database:
         return self._execute(f"SELECT * FROM (\n{query.sql}\n) ORDER BY ALL", bound)
 
     def lock(self, seconds: int, memory_bytes: int) -> None:
-        """Shut the connection off from everything but what it holds; limit seconds and memory of a statement.
+        """Shut the connection off from all but what it holds; limit seconds and memory of a statement.
 
-        There is no allow-list: in DuckDB one grants writing, too. What DuckDB does not stop (one huge string) is left
-        to the operating system.
+        An allow-list would grant writing, too. What DuckDB does not stop (a huge string) is the operating system's.
         """
         for setting in LOCK:
             self._connection.execute(f"SET {setting}")

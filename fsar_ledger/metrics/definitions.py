@@ -4,7 +4,7 @@ The file is the one list of metrics. What SQL needs of it becomes relations here
 `metric_concerns`, `metric_measurements`); the report, the statistics and the pages read the same rows.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Literal
@@ -122,26 +122,26 @@ DEFINITIONS = (
 )
 
 
-def definitions_sql() -> str:
-    """Return the SELECT of what SQL must know of each metric."""
+def definitions_sql(of: Sequence[Metric] | None = None) -> str:
+    """Return the SELECT of what SQL must know of each metric (of these, or of all)."""
     rows = [
         f"({at}, '{one.name}', '{one.scale}', '{one.better}', {_sql(one.is_pooled)}, {one.numerator_units}, "
         f"{_sql(one.published_value)}::DOUBLE, NULL::DOUBLE, {_sql(one.paper is not None)})"
-        for at, one in enumerate(metrics(), 1)
+        for at, one in enumerate(of or metrics(), 1)
     ]
     return _values("definitions", DEFINITIONS, rows)
 
 
-def concerns_sql() -> str:
-    """Return the SELECT of what each metric rests on."""
-    rows = [f"('{one.name}', '{concern}')" for one in metrics() for concern in one.rests_on]
+def concerns_sql(of: Sequence[Metric] | None = None) -> str:
+    """Return the SELECT of what each metric (of these, or of all) rests on."""
+    rows = [f"('{one.name}', '{concern}')" for one in of or metrics() for concern in one.rests_on]
     return _values("needed", "judge, concern", rows)
 
 
-def measured_sql() -> str:
-    """Return the SELECT of what every metric measures of each run."""
+def measured_sql(of: Sequence[Metric] | None = None) -> str:
+    """Return the SELECT of what every metric (of these, or of all) measures of each run."""
     return "UNION ALL BY NAME\n".join(
-        f"SELECT\n    '{one.name}' AS metric,\n    {_measures(one)}\nFROM {one.name}\n" for one in metrics()
+        f"SELECT\n    '{one.name}' AS metric,\n    {_measures(one)}\nFROM {one.name}\n" for one in of or metrics()
     )
 
 

@@ -39,6 +39,8 @@ KEYS = (*REQUIRED_KEYS, *READING_KEYS, "Parameters", "Stored")
 
 _HEADER_LINE = re.compile(r"^-- (?:(\w+): )?\s*(.*)$")
 _TEXT_OR_COMMENT = re.compile(r"'(?:[^']|'')*'|--[^\n]*|/\*.*?\*/", re.DOTALL)
+_TEXT = re.compile(r"('(?:[^']|'')*')")
+_SPACE = re.compile(r"\s+")
 _SOURCE = re.compile(r"\b(?:FROM|JOIN)\s+([a-z_][a-z0-9_]*)", re.IGNORECASE)
 _TEXT_OR_SOURCE = re.compile(rf"{_TEXT_OR_COMMENT.pattern}|(\b(?:FROM|JOIN)\s+)([a-z_]\w*)\b(\s+AS\b)?", re.DOTALL)
 _WORD = re.compile(r"[a-z_][a-z0-9_]*", re.IGNORECASE)
@@ -101,6 +103,12 @@ class Query(msgspec.Struct, frozen=True):
             return f"{before}{others[name]}{alias or f' AS {name}'}"
 
         return _TEXT_OR_SOURCE.sub(renamed, self.sql)
+
+
+def plain_sql(sql: str) -> str:
+    """Return the SQL without comments, each run of white space outside of texts as one space."""
+    parts = _TEXT.split(_TEXT_OR_COMMENT.sub(lambda found: found[0] if found[0].startswith("'") else " ", sql))
+    return "".join(part if part.startswith("'") else _SPACE.sub(" ", part) for part in parts).strip()
 
 
 def parse(name: str, sql: str) -> Query:

@@ -2,7 +2,7 @@
 
 from collections.abc import Container, Iterator, Mapping
 from functools import cached_property
-from typing import assert_never
+from typing import NamedTuple, assert_never
 
 import msgspec
 
@@ -69,18 +69,49 @@ def _applying(
 ) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
     """Yield the rules that apply, without those that another one replaces."""
     for about in ((capability, context), (capability, None), (None, context), (None, None)):
-        of_all: Rule = (scope, None, *about)
-        if of_all in state.rules:
-            yield of_all, state.rules[of_all]
-        own: Rule = (scope, robot, *about)
-        if own in state.rules:
-            yield own, state.rules[own]
-        elif state.of_roles and robot in state.members:
-            role, domain = state.members[robot]
-            of_role: Iterator[RoleRule] = ((scope, role, one, *about) for one in around(domain))
-            nearest = next((rule for rule in of_role if rule in state.of_roles), None)
-            if nearest is not None:
-                yield nearest, state.of_roles[nearest]
+        yield from _about(state, scope, robot, *about)
+
+
+def _about(
+    state: Policy, scope: PolicyScope, robot: Robot, capability: str | None, context: str | None
+) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
+    """Yield the rules about exactly this capability and context that hold for the robot."""
+    of_all: Rule = (scope, None, capability, context)
+    if of_all in state.rules:
+        yield of_all, state.rules[of_all]
+    own: Rule = (scope, robot, capability, context)
+    if own in state.rules:
+        yield own, state.rules[own]
+    elif state.of_roles and robot in state.members:
+        role, domain = state.members[robot]
+        of_role: Iterator[RoleRule] = ((scope, role, one, capability, context) for one in around(domain))
+        nearest = next((rule for rule in of_role if rule in state.of_roles), None)
+        if nearest is not None:
+            yield nearest, state.of_roles[nearest]
+
+
+class Standing(NamedTuple):
+    """A rule that holds for a robot; `capability`, `context` None: all of them."""
+
+    robot: Robot
+    scope: PolicyScope
+    capability: str | None
+    context: str | None
+    outcome: PolicyOutcome
+
+
+def standing(state: Policy) -> Iterator[Standing]:
+    """Yield each rule with each robot for which it holds, without those that another one replaces."""
+    about = dict.fromkeys(
+        (
+            *((scope, capability, context) for scope, _, capability, context in state.rules),
+            *((scope, capability, context) for scope, _, _, capability, context in state.of_roles),
+        )
+    )
+    for robot in dict.fromkeys((*state.members, *sorted(state.named))):
+        for scope, capability, context in about:
+            for _, outcome in _about(state, scope, robot, capability, context):
+                yield Standing(robot, scope, capability, context, outcome)
 
 
 def evolve(state: Policy, event: HANDLES) -> Policy:

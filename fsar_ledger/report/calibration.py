@@ -50,13 +50,14 @@ class Direction(msgspec.Struct, frozen=True):
 
 
 class Record(msgspec.Struct, frozen=True):
-    """The record of a fit; lists are empty where it recorded nothing."""
+    """The record of a fit; lists are empty where it recorded nothing. `rules`: the queries that judged its runs."""
 
     objective: Objective | None = None
     seeds: list[int] = []
     runs_per_scenario: int | None = None
     evaluations: int | None = None
     model_version: str | None = None
+    rules: dict[str, str] | None = None
     command: str | None = None
     parameters: list[Parameter] = []
     residuals: list[Residual] = []

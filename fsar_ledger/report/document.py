@@ -11,6 +11,7 @@ import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
+from fsar_ledger.metrics.rules import changed
 from fsar_ledger.registration import registration
 from fsar_ledger.report import (
     all_readings,
@@ -167,7 +168,7 @@ def _contradictions() -> list[dict[str, Any]]:
 
 
 def _changed(findings: Findings, record: Record | None) -> str | None:
-    """Say that the record of the fit is of another model than these runs.
+    """Say that the record of the fit is of another model than these runs, or of other queries than judge them.
 
     None if it is of theirs, or if either is missing.
     """
@@ -176,8 +177,10 @@ def _changed(findings: Findings, record: Record | None) -> str | None:
         if findings.model_version
         else sorted({row["model_version"] for row in findings.models} - {None})
     )
-    if record is None or not versions or versions == [record.model_version]:
+    if record is None or not versions:
         return None
+    if versions == [record.model_version]:
+        return _judged_otherwise(record)
     ran = f"of version{'' if len(versions) == 1 else 's'} {printable.some(map(printing.words, versions))}"
     fitted = (
         "a model whose version is not on record"
@@ -185,6 +188,14 @@ def _changed(findings: Findings, record: Record | None) -> str | None:
         else f"model version {printing.words(record.model_version)}"
     )
     return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
+
+
+def _judged_otherwise(record: Record) -> str | None:
+    if record.rules is None:
+        return "The record of the fit does not say which queries judged its runs."
+    if not (found := changed(record.rules)):
+        return None
+    return f"What judges the runs has changed since the fit: {printable.some(map(printing.words, found))}."
 
 
 def _fit(findings: Findings, record: Record | None) -> dict[str, Any] | None:
@@ -275,7 +286,8 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
         | all_readings.tables(findings.multiverse)
     )
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
-    rows, foretold = counted(findings, record), predictions.outcomes(findings)
+    rows, judged = counted(findings, record), predictions.judged(findings)
+    foretold = predictions.outcomes(judged)
     tables |= {"predictions": _table(findings, "predictions", foretold)} if foretold else {}
     tables |= {"tally": _table(findings, "tally", numbers.tally(rows))} if rows else {}
     tables |= {"sensitivity": effects.table} if effects and effects.table else {}
@@ -307,7 +319,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
         "contradictions": _contradictions(),
         "background": _background(findings),
         "misses": _misses(findings, record),
-        "predictions": predictions.said(foretold),
+        "predictions": predictions.said(judged),
         "fit": _fit(findings, record),
         "version": fsar_ledger.__version__,
     }

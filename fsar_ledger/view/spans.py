@@ -15,6 +15,7 @@ from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.execution import HELPING, Execution
 from fsar_ledger.projections.fold import ROUTES, State
 from fsar_ledger.projections.knowledge import Knowledge
+from fsar_ledger.projections.policy import Policy, standing
 from fsar_ledger.projections.recovery import Recoveries
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.projections.supervision import Supervision
@@ -163,6 +164,13 @@ def _claims(state: Authority) -> Iterator[Fact]:
             yield Fact(lane_of(claim.claimant), "claim", claim.dimension, name, f"{claim.dimension}, {claim.reason}")
 
 
+def _rules(state: Policy) -> Iterator[Fact]:
+    for rule in standing(state):
+        if rule.outcome != "allow":
+            about = " in ".join(one for one in (rule.capability or "every capability", rule.context) if one)
+            yield Fact(rule.robot, "policy", rule.outcome, about, f"{rule.scope} rule: {rule.outcome}")
+
+
 def _world(state: World) -> Iterator[Fact]:
     for scope, windows in (("local", state.local), ("fleet", state.fleet)):
         for robot, opened in windows.items():
@@ -194,6 +202,7 @@ FACTS: dict[str, Callable[[Any], Iterator[Fact]]] = {
     "request": _requests,
     "supervision": _calls,
     "authority": _claims,
+    "policy": _rules,
     "world": _world,
     "knowledge": _told,
 }

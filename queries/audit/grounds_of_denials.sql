@@ -29,5 +29,5 @@ SELECT
     grounds.seen_us / 1000000 AS seen_s,
     coalesce(grounds.closed_us > denials.time_us, TRUE) AS was_open
 FROM denied_actions AS denials
-INNER JOIN denial_grounds AS grounds ON denials.run_id = grounds.run_id AND denials.seq = grounds.seq
+INNER JOIN policy_grounds AS grounds ON denials.run_id = grounds.run_id AND denials.seq = grounds.seq
 WHERE $run IN ('all', denials.run_id) AND $action IN ('all', denials.action_id)

@@ -3,9 +3,10 @@
 -- Grain: one row per SupervisorResponded event, and per other event that a supervisor decided (trust, rules, rights,
 --   density, budgets)
 -- Key: run_id, seq
--- Units: called_us, decided_us microseconds of run time; waited_us microseconds
--- NULL: purpose, called_us, waited_us for what answers no call; decided_by when the record names no decider; robot,
---   capability, action_id and the principals when the decision is about none in particular
+-- Units: called_us, decided_us microseconds of run time; waited_us microseconds; under_seqs positions in the run
+-- NULL: purpose, called_us, waited_us for what answers no call; called_under, under_seqs (the windows and rules that
+--   asked for the review) for what answers no review, or one that none on record explains; decided_by when the record
+--   names no decider; robot, capability, action_id and the principals when the decision is about none in particular
 -- Example: fsar-ledger query audit/supervisor_decisions LEDGER --param supervisor=supervisor/fleet
 --   answers recovery of A1-1/4.1, called at 84.854 s, decided at 124.92 s
 -- Parameters: run: run = all, supervisor: supervisor = all
@@ -47,7 +48,8 @@ answered AS (
     SELECT
         decided.run_id, decided.seq, decided.decided_us, decided.type, decided.decided_by, decided.action_id,
         decided.requested_by, decided.executed_by, decided.robot, decided.capability, decided.purpose, decided.decision,
-        max(calls.time_us) AS called_us
+        max(calls.time_us) AS called_us,
+        max(calls.seq) AS called_seq
     FROM decided
     LEFT JOIN supervisor_called AS calls
         ON
@@ -57,7 +59,11 @@ answered AS (
 )
 
 SELECT
-    run_id, seq, type, decided_by, purpose, decision, action_id, robot, capability, requested_by, executed_by,
-    called_us, decided_us,
-    decided_us - called_us AS waited_us
+    answered.run_id, answered.seq, answered.type, answered.decided_by, answered.purpose, answered.decision,
+    answered.action_id, answered.robot, answered.capability, answered.requested_by, answered.executed_by,
+    grounds.told AS called_under,
+    grounds.ground_seqs AS under_seqs,
+    answered.called_us, answered.decided_us,
+    answered.decided_us - answered.called_us AS waited_us
 FROM answered
+LEFT JOIN named_grounds AS grounds ON answered.run_id = grounds.run_id AND answered.called_seq = grounds.seq

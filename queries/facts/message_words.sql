@@ -44,7 +44,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('AuthorityClaimed.v1', 1, 'claimant', 'claimant', 'revokes', NULL),
     ('PolicyConflictEscalated.v1', 1, 'decider', 'supervisor', 'policy conflict', NULL),
     ('SupervisorCalled.v1', 1, 'caller', 'called', 'asks to decide', 'purpose'),
-    ('SupervisorResponded.v1', 1, 'decider', 'executor', 'decides', 'decision'),
+    ('SupervisorResponded.v1', 1, 'decider', 'asker', 'decides', 'decision'),
     ('RecoveryAttempted.v1', 1, 'decider', 'robot', 'recovery attempt', 'number'),
     ('RecoveryAttemptFailed.v1', 1, 'robot', 'robot', 'attempt ends', 'result'),
     ('RecoveryEscalated.v1', 1, 'decider', 'decider', 'recovery goes on', 'levels'),

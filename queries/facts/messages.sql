@@ -3,9 +3,9 @@
 -- Grain: one row per event in the timeline of an action, two for a registry's answer (part 1 and 2)
 -- Key: run_id, seq, part
 -- Units: time_us microseconds of run time; part counts from 1
--- NULL: action_id, sender, receiver when the record does not say; note when there is nothing to add. A robot's own deed
---   has the robot as both, whatever principal the record names. Who calls a supervisor is not recorded: for a review
---   that names a robot it is the coordinator, else the executor (for recovery: the decider) that was named last
+-- NULL: action_id, sender, receiver when the record does not say; note when there is nothing to add. A robot's own
+--   deed has the robot as both, whatever principal the record names.
+--   Who calls a supervisor, and whom the answer reaches, is that of facts/supervision_ends
 -- Example: fsar-ledger query facts/messages LEDGER
 WITH told AS (
     SELECT
@@ -19,11 +19,7 @@ WITH told AS (
                 'service/registry'
             ),
             'target': if(events.action_id IS NULL AND request_id IS NULL, decided_by, coalesce(relay, executed_by)),
-            'caller': CASE
-                WHEN purpose = 'review' AND robot IS NOT NULL THEN 'coordinator'
-                WHEN purpose = 'recovery' THEN last_value(decided_by IGNORE NULLS) OVER earlier
-                ELSE last_value(executed_by IGNORE NULLS) OVER earlier
-            END
+            'caller': ends.caller, 'asker': ends.asker
         } AS parties,
         MAP {
             'capability': capability, 'cause': cause, 'result': result, 'purpose': purpose, 'reason': reason,
@@ -60,13 +56,10 @@ WITH told AS (
     FROM events
     INNER JOIN keyed_events ON events.run_id = keyed_events.run_id AND events.seq = keyed_events.seq
     INNER JOIN runs ON events.run_id = runs.run_id
+    LEFT JOIN supervision_ends AS ends ON events.run_id = ends.run_id AND events.seq = ends.seq
     WHERE
         events.type IN (SELECT message_words.type FROM message_words)
         AND (events.type <> 'AuthorityClaimed.v1' OR reason = 'revocation')
-    WINDOW earlier AS (
-        PARTITION BY events.run_id, keyed_events.action_id ORDER BY events.seq
-        ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
-    )
 )
 
 SELECT
@@ -74,7 +67,14 @@ SELECT
     told.parties[words.sender] AS sender,
     told.parties[words.receiver] AS receiver,
     words.words || coalesce(': ' || told.details[words.detail], '') AS message,
-    nullif(concat_ws('; ', if(told.type <> 'RegistryQueried.v1' OR part = 2, told.note, NULL), denied.note), '') AS note
+    nullif(concat_ws(
+        '; ',
+        if(told.type <> 'RegistryQueried.v1' OR part = 2, told.note, NULL),
+        denied.note,
+        'under ' || called.told
+    ), '') AS note
 FROM told
 INNER JOIN message_words AS words ON told.type = words.type
 LEFT JOIN denied_actions AS denied ON told.run_id = denied.run_id AND told.seq = denied.seq
+LEFT JOIN named_grounds AS called
+    ON told.type = 'SupervisorCalled.v1' AND told.run_id = called.run_id AND told.seq = called.seq

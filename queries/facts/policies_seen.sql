@@ -1,25 +1,50 @@
--- Title: Each denial that a policy can explain: for which capability, and at which moments its decider saw the policies
--- Paper: eq:policy, eq:admissible
--- Grain: one row per RequestDenied event for policy, a bid, an own step or a review
+-- Title: Each denial and call for review that a policy can explain: for which capability, and at which moments its
+--   decider saw the policies
+-- Paper: eq:policy, eq:admissible, eq:supervision
+-- Grain: one row per RequestDenied event for policy, a bid, an own step or a review, and per SupervisorCalled event for
+--   review
 -- Key: run_id, seq
--- Units: time_us microseconds of run time; local_us, fleet_us when the decider last saw the executor's own policy and
---   the fleet's policy for it, fleet_us -1 when it never had learned a rule of the fleet
+-- Units: time_us microseconds of run time; decided_seq, decided_us position and time of the decision by policy: of the
+--   call for a denial after a review, of the bid for a call about a bid, else of the event; local_us, fleet_us when the
+--   decider last saw the executor's own policy and the fleet's policy for it, fleet_us -1 when it never had learned a
+--   rule of the fleet
 -- NULL: a principal, task or action that the record does not name; capability when no record before names one
 -- Example: fsar-ledger query facts/policies_seen LEDGER
 WITH denied AS (
     SELECT
         run_id, seq, time_us, task_id, action_id, reason, decided_by,
-        coalesce(executed_by, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS robot,
-        if(reason = 'review', 'review', 'deny') AS outcome
+        coalesce(executed_by, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS robot
     FROM request_denied
     WHERE reason IN ('policy', 'bid', 'own step', 'review')
 ),
 
+-- In the DuckDB before ours, which may read this in a file, ASOF joins NULL to NULL.
 issued AS (
-    -- In the DuckDB before ours, which may read this in a file, ASOF joins NULL to NULL.
     SELECT run_id, seq, action_id, capability
     FROM request_issued
     WHERE action_id IS NOT NULL
+),
+
+judged AS (
+    -- What is denied after a review was put to it by the policies at the call.
+    SELECT
+        denied.run_id, denied.seq, denied.time_us, denied.task_id, denied.action_id,
+        coalesce(calls.reason, denied.reason) AS reason,
+        if(calls.seq IS NULL, denied.decided_by, calls.decided_by) AS decided_by,
+        coalesce(calls.robot, denied.robot) AS robot,
+        coalesce(calls.decided_seq, denied.seq) AS decided_seq,
+        coalesce(calls.decided_us, denied.time_us) AS decided_us,
+        if(denied.reason = 'review', 'review', 'deny') AS outcome
+    FROM denied
+    ASOF LEFT JOIN review_calls AS calls
+        ON
+            denied.run_id = calls.run_id AND if(denied.reason = 'review', denied.task_id, NULL) = calls.task_id
+            AND denied.seq > calls.seq
+    UNION ALL
+    SELECT
+        run_id, seq, time_us, task_id, action_id, reason, decided_by, robot, decided_seq, decided_us,
+        'review' AS outcome
+    FROM review_calls
 ),
 
 copied AS (
@@ -30,22 +55,22 @@ copied AS (
 )
 
 SELECT
-    denied.run_id, denied.seq, denied.time_us, denied.task_id, denied.action_id, denied.reason, denied.robot,
-    denied.outcome,
+    judged.run_id, judged.seq, judged.time_us, judged.task_id, judged.action_id, judged.reason, judged.robot,
+    judged.decided_seq, judged.decided_us, judged.outcome,
     coalesce(issued.capability, steps.capability) AS capability,
     -- Planners and the coordinator decide by their last snapshot or copy of a robot's own policy.
-    coalesce(snapshots.time_us, copied.time_us, denied.time_us) AS local_us,
+    coalesce(snapshots.time_us, copied.time_us, judged.decided_us) AS local_us,
     coalesce(
-        learned.as_of_us, if(denied.run_id IN (SELECT run_id FROM fleet_rule_learned), -1, denied.time_us)
+        learned.as_of_us, if(judged.run_id IN (SELECT run_id FROM fleet_rule_learned), -1, judged.decided_us)
     ) AS fleet_us
-FROM denied
+FROM judged
 ASOF LEFT JOIN issued
-    ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
+    ON judged.run_id = issued.run_id AND judged.action_id = issued.action_id AND judged.decided_seq > issued.seq
 ASOF LEFT JOIN step_began AS steps
-    ON denied.run_id = steps.run_id AND denied.task_id = steps.task_id AND denied.seq > steps.seq
+    ON judged.run_id = steps.run_id AND judged.task_id = steps.task_id AND judged.decided_seq > steps.seq
 ASOF LEFT JOIN snapshot_taken AS snapshots
-    ON denied.run_id = snapshots.run_id AND denied.robot = snapshots.robot AND denied.seq > snapshots.seq
+    ON judged.run_id = snapshots.run_id AND judged.robot = snapshots.robot AND judged.decided_seq > snapshots.seq
 ASOF LEFT JOIN copied
-    ON denied.run_id = copied.run_id AND denied.decided_by = copied.decided_by AND denied.seq > copied.seq
+    ON judged.run_id = copied.run_id AND judged.decided_by = copied.decided_by AND judged.decided_seq > copied.seq
 ASOF LEFT JOIN fleet_rule_learned AS learned
-    ON denied.run_id = learned.run_id AND denied.robot = learned.robot AND denied.seq > learned.seq
+    ON judged.run_id = learned.run_id AND judged.robot = learned.robot AND judged.decided_seq > learned.seq

@@ -35,11 +35,14 @@ def metric(record: LedgerRun, name: str) -> float | None:
 
 def require_smallest(base: Repeated, outcome: Outcome, found: Cause, *, lengths: bool = False) -> None:
     search = Search(base, outcome, lengths=lengths)
-    names = frozenset(one.name for one in found.elements)
+    causes, presupposed = ({one.name for one in part} for part in (found.elements, found.presupposed))
+    names = frozenset(causes | presupposed)
     assert search.holds(names), "it suffices"
     assert not any(search.hold([names - {name} for name in names])), "nothing can be left out"
+    assert set(search.judge([names - {name} for name in causes])) <= {False}, "without a cause it is prevented"
+    assert set(search.judge([names - {name} for name in presupposed])) <= {None}, "and not merely undefined"
     whole = frozenset(search.candidates)
-    necessary = {name for name in names if not search.holds(whole - {name})}
+    necessary = {name for name in causes if search.judge([whole - {name}]) == [False]}
     assert {one.name for one in found.elements if one.is_necessary} == necessary
 
 
@@ -67,6 +70,31 @@ def test_with_a_cause_alone_the_forked_run_has_the_outcome() -> None:
     kept = {one.name for one in cause(base, VIOLATED).elements}
     others = tuple(Drop(name) for name in base.base.happenings if name not in kept)
     assert metric(base.fork(others).record, "policy_violations") == 1
+
+
+@pytest.mark.parametrize(
+    ("architecture", "number", "text", "kinds"),
+    [
+        ("fsar", 4, "coordination_success < 1", ["window"]),
+        pytest.param("cfc", 1, "recovery_containment < 1", [], marks=pytest.mark.slow),
+        pytest.param("dhma", 3, "reassignment_latency_s > 0", [], marks=pytest.mark.slow),
+    ],
+)
+def test_what_only_makes_the_outcome_defined_is_no_cause_of_it(
+    architecture: str, number: int, text: str, kinds: list[str]
+) -> None:
+    base = again(simulated(architecture, number))
+    found = cause(base, outcome_of(text))
+    require_smallest(base, outcome_of(text), found)
+    assert sorted({one.name.partition(":")[0] for one in found.elements}) == kinds
+    assert any(one.name.startswith("task:") for one in found.presupposed)
+
+
+def test_a_future_without_a_value_has_not_avoided_the_outcome() -> None:
+    base = again(simulated("dhma", 3))
+    for one in curve(base, outcome_of("reassignment_latency_s > 0"), futures=6, moments=4).chances:
+        assert (one.avoided, one.futures + one.undefined) == (0, 6)
+        assert (one.share is None) == (one.futures == 0)
 
 
 def outcomes_of(record: LedgerRun, draw: Random) -> list[str]:
@@ -147,6 +175,8 @@ def test_an_outcome_can_be_an_invariant_or_a_select() -> None:
     assert outcome_of("policy_violations > 0").of(runs) == [True, False]
     assert outcome_of("i2 = 0").of(runs) == [False, True]
     assert outcome_of("I2 > 0").of(runs) == [True, False]
+    empty = (violated.times_us[:1], violated.caused_by[:1], violated.events[:1])
+    assert outcome_of("coordination_success < 1").of([*runs, empty])[2] is None
     assert outcome_of("SELECT run_id FROM run_started WHERE architecture = 'fsar'").of(runs) == [False, True]
 
 
@@ -176,7 +206,8 @@ def test_before_its_window_opens_a_violation_can_be_avoided_and_after_it_cannot(
     assert f"window:{closing.window}" == name
     assert found.last_open_s is not None
     for one in found.chances:
-        assert one.low <= one.share <= one.high
+        assert None not in (one.low, one.share, one.high)
+        assert (one.low or 0.0) <= (one.share or 0.0) <= (one.high or 0.0)
         assert (one.avoided > 0) or one.at_s > found.last_open_s
     assert [one.at_s for one in found.chances] == sorted(one.at_s for one in found.chances)
 

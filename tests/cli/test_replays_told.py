@@ -191,6 +191,33 @@ def test_a_cause_is_told_with_the_call_that_takes_it_away(call: Call, ledger: Pa
     assert told["chances"] == []
 
 
+def test_where_nothing_is_a_cause_the_point_of_no_return_comes_first(call: Call, ledger: Path) -> None:
+    always = "coordination_success >= 0"
+    answer = call("cause", ledger, "--run", "1", "--outcome", always, "--futures", "2")
+    assert answer.code == 0
+    _, outcome, first, left, *rest = answer.out.splitlines()
+    assert (outcome, first) == (f"outcome: {always}", "no future avoids it, from the beginning on")
+    assert "is a cause" in left
+    assert any("receives task" in line for line in rest)
+    told = json.loads(call("cause", ledger, "--run", "1", "--outcome", always, "--futures", "0", "--json").out)
+    assert (told["elements"], len(told["presupposed"]), told["also_necessary"]) == ([], 1, [])
+
+
+def test_a_pair_without_a_value_does_not_disagree(call: Call, ledger: Path) -> None:
+    changed = ("--change", "drop task:*", "--architecture", "fsar")
+    answer = call("bisect", ledger, *changed, "--outcome", "coordination_success > 0")
+    assert answer.code == 0
+    assert "\n0 pairs: " in answer.out
+    assert "no pair disagrees" in answer.out
+    told = json.loads(call("bisect", ledger, *changed, "--outcome", "coordination_success > 0", "--json").out)
+    assert (told["pairs"], told["undefined"], told["first_only"]) == (0, 4, 0)
+    always = "reassignment_latency_s >= 0"
+    sides = json.loads(call("bisect", ledger, "--first", "fsar", "--second", "dhma", "--outcome", always, "--json").out)
+    assert sides["pairs"] + sides["undefined"] == 4
+    assert 0 < sides["undefined"] < 4
+    assert (sides["pairs"], sides["diff"]) == (sides["both"], None)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -15,7 +15,7 @@ from fsar_ledger.ledger.chain.append import ChainWriter
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import piece
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import turns
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.verify.verify import verify
@@ -179,7 +179,7 @@ def test_a_commit_that_is_not_visible_does_not_count_while_a_writer_is_at_it(
 ) -> None:
     path = tmp_path / "ledger"
     leave(path)
-    with disk.turn(path / SEGMENTS):
+    with turns.turn(path / SEGMENTS):
         assert open_for_answers(path).head.size == 10
 
 

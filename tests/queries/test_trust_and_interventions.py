@@ -68,17 +68,15 @@ def test_of_several_entries_the_most_specific_one_holds(given: dict[str, Any], e
 )
 def test_policy_at_a_time_is_the_strictest_of_what_is_about_the_question(given: dict[str, str], outcome: str) -> None:
     rules = (rule(1, "review", capability=DOOR), rule(2, context="t1"))
-    assert asked("policy_at", "scope outcome", *rules, robot="robot/B1", at_us=5, **given) == [
-        ("fleet", "allow"),
-        ("local", outcome),
-    ]
+    rows = asked("policy_at", "capability context scope outcome", *rules, robot="robot/B1", at_us=5, **given)
+    about = (given.get("capability"), given.get("context"))
+    assert {row[2:] for row in rows if row[:2] == about} == {("fleet", "allow"), ("local", outcome)}
 
 
 def test_what_was_told_is_compared_with_the_windows_of_the_world() -> None:
     told = event("FleetRuleLearned", 2, robot="robot/B1", outcome="allow", as_of_us=1)
-    assert asked("policy_known_at", "known_outcome true_outcome is_wrong", rule(1, scope="fleet"), told) == [
-        ("allow", "allow", False)
-    ]
+    rows = asked("policy_known_at", "known_outcome true_outcome is_wrong", rule(1, scope="fleet"), told)
+    assert [row for row in rows if row[0]] == [("allow", "allow", False)]
 
 
 def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:

@@ -9,6 +9,7 @@ import pytest
 import typst
 
 from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.metrics.rules import METRICS, rules
 from fsar_ledger.report import document, specs, typeset
 from fsar_ledger.report.calibration import Parameter, Record, recorded
 from fsar_ledger.report.findings import Findings
@@ -19,6 +20,7 @@ WHOLE: dict[str, Any] = {
     "runs_per_scenario": 40,
     "evaluations": 7,
     "model_version": "1",
+    "rules": rules(METRICS),
     "command": "fsar-ledger calibrate --out FILE",
     "parameters": [
         {
@@ -105,7 +107,9 @@ def test_a_fit_of_another_model_is_named_once_at_the_answer(tmp_path: Path, find
         assert "So no cell counts as fitted." in passage
 
 
-@pytest.mark.parametrize("record", [pytest.param(None, marks=pytest.mark.slow), Record(model_version="1")])
+@pytest.mark.parametrize(
+    "record", [pytest.param(None, marks=pytest.mark.slow), Record(model_version="1", rules=rules(METRICS))]
+)
 def test_a_fit_of_these_runs_model_is_not_doubted(tmp_path: Path, findings: Findings, record: Record | None) -> None:
     assert said_of_the_fit(tmp_path, findings, record) == []
 
@@ -126,7 +130,7 @@ def test_every_model_of_the_runs_counts(
     several = msgspec.structs.replace(
         findings, model_version=None, models=tuple({**findings.models[0], "model_version": one} for one in ran)
     )
-    changed = document.data(several, Record(model_version=fitted))["fit"]["changed"]
+    changed = document.data(several, Record(model_version=fitted, rules=rules(METRICS)))["fit"]["changed"]
     assert changed == (said and f"The model has changed since the fit: the constants were fitted to {said}")
 
 
@@ -139,7 +143,7 @@ def test_reasons_that_were_found_with_another_model_are_not_given(findings: Find
     missing = msgspec.structs.replace(findings, cells=cells)
 
     def reason(fitted: str) -> str | None:
-        misses = document.data(missing, Record(model_version=fitted))["misses"]
+        misses = document.data(missing, Record(model_version=fitted, rules=rules(METRICS)))["misses"]
         found: str | None = next(
             one["reason"] for one in misses if one["title"] == "Authority conflicts (per run), CFC"
         )

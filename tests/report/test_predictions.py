@@ -9,6 +9,7 @@ import pytest
 import typst
 
 from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.metrics.rules import METRICS, rules
 from fsar_ledger.report import document, predictions, specs
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.printing import flat
@@ -30,7 +31,7 @@ def write(folder: Path, *holds: bool | None) -> None:
         for n, one in enumerate(holds)
     ]
     (folder / "comparison.json").write_text(
-        json.dumps({"model_version": "1", "parameters": PARAMETERS, "predictions": told})
+        json.dumps({"model_version": "1", "parameters": PARAMETERS, "rules": rules(METRICS), "predictions": told})
     )
 
 
@@ -54,14 +55,14 @@ def test_the_first_page_says_which_registered_predictions_fail_and_a_table_says_
 
 
 def test_predictions_are_those_of_the_runs_model_and_constants_or_none(findings: Findings, tmp_path: Path) -> None:
-    assert predictions.outcomes(findings, tmp_path) == [], "no record"
+    assert predictions.judged(findings, tmp_path) is None, "no record"
     write(tmp_path, True, False)
-    assert len(predictions.outcomes(findings, tmp_path)) == 2
-    assert predictions.outcomes(msgspec.structs.replace(findings, model_version="2"), tmp_path) == []
-    assert predictions.outcomes(msgspec.structs.replace(findings, parameters={}), tmp_path) == []
+    assert len(predictions.outcomes(predictions.judged(findings, tmp_path))) == 2
+    assert predictions.judged(msgspec.structs.replace(findings, model_version="2"), tmp_path) is None
+    assert predictions.judged(msgspec.structs.replace(findings, parameters={}), tmp_path) is None
     (tmp_path / "comparison.json").write_text("{}")
     with pytest.raises(FsarLedgerError, match=r"comparison\.json: .*; write it again"):
-        predictions.outcomes(findings, tmp_path)
+        predictions.judged(findings, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +78,7 @@ def test_the_sentence_counts_and_names_what_holds_and_what_does_not(
     findings: Findings, tmp_path: Path, holds: tuple[bool | None, ...], words: str
 ) -> None:
     write(tmp_path, *holds)
-    assert predictions.said(predictions.outcomes(findings, tmp_path)) == {
+    assert predictions.said(predictions.judged(findings, tmp_path)) == {
         "sentence": f"Of {len(holds)} predictions registered before they were run, {words}"
     }
-    assert predictions.said([]) is None
+    assert predictions.said(None) is None

@@ -1,19 +1,23 @@
 """What held from when to when: spans say the same as the state."""
 
+from typing import Any
+
 from msgspec.structs import replace
 
 from fsar_ledger.events.envelope import Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
-from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.fleet import RobotJoined, RunStarted
+from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.world import PolicyWindowOpened
-from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode
+from fsar_ledger.metrics.database import from_table
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.view.spans import FACTS, TRACKS, Fact, Span, lane_of, spans_of
 from tests.view.conftest import a_run
 
 FOREIGN = RunStarted(kind="foreign", observes=("execution", "policy"), source="example.org")
-B1 = Robot("robot/B1")
+A1, B1 = Robot("robot/A1"), Robot("robot/B1")
 
 
 def held(spans: tuple[Span, ...], seq: int) -> set[Fact]:
@@ -59,6 +63,35 @@ def test_what_is_open_at_the_end_has_no_end() -> None:
     opened = PolicyWindowOpened(robot=B1, scope="local", window="local/B1/0", outcome="deny")
     (span,) = spans_of(LedgerRun("r", (0, 5), (None, 0), (FOREIGN, opened)))
     assert span == Span(Fact(B1, "policy", "deny", "local/B1/0", "local policy: deny"), 5, None, 1, None)
+
+
+def test_a_rule_that_does_not_allow_is_a_span_for_each_robot_for_which_it_stands() -> None:
+    joined = (RobotJoined(robot=one, role="porter", team=1, domain="ward", supervisor=None) for one in (A1, B1))
+    every: dict[str, Any] = {"capability": None, "context": None, "decided_by": None}
+    door = {**every, "capability": "door.open"}
+    rules = (
+        PolicyRuleSet(scope="fleet", robot=None, outcome="review", **door),
+        RolePolicyRuleSet(scope="local", role="porter", outcome="deny", domain="ward", **every),
+        PolicyRuleSet(scope="local", robot=B1, outcome="review", **every),
+        RolePolicyRuleSet(scope="local", role="porter", outcome="allow", domain="", **every),
+        PolicyRuleSet(scope="fleet", robot=None, outcome="allow", **door),
+        PolicyRuleSet(scope="local", robot=A1, outcome="deny", **{**door, "context": "t1"}),
+    )
+    events = (replace(FOREIGN, observes=("fleet", "policy")), *joined, *rules)
+    run = LedgerRun("r", tuple(range(len(events))), (None, *range(len(events) - 1)), events)
+    drawn = [one for one in spans_of(run) if one.fact.track == "policy"]
+    with from_table(encode([run])) as database:
+        windows = database.rows("SELECT robot, scope, outcome, opened_us, closed_us FROM policy_windows")
+    told = [(one.fact.lane, one.fact.text, one.start_us, one.end_us) for one in drawn]
+    assert sorted(told, key=str) == sorted(
+        (
+            (row["robot"], f"{row['scope']} rule: {row['outcome']}", row["opened_us"], row["closed_us"])
+            for row in windows
+        ),
+        key=str,
+    )
+    assert len(told) == 6
+    assert {one.fact.about for one in drawn} == {"door.open", "every capability", "door.open in t1"}
 
 
 def test_availability_holds_until_the_registry_learns_another() -> None:

@@ -94,6 +94,8 @@ def _text(asked: "Ledger", found: "Bisected", *, wide: bool) -> Shown:
         f"{counted(found.pairs, 'pair')}: {found.both:,} have it on both sides, {found.neither:,} on neither, "
         f"{found.first_only:,} on the first alone, {found.second_only:,} on the second alone",
     ]
+    if found.undefined:
+        head.append(f"in {counted(found.undefined, 'pair')} more, a run has no value to compare")
     if found.diff is None:
         return printable.lines(*head, "no pair disagrees")
     name = found.diff.first

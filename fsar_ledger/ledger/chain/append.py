@@ -42,7 +42,7 @@ from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
 from fsar_ledger.ledger.rows.small import rows_of
-from fsar_ledger.ledger.store import disk, growing
+from fsar_ledger.ledger.store import disk, growing, turns
 from fsar_ledger.ledger.store.append import Staged
 from fsar_ledger.ledger.store.held import Held
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING, staged_path
@@ -77,7 +77,7 @@ class ChainWriter:
         create(ledger, origin, CHAINED)
         self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
         self._segments = ledger / SEGMENTS
-        self._turn = disk.Turns(self._segments)
+        self._turn = turns.Turns(self._segments)
         self._is_broken = False
         self._chain = growing.Watched(ledger / paths.CHAIN)
         self._journal = JournalFile(ledger / paths.JOURNAL)

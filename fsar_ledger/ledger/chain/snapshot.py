@@ -15,7 +15,7 @@ from fsar_ledger.ledger.chain.journal import FIRST, Journal, after_lines, read_f
 from fsar_ledger.ledger.chain.links import Chain, Followed, follow
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
 from fsar_ledger.ledger.chain.record import Commit, Placement, line_at, parse_line
-from fsar_ledger.ledger.store import disk, growing
+from fsar_ledger.ledger.store import growing, turns
 from fsar_ledger.ledger.store.derived import read_checkpoint
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem
@@ -61,14 +61,14 @@ def _settled(reader: "_Reader") -> Snapshot:
         found = reader.look()
         if not reader.is_steady:
             if monotonic() > until:
-                with disk.turn(reader.path / SEGMENTS, is_shared=True):
+                with turns.turn(reader.path / SEGMENTS, is_shared=True):
                     return reader.look(counts_hidden=reader.is_synced())
             continue
         seen = found.followed.end, len(found.chain.commits)
         # What was hidden at first may have been seen already, if a crash left it; what was hidden later may not.
         if found.problem is None and (not reader.has_hidden or first not in (None, seen)):
             return found
-        with disk.free_turn(reader.path / SEGMENTS) as is_free:
+        with turns.free_turn(reader.path / SEGMENTS) as is_free:
             if is_free:
                 return reader.look(counts_hidden=reader.is_synced())
         if monotonic() > until:

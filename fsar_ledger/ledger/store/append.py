@@ -42,7 +42,7 @@ from fsar_ledger.ledger.rows.layout import read_file, read_layout
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import Flaw, overlong, refusal, unreadable
 from fsar_ledger.ledger.rows.schema import FINGERPRINT
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, turns
 from fsar_ledger.ledger.store.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.store.held import Held, HeldRuns, runs_of
 from fsar_ledger.ledger.store.paths import (
@@ -177,7 +177,7 @@ class Writer:
                 clean(open_ledger(ledger))
             with suppress(OSError):  # the file system has no locks
                 fcntl.flock(self._lock, fcntl.LOCK_SH)
-            with disk.turn(ledger / COMMITS):
+            with turns.turn(ledger / COMMITS):
                 self._open()
         except BaseException:
             self.close()
@@ -251,7 +251,7 @@ class Writer:
         runs = self._runs_of(staged)
         tries = 0
         while True:
-            with disk.turn(self._path / COMMITS):
+            with turns.turn(self._path / COMMITS):
                 self._catch_up()
                 if staged.segment_sha256 in self._segments:
                     disk.remove(staged_path(self._path, staged.segment_sha256))

@@ -8,7 +8,6 @@ Assumed of the file system: `link` and `rename` happen whole or not at all, also
 """
 
 import errno
-import fcntl
 import os
 import secrets
 import stat
@@ -343,74 +342,3 @@ def write_secret(path: Path, data: bytes) -> None:
     """Write a new file, durably, that only its owner may read. Raises: FileExistsError if the name is taken."""
     _write_new(path, data, 0o600)
     sync_folder(path.parent)
-
-
-@contextmanager
-def turn(folder: Path, is_shared: bool = False) -> Iterator[None]:
-    """Hold a lock on this folder that excludes all others or, with `is_shared`, all but shared ones.
-
-    Has no effect where the file system has no locks. It ends with its process.
-
-    Raises: WriteFailed if the folder cannot be opened.
-    """
-    with refusals(folder, "locking"):
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX)
-        yield
-    finally:
-        close(handle)
-
-
-@contextmanager
-def free_turn(folder: Path) -> Iterator[bool]:
-    """Hold a shared lock on this folder, as `turn`, if nobody has it alone; yield whether that is so.
-
-    Yields True also where the file system has no locks, or the folder cannot be opened.
-    """
-    try:
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except OSError:
-        yield True
-        return
-    try:
-        is_free = True
-        try:
-            fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            is_free = False
-        except OSError:
-            pass
-        yield is_free
-    finally:
-        close(handle)
-
-
-class Turns:
-    """Turns on this folder, each as `turn` that excludes all others, for who takes many: the folder is opened once.
-
-    Use it as a context manager, again and again. Raises: WriteFailed if the folder cannot be opened.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        with refusals(folder, "locking"):
-            self._handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-
-    def __enter__(self) -> None:
-        try:  # `suppress` would take as long as the call
-            fcntl.flock(self._handle, fcntl.LOCK_EX)
-        except OSError:
-            return
-
-    def __exit__(self, *error: object) -> None:
-        try:
-            fcntl.flock(self._handle, fcntl.LOCK_UN)
-        except OSError:
-            return
-
-    def close(self) -> None:
-        """Close the folder, if it is open."""
-        if self._handle >= 0:
-            close(self._handle)
-            self._handle = -1

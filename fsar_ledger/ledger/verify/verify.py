@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fsar_ledger.errors import FsarLedgerError, NotALedger, WorkerDied
 from fsar_ledger.ledger.log import merkle
-from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store import disk, turns
 from fsar_ledger.ledger.store.derived import check_checkpoint, read_checkpoint
 from fsar_ledger.ledger.store.paths import (
     COMMITS,
@@ -76,7 +76,7 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
     if (
         not report.ok and _moment(path) != before
     ):  # a writer was at work: what was read late need not fit what was read early
-        with disk.turn(path / (SEGMENTS if is_chained(path) else COMMITS), is_shared=True):
+        with turns.turn(path / (SEGMENTS if is_chained(path) else COMMITS), is_shared=True):
             report = _look(path, workers, progress, asked or Asked())
     return report
 

@@ -67,7 +67,7 @@ const ROWS: [string, string, string, number, [string, string][]][] = [
   [
     "policy",
     "policy",
-    "windows that do not allow",
+    "windows and rules that do not allow",
     7,
     [
       ["deny", "deny"],

@@ -1,0 +1,41 @@
+-- Title: What deciders are told of policy: copies, snapshots, and rules of the fleet
+-- Paper: eq:policy, sec:evaluation:baselines
+-- Grain: one row per FleetRuleLearned and SnapshotTaken event, and per CopySynced event, robot of the fleet and scope
+-- Key: run_id, seq, robot, scope
+-- Units: learned_us, as_of_us microseconds of run time
+-- NULL: never
+-- Example: fsar-ledger query facts/policies_told LEDGER
+WITH copies AS (
+    -- A copy covers every robot; one that it does not name is allowed.
+    SELECT
+        copies.run_id, copies.seq,
+        copies.time_us AS learned_us,
+        'coordinator' AS known_by,
+        members.robot, scopes.scope,
+        CASE
+            WHEN list_contains(if(scopes.scope = 'local', copies.local_deny, copies.fleet_deny), members.robot)
+                THEN 'deny'
+            WHEN list_contains(if(scopes.scope = 'local', copies.local_review, copies.fleet_review), members.robot)
+                THEN 'review'
+            ELSE 'allow'
+        END AS outcome,
+        copies.time_us AS as_of_us
+    FROM copy_synced AS copies
+    INNER JOIN fleet_members AS members ON copies.run_id = members.run_id
+    CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
+)
+
+-- Deciders are told of windows; rules are known to all at once, and audit/policy_at has them.
+SELECT
+    run_id, seq,
+    time_us AS learned_us,
+    CASE type WHEN 'FleetRuleLearned.v1' THEN robot ELSE 'agent/' || robot[7:] || '/planning' END AS known_by,
+    robot,
+    CASE type WHEN 'FleetRuleLearned.v1' THEN 'fleet' ELSE 'local' END AS scope,
+    outcome,
+    coalesce(as_of_us, time_us) AS as_of_us
+FROM knowledge_events
+WHERE type IN ('FleetRuleLearned.v1', 'SnapshotTaken.v1')
+UNION ALL
+SELECT *
+FROM copies

@@ -1,0 +1,56 @@
+-- Title: Who called a supervisor, and whom the answer reaches, which no record says outright
+-- Paper: eq:supervision
+-- Grain: one row per SupervisorCalled and SupervisorResponded event
+-- Key: run_id, seq
+-- Units: none
+-- NULL: caller of an answer, and where no record names one: it is the coordinator for a review that names a robot, the
+--   requester for one about a bid, for recovery the decider that was named last, else the executor named last or the
+--   robot whose step it is; asker of a call, and of an answer whose records name nobody: it is the executor that the
+--   answer names, or who called, else the requester, or the supervisor itself
+-- Example: fsar-ledger query facts/supervision_ends LEDGER
+WITH named AS (
+    SELECT
+        keyed_events.run_id, keyed_events.seq, keyed_events.type, keyed_events.action_id, events.purpose, events.robot,
+        events.decided_by, events.requested_by, events.executed_by, events.supervised_by,
+        last_value(events.decided_by IGNORE NULLS) OVER earlier AS last_decider,
+        last_value(events.requested_by IGNORE NULLS) OVER earlier AS last_requester,
+        last_value(events.executed_by IGNORE NULLS) OVER earlier AS last_executor
+    FROM keyed_events
+    INNER JOIN events ON keyed_events.run_id = events.run_id AND keyed_events.seq = events.seq
+    WHERE
+        events.type IN (SELECT message_words.type FROM message_words)
+        AND (events.type <> 'AuthorityClaimed.v1' OR events.reason = 'revocation')
+    WINDOW earlier AS (
+        PARTITION BY keyed_events.run_id, keyed_events.action_id ORDER BY keyed_events.seq
+        ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
+    )
+),
+
+ends AS (
+    SELECT
+        named.run_id, named.seq, named.type, named.action_id, named.purpose, named.decided_by, named.requested_by,
+        named.executed_by, named.supervised_by,
+        CASE
+            WHEN named.type <> 'SupervisorCalled.v1' THEN NULL
+            WHEN named.purpose = 'review' AND named.robot IS NOT NULL THEN 'coordinator'
+            WHEN named.purpose = 'recovery' THEN named.last_decider
+            WHEN calls.reason = 'bid' THEN named.last_requester
+            ELSE coalesce(named.last_executor, calls.robot)
+        END AS caller
+    FROM named
+    LEFT JOIN review_calls AS calls ON named.run_id = calls.run_id AND named.seq = calls.seq
+    WHERE named.type IN ('SupervisorCalled.v1', 'SupervisorResponded.v1')
+)
+
+SELECT
+    run_id, seq, caller,
+    if(
+        type = 'SupervisorResponded.v1',
+        coalesce(
+            executed_by,
+            last_value(caller IGNORE NULLS) OVER (PARTITION BY run_id, action_id, purpose ORDER BY seq),
+            requested_by, decided_by, supervised_by
+        ),
+        NULL
+    ) AS asker
+FROM ends
