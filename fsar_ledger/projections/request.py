@@ -15,6 +15,7 @@ from fsar_ledger.events.envelope import (
     Robot,
     Subject,
     TaskId,
+    recorded_robot,
 )
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
@@ -264,7 +265,9 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
     carried = event.carried_policy or "allow"
     if action_id in state.open or task_id is None or action_id is None or robot is None or executor is None:
         return _changed(state, action_id, carried=carried, relay=event.relay, override=event.override)
-    begun = Request(task_id, action_id, Robot(robot), event.capability, 1, 1, True, (executor,), event.relay, carried)
+    begun = Request(
+        task_id, action_id, recorded_robot(robot), event.capability, 1, 1, True, (executor,), event.relay, carried
+    )
     asked = {
         "override": event.override,
         "parent": event.parent,

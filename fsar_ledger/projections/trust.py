@@ -7,7 +7,7 @@ import msgspec
 from msgspec.structs import replace
 
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import Robot, TrustScope
+from fsar_ledger.events.envelope import Robot, TrustScope, recorded_robot
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
@@ -186,7 +186,7 @@ def _noted(state: Trust, event: Result) -> Trust:
                 event.subject.action_id,
                 (
                     event.principals.executed_by,
-                    Robot(event.principals.requested_by),
+                    recorded_robot(event.principals.requested_by),
                     event.capability,
                     event.subject.task_id,
                 ),

@@ -7,7 +7,8 @@
 --   or for what the request carried its sender, had last seen the policy; seq, under_seq positions in the run, for
 --   `prove RUN:SEQ`
 -- NULL: denied_by when the record does not name it; action_id when neither the record nor its cause names one; closed_s
---   when it was never closed; no row for a denial that no window or rule on record explains
+--   when it was never closed; seen_s when the run does not observe knowledge; no row for a denial that no window or
+--   rule on record explains
 -- A denial can rest on what was over by then (was_open FALSE): a planner and the coordinator decide by an old copy, and
 -- a request carries what its sender saw.
 -- Example: fsar-ledger query audit/grounds_of_denials LEDGER --param run=RUN
@@ -26,8 +27,9 @@ SELECT
     grounds.outcome,
     grounds.opened_us / 1000000 AS opened_s,
     grounds.closed_us / 1000000 AS closed_s,
-    grounds.seen_us / 1000000 AS seen_s,
+    if(list_contains(runs.observes, 'knowledge'), grounds.seen_us / 1000000, NULL) AS seen_s,
     coalesce(grounds.closed_us > denials.time_us, TRUE) AS was_open
 FROM denied_actions AS denials
 INNER JOIN policy_grounds AS grounds ON denials.run_id = grounds.run_id AND denials.seq = grounds.seq
+LEFT JOIN runs ON denials.run_id = runs.run_id
 WHERE $run IN ('all', denials.run_id) AND $action IN ('all', denials.action_id)

@@ -40,7 +40,8 @@ moments AS (
 known AS (
     -- A run that does not observe policy can show that something was not allowed, and never that it was.
     SELECT
-        moments.*,
+        moments.run_id, moments.robot, moments.scope, moments.capability, moments.context, moments.since_us,
+        moments.until_us, moments.strictness,
         moments.strictness > 1 OR coalesce(list_contains(runs.observes, 'policy'), FALSE) AS is_known
     FROM moments
     INNER JOIN runs ON moments.run_id = runs.run_id

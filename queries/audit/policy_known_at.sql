@@ -7,12 +7,21 @@
 -- NULL: what was known, and the comparison, when nobody had been told; why_unknown when somebody had; true_outcome,
 --   is_wrong when no window on record asks for review or denies and the run does not observe policy
 -- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at=31.2
+--   answers the coordinator takes the fleet's rule to allow, as of 25.305 s; truly it denies, so it is wrong
 -- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH asked AS (
-    SELECT members.run_id, members.robot, scopes.scope, runs.architecture, runs.observes
-    FROM fleet_members AS members
-    INNER JOIN runs ON members.run_id = runs.run_id
-    CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
+    SELECT members.run_id, members.robot, members.scope, runs.architecture, runs.observes
+    FROM (
+        SELECT
+            run_id, robot,
+            unnest(['local', 'fleet']) AS scope
+        FROM fleet_members
+        UNION
+        SELECT run_id, robot, scope
+        FROM policies_told
+        WHERE learned_us <= $at_us::BIGINT
+    ) AS members
+    LEFT JOIN runs ON members.run_id = runs.run_id
     WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot)
 ),
 

@@ -9,7 +9,9 @@
 WITH named AS (
     -- A rule about a role can be one of two robots' policies; it is named once.
     SELECT
-        grounds.*,
+        grounds.run_id, grounds.seq, grounds.ground_seq, grounds.window_name, grounds.robot, grounds.scope,
+        grounds.capability, grounds.context, grounds.opened_us, grounds.closed_us, grounds.seen_us,
+        grounds.review_every,
         coalesce(grounds.window_name, 'rule ' || grounds.ground_seq) AS name,
         row_number() OVER (
             PARTITION BY grounds.run_id, grounds.seq, grounds.ground_seq ORDER BY grounds.robot

@@ -39,11 +39,12 @@ def test_a_robot_is_taken_for_one() -> None:
 
 @pytest.mark.parametrize("other", OTHERS)
 def test_no_other_principal_is_taken_for_a_robot(other: Principal) -> None:
+    with pytest.raises(ValueError, match=f"found the principal '{other}', expected a robot such as 'robot/A1'"):
+        as_robot(other)
+
+
+@pytest.mark.parametrize("other", OTHERS)
+def test_a_request_of_any_principal_can_be_followed(other: Principal) -> None:
     following = trust.evolve(trust.INITIAL, TrustThresholdsSet(1, 1, FLEET_SUPERVISOR))
-    for take in (
-        lambda: as_robot(other),
-        lambda: request.evolve(request.INITIAL, issued(other)),
-        lambda: trust.evolve(following, issued(other)),
-    ):
-        with pytest.raises(ValueError, match=f"found the principal '{other}', expected a robot such as 'robot/A1'"):
-            take()
+    assert request.evolve(request.INITIAL, issued(other)).open["q1"].requester == other
+    trust.evolve(following, issued(other))

@@ -175,7 +175,7 @@ def test_a_denial_after_a_review_is_under_what_asked_for_it_though_that_is_over(
         event("SupervisorResponded", 9 * S, purpose="review", approves=False, decided_by=FLEET_SUPERVISOR, **about),
         event("RequestDenied", 9 * S, reason="review", executed_by="robot/B1", decided_by="robot/B1", **about),
     )
-    assert answers("denials", "denied_under was_open", *events) == [("w1", False)]
+    assert answers("grounds_of_denials", "denied_under was_open", *events) == [("w1", False)]
 
 
 def test_a_rule_is_named_with_its_capability_and_since_when() -> None:
