@@ -10,19 +10,10 @@
 --   answers the coordinator takes the fleet's rule to allow, as of 25.305 s; truly it denies, so it is wrong
 -- Parameters: run: run = all, robot: robot = all, at: time = end
 WITH asked AS (
-    SELECT members.run_id, members.robot, members.scope, runs.architecture, runs.observes
-    FROM (
-        SELECT
-            run_id, robot,
-            unnest(['local', 'fleet']) AS scope
-        FROM fleet_members
-        UNION
-        SELECT run_id, robot, scope
-        FROM policies_told
-        WHERE learned_us <= $at_us::BIGINT
-    ) AS members
-    LEFT JOIN runs ON members.run_id = runs.run_id
-    WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot)
+    SELECT subjects.run_id, subjects.robot, subjects.scope, runs.architecture, runs.observes
+    FROM policy_subjects AS subjects
+    LEFT JOIN runs ON subjects.run_id = runs.run_id
+    WHERE $run IN ('all', subjects.run_id) AND $robot IN ('all', subjects.robot)
 ),
 
 latest AS (

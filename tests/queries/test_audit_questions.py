@@ -90,7 +90,7 @@ def test_policy_lasts_until_its_outcome_changes_whichever_windows_begin_and_end_
 @pytest.mark.parametrize(
     ("at_us", "expected"),
     [
-        (11, []),
+        (11, [(None, None, None, None)]),
         (12, [("deny", 10, "deny", False)]),
         (20, [("deny", 10, "allow", True)]),
         (22, [("allow", 20, "allow", False)]),
