@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from fsar_ledger.api.witness import witness_new
     from fsar_ledger.errors import FsarLedgerError
 
-__version__ = "0.8.0"
+__version__ = "0.8.1"
 
 __all__ = [
     "Account",
