@@ -9,6 +9,7 @@ PYTHON ?= $(shell for python in python3 python3.11 python3.12 python3.13 python3
 	if $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$python; break; fi; done)
 JOBS ?= 2
 OUT ?= fsar-out
+SKIPS ?= -rs
 STEPS ?= 100000
 
 # Recipes read it from their environment, quoted, since a folder may have any name.
@@ -25,11 +26,11 @@ READY := .venv/.ready
 READY_TEST := .venv/.ready-test
 READY_ALL := .venv/.ready-all
 
-SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers \
+SOAKS := soak-tests soak-federation soak-crash soak-beside soak-damage soak-verifier soak-agreement soak-flips soak-readers \
 	soak-foreign soak-reverts soak-swaps
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all check check-style check-types check-sql check-imports soak $(SOAKS) \
+.PHONY: help setup setup-all reproduce test test-all test-slow check check-style check-types check-sql check-imports soak $(SOAKS) \
 	soak-sensitivity fleets bench docs page pins sbom clean
 
 help:
@@ -51,6 +52,8 @@ help:
 	@echo "make clean       remove what the other targets made"
 
 setup: $(READY)
+
+setup-all: $(READY_ALL)
 
 $(READY): requirements.txt pyproject.toml $(wildcard fsar_ledger/*/*.c fsar_ledger/*/*/*.c)
 	@if [ -z "$(PYTHON)" ]; then \
@@ -92,10 +95,14 @@ check-imports: $(READY_TEST)
 	$(BIN)/lint-imports
 
 test: check
-	$(BIN)/pytest -n $(JOBS) --dist worksteal -rs
+	$(BIN)/pytest -n $(JOBS) --dist worksteal $(SKIPS)
 
 test-all: $(READY_ALL) check
 	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "not soak" --no-skips
+
+# What test-all runs beyond test, for who has just run that with the extras installed.
+test-slow: $(READY_ALL)
+	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "slow and not soak" --no-skips
 
 soak: $(SOAKS)
 
@@ -111,6 +118,11 @@ soak-federation: $(READY_TEST)
 # format 2 of the journal, sealing and compaction, too: nothing is lost, nothing torn.
 soak-crash: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.crash_soak
+
+# Kill 500 writers and refuse 500 writes while readers open the ledger all the time: each sees what is committed, once and
+# for ever, and nothing else.
+soak-beside: $(READY_TEST)
+	$(BIN)/python -m tests.ledger.readers_beside_soak
 
 # Flip every bit of every file of a ledger of each format and cut it at every length: each is found, with its place, but
 # for what a crash may leave of a ledger of format 2 that was not closed.

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -21,7 +22,7 @@ from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.crowd import NAMES
-from tests.ledger.faults import Fault, FaultyOs, in_place_of_os
+from tests.ledger.faults import SYNCS, WRITES, Fault, FaultyOs, in_place_of_os
 from tests.ledger.samples import ORIGIN, made_up_run
 
 CUTS = (0, 5, 8, 12)
@@ -70,6 +71,15 @@ def write(path: Path, name: str, steps: int, say: Callable[[str, object], None])
                 writer.compact()
 
 
+class RefusingOs(FaultyOs):
+    """A disk that refuses writes and syncs alone, and counts nothing else."""
+
+    def _call(self, name: str, arguments: tuple[Any, ...], options: dict[str, Any]) -> Any:
+        if name in (*WRITES, *SYNCS) or self._is_dead:
+            return super()._call(name, arguments, options)
+        return self._do(name, arguments, options)
+
+
 def write_refused(refusals: int, path: Path, name: str, steps: int, say: Callable[[str, object], None]) -> None:
     """As `write`, on a disk that refuses something so many times, soon after the writer has begun; then it begins
     again."""
@@ -79,7 +89,7 @@ def write_refused(refusals: int, path: Path, name: str, steps: int, say: Callabl
     for _ in range(refusals):
         kind = draw.choice(("no-space", "io-error", "disk-full", "short-write-no-space"))
         try:
-            with in_place_of_os(FaultyOs(elsewhere, Fault(draw.randrange(10, 250), kind))):
+            with in_place_of_os(RefusingOs(elsewhere, Fault(draw.randrange(2, 60), kind))):
                 write(path, name, steps, say)
         except WriteFailed:
             say("refused", 1)
@@ -147,7 +157,7 @@ def watch(path: Path, stop: int, say: Callable[[str, object], None]) -> None:
                 heads += 1
                 say("head", view.head.commits)
                 say("seen", f"{view.head.size} {view.head.root}")
-            if is_last or heads % 10 == 1:
+            if is_last or heads % 25 == 1:
                 heads += 1
                 for complaint in judge(path, known):
                     say("wrong", f"while others append: {complaint}")

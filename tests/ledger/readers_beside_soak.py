@@ -19,7 +19,7 @@ from tests.ledger.chain_crowd import judge
 from tests.ledger.crash_writer import Nursery, Order
 from tests.ledger.crowd import NAMES
 
-ROUNDS, STEPS, REFUSALS = 6, 5, 6
+ROUNDS, STEPS, REFUSALS = 8, 3, 4
 """How often the writers of one ledger begin, how many steps further each time, and what the disk refuses each."""
 
 
@@ -50,7 +50,7 @@ def trial(nursery: Nursery, path: Path, draw: random.Random) -> Tally:
     seen: set[str] = set()
     for again in range(1, ROUNDS + 2):
         refusals = REFUSALS if again % 2 == 0 and again <= ROUNDS else 0
-        moments = tuple(draw.randrange(1, 400_000) for _ in writers) if again % 2 and again <= ROUNDS else ()
+        moments = tuple(draw.randrange(1, 150_000) for _ in writers) if again % 2 and again <= ROUNDS else ()
         order = Order(str(path), writers, again * STEPS, 2, moments, version=2, refusals=refusals)
         outcome = nursery(order)
         known = {name: max(count, outcome.acknowledged.get(name, 0)) for name, count in known.items()}

@@ -74,7 +74,7 @@ def calls(tmp_path: Path) -> list[str]:
     return calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger"))
 
 
-@pytest.mark.parametrize("step", few([1, 23], [23]))
+@pytest.mark.parametrize("step", few([3, 23], [23]))
 def test_what_a_reader_sees_survives_a_power_failure(tmp_path: Path, step: int) -> None:
     root = tmp_path / "trial"
     root.mkdir()
@@ -101,7 +101,7 @@ def test_what_a_reader_sees_survives_a_power_failure(tmp_path: Path, step: int) 
     assert heads > newest > 5
 
 
-@pytest.mark.parametrize("step", few([1, 31], [31]))
+@pytest.mark.parametrize("step", few([5, 31], [31]))
 def test_what_a_reader_sees_beside_a_disk_that_refuses_stays(tmp_path: Path, calls: list[str], step: int) -> None:
     refused = heads = 0
     lost: list[object] = []
