@@ -23,8 +23,6 @@ OF_GAPS = {"facts/unobservable"}
 """Queries that are themselves about what is not observed: they have rows only for that."""
 GAPS = {"observes", "not_observed", "runs_not_observed"}
 """Columns that are themselves about what is not observed."""
-MADE_ELSEWHERE = {"audit/policy_at", "audit/policy_known_at"}
-"""Queries of which NULL for what is not observed comes with another change."""
 
 TOLD: dict[str, set[str]] = {
     "audit/request_timeline": {"step", "note", "sender"},
@@ -35,7 +33,6 @@ TOLD: dict[str, set[str]] = {
     },
     "audit/requests": {"began_s", "ended_s", "seq", "asked_by", "allowed_by", "supervised_by"},
     "audit/interventions": {"asked_by"},
-    "audit/denials": {"seen_s"},
 }
 """By query, the columns that say what stands on record and no more: how many records there are, which is the first and
 the last, whom they name. Over fewer records they may say something else; the answer still says what is not observed.
@@ -44,12 +41,12 @@ WHOLE = "whole"
 BY_RUN = [
     name
     for name, query in library().queries.items()
-    if query.key is not None and "run_id" in query.key and name not in OF_GAPS | MADE_ELSEWHERE
+    if query.key is not None and "run_id" in query.key and name not in OF_GAPS
     if not name.startswith("staging/")
 ]
 """The queries whose rows are each about one run, but for the views of the events themselves."""
-KEPT_BY_NAMES = {"audit/denials", "audit/unattributed_records"}
-"""Queries with a row for each ground or principal that stands on record: where none does, there is one for NULL."""
+KEPT_BY_NAMES = {"audit/unattributed_records"}
+"""Queries with a row for each principal that stands on record: where none does, there is one for NULL."""
 
 
 class Claim(NamedTuple):

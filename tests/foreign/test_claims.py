@@ -20,7 +20,6 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.foreign.claims import (
     BY_RUN,
     GAPS,
-    MADE_ELSEWHERE,
     OF_GAPS,
     WHOLE,
     recorded_without,
@@ -69,7 +68,7 @@ def test_a_query_about_all_runs_names_what_is_not_observed(runs: list[LedgerRun]
                         {one.concern for one in unobserved(made, query)},
                     )
                     for name, query in library().queries.items()
-                    if name not in {*BY_RUN, *OF_GAPS, *MADE_ELSEWHERE}
+                    if name not in {*BY_RUN, *OF_GAPS}
                 }
             )
     whole, part = answers
@@ -159,6 +158,26 @@ def test_a_request_of_which_nothing_tells_the_end_has_no_result(ledgers: dict[st
     assert not {row["result"] for row in found} & {"not begun", "not finished"}
     assert {row["failures"] for row in open_ledger(ledgers["recovery"]).requests(1).rows()} == {None}
     assert {row["denials"] for row in open_ledger(ledgers["request"]).requests(1).rows()} == {None}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("concern", CONCERNS)
+def test_the_report_has_no_number_of_what_is_not_observed(
+    ledgers: dict[str, Path], tmp_path: Path, concern: str
+) -> None:
+    told = ask("report", ledgers[concern], "--out", tmp_path / "report.pdf", "--numbers", tmp_path / "numbers.json")
+    assert told.code == 0
+    with from_table(pa.table({})) as database:
+        rows = database.rows("SELECT judge, concern FROM metric_concerns")
+    rests = {row["judge"] for row in rows if row["concern"] == concern}
+    numbers = json.loads((tmp_path / "numbers.json").read_text())
+    found = {
+        row["metric"]: row["ours"]
+        for row in numbers["numbers"]
+        if row["table"] == "results" and row["architecture"] == "cfc"
+    }
+    assert {metric for metric in rests & found.keys() if found[metric] is not None} == set()
+    assert any(found[metric] is not None for metric in found.keys() - rests) or rests >= found.keys()
 
 
 def _without_gaps(row: dict[str, object]) -> dict[str, object]:
