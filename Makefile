@@ -9,7 +9,6 @@ PYTHON ?= $(shell for python in python3 python3.11 python3.12 python3.13 python3
 	if $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$python; break; fi; done)
 JOBS ?= 2
 OUT ?= fsar-out
-SKIPS ?= -rs
 STEPS ?= 100000
 
 # Recipes read it from their environment, quoted, since a folder may have any name.
@@ -30,7 +29,7 @@ SOAKS := soak-tests soak-federation soak-crash soak-beside soak-damage soak-veri
 	soak-foreign soak-reverts soak-swaps
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-all reproduce test test-all test-slow check check-style check-types check-sql check-imports soak $(SOAKS) \
+.PHONY: help setup reproduce test test-all test-rest check check-style check-types check-sql check-imports soak $(SOAKS) \
 	soak-sensitivity fleets bench docs page pins sbom clean
 
 help:
@@ -52,8 +51,6 @@ help:
 	@echo "make clean       remove what the other targets made"
 
 setup: $(READY)
-
-setup-all: $(READY_ALL)
 
 $(READY): requirements.txt pyproject.toml $(wildcard fsar_ledger/*/*.c fsar_ledger/*/*/*.c)
 	@if [ -z "$(PYTHON)" ]; then \
@@ -95,14 +92,14 @@ check-imports: $(READY_TEST)
 	$(BIN)/lint-imports
 
 test: check
-	$(BIN)/pytest -n $(JOBS) --dist worksteal $(SKIPS)
+	$(BIN)/pytest -n $(JOBS) --dist worksteal -rs
 
 test-all: $(READY_ALL) check
 	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "not soak" --no-skips
 
-# What test-all runs beyond test, for who has just run that with the extras installed.
-test-slow: $(READY_ALL)
-	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "slow and not soak" --no-skips
+# What test-all runs beyond test, after that: the slow tests, and those that it skipped.
+test-rest: $(READY_ALL)
+	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "not soak" --left-out --no-skips
 
 soak: $(SOAKS)
 

@@ -21,9 +21,47 @@ CACHE = Path(tempfile.mkdtemp(prefix="fsar-ledger-tests-"))
 """The cache of commands under test, apart from the user's own and from that of earlier sessions."""
 
 
+SKIPPED = "fsar-ledger/skipped"
+"""Where pytest's cache has the tests and modules that the last session without options skipped."""
+_skipped: set[str] = set()
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add --no-skips, for where everything is set up."""
+    """Add --no-skips, for where everything is set up, and --left-out, for what `make test` left out before."""
     parser.addoption("--no-skips", action="store_true", help="a skipped test is a failure, except an expected one")
+    parser.addoption("--left-out", action="store_true", help="run slow tests, and those skipped by the session before")
+
+
+def pytest_collectreport(report: pytest.CollectReport) -> None:
+    """Note a module that is skipped."""
+    if report.skipped:
+        _skipped.add(report.nodeid)
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Note a test that is skipped."""
+    if report.skipped and not hasattr(report, "wasxfail"):
+        _skipped.add(report.nodeid)
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Keep what was skipped, for --left-out."""
+    cache = getattr(session.config, "cache", None)  # it can be switched off
+    if cache is not None and not hasattr(session.config, "workerinput") and not session.config.getoption("--left-out"):
+        cache.set(SKIPPED, sorted(_skipped))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """With --left-out, drop what the session before ran; nothing where there was none."""
+    cache = getattr(config, "cache", None)
+    known = cache.get(SKIPPED, None) if cache is not None and config.getoption("--left-out") else None
+    if known is not None:
+        left = set(known)
+        items[:] = [
+            item
+            for item in items
+            if item.get_closest_marker("slow") or not left.isdisjoint((item.nodeid, item.nodeid.partition("::")[0]))
+        ]
 
 
 def without_skip(report: pytest.TestReport | pytest.CollectReport) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from fsar_ledger.metrics.rules import METRICS, rules
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report import document, specs
 from fsar_ledger.report.calibration import Record
@@ -194,13 +195,16 @@ def test_tables_of_which_no_run_is_there_are_named() -> None:
     assert numbers(findings([cell(mean=None)])) == ()
 
 
-def test_no_number_counts_as_fitted_where_the_fit_was_of_another_model(alone: Findings) -> None:
-    assert {
-        row["class"]
-        for row in document.counted(alone, Record(model_version=alone.model_version))
-        if row["table"] == "results"
-    } == {"fitted"}
-    assert "fitted" not in {row["class"] for row in document.counted(alone, Record(model_version="another"))}
+def test_no_number_counts_as_fitted_where_the_fit_was_of_another_model_or_judged_by_unknown_queries(
+    alone: Findings,
+) -> None:
+    def classes(record: Record) -> set[str]:
+        return {row["class"] for row in document.counted(alone, record) if row["table"] == "results"}
+
+    model, judges = alone.model_version, rules(METRICS)
+    assert classes(Record(model_version=model, rules=judges)) == {"fitted"}
+    assert "fitted" not in classes(Record(model_version="another", rules=judges))
+    assert "fitted" not in classes(Record(model_version=model))
 
 
 def test_the_numbers_of_a_ledger_are_those_of_its_tables(alone: Findings) -> None:
