@@ -10,6 +10,7 @@
 --   rule of the fleet
 -- NULL: a principal, task or action that the record does not name; capability when no record before names one
 -- Example: fsar-ledger query facts/policies_seen LEDGER
+-- Stored: grounds read it for each scope
 WITH denied AS (
     SELECT
         run_id, seq, time_us, task_id, action_id, reason, decided_by,

@@ -6,6 +6,7 @@
 --   of the call
 -- NULL: task_id, action_id, robot when no record names one; decided_by unless it is the coordinator
 -- Example: fsar-ledger query facts/review_calls LEDGER
+-- Stored: it orders the events of each task, and is read for several ends
 WITH bids AS (
     SELECT
         run_id, seq, time_us, action_id,

@@ -1,6 +1,6 @@
 """Readers beside writers that are killed and refused: `python -m tests.ledger.readers_beside_soak [KILLS [REFUSALS]]`.
 
-Two to four writers add, append, seal and compact at once. In turns, they are killed at random moments, and the disk
+Four to eight writers add, append, seal and compact at once. In turns, they are killed at random moments, and the disk
 refuses each of them something now and then. Two readers open the ledger all the time. Each must see whole commits, all
 that was acknowledged before it looked, each once, and for ever what it has seen once; and no reader may be told of
 damage. Prints counts; exits with 1 if anything was wrong.
@@ -45,12 +45,12 @@ class Tally(NamedTuple):
 def trial(nursery: Nursery, path: Path, draw: random.Random) -> Tally:
     """Let writers of one ledger be killed and refused in some rounds, and then finish; judge what readers saw."""
     tally = Tally()
-    writers = NAMES[: draw.randrange(2, 5)]
+    writers = NAMES[: draw.randrange(4, 9)]
     known = dict.fromkeys(writers, 0)
     seen: set[str] = set()
     for again in range(1, ROUNDS + 2):
-        refusals = REFUSALS if again % 2 == 0 and again <= ROUNDS else 0
-        moments = tuple(draw.randrange(1, 150_000) for _ in writers) if again % 2 and again <= ROUNDS else ()
+        refusals = REFUSALS if again % 4 == 2 else 0
+        moments = tuple(draw.randrange(1, 250_000) for _ in writers) if again <= ROUNDS and not refusals else ()
         order = Order(str(path), writers, again * STEPS, 2, moments, version=2, refusals=refusals)
         outcome = nursery(order)
         known = {name: max(count, outcome.acknowledged.get(name, 0)) for name, count in known.items()}
