@@ -6,6 +6,7 @@ the process ends there. A model of the disk is told of each change, and knows wh
 """
 
 import errno
+import fcntl
 import os
 import signal
 import sys
@@ -238,3 +239,15 @@ def calls_of(root: Path, work: Callable[[], object]) -> list[str]:
     with in_place_of_os(FaultyOs(root)) as faulty:
         work()
     return faulty.calls
+
+
+def is_free(path: Path) -> bool:
+    """Return whether nobody holds a lock on this folder."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(handle)
+    return True

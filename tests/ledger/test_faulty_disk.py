@@ -1,6 +1,5 @@
 """The harness itself: it sees every change of the disk, and loses what a power failure may lose."""
 
-import fcntl
 import os
 import random
 import sys
@@ -12,7 +11,7 @@ import pytest
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Writer
 from tests.ledger.crash_trials import append_with
-from tests.ledger.faults import Fault, FaultyOs, faults_at, in_place_of_os
+from tests.ledger.faults import Fault, FaultyOs, faults_at, in_place_of_os, is_free
 from tests.ledger.power import Choice
 from tests.ledger.samples import ORIGIN, contents
 
@@ -144,18 +143,6 @@ def test_a_writer_that_the_disk_refuses_leaves_nothing_open(tmp_path: Path) -> N
         faulty = FaultyOs(tmp_path, fault)
         append_with(faulty, path, 1)
         assert faulty.left_open == 0, fault
-
-
-def is_free(path: Path) -> bool:
-    """Return whether nobody holds a lock on this ledger."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    finally:
-        os.close(handle)
-    return True
 
 
 def test_many_files_are_synced_together_and_one_that_cannot_be_is_an_error(

@@ -1,7 +1,5 @@
 """A full journal becomes a segment while commits go on: what is there meanwhile, and what no crash leaves."""
 
-import fcntl
-import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,6 +25,7 @@ from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.agreement_chain import hand_over
 from tests.ledger.chain_damage import piece, write_handed_over
+from tests.ledger.faults import is_free
 from tests.ledger.samples import ORIGIN, contents, made_up_run
 from tests.quick import few
 
@@ -207,18 +206,6 @@ def test_a_journal_that_is_renamed_between_two_looks_is_read_once(tmp_path: Path
         assert rows_in(path) == ROWS[:4]
 
 
-def is_free(path: Path) -> bool:
-    """Return whether no reader makes writers of this ledger wait."""
-    handle = os.open(path / SEGMENTS, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    finally:
-        os.close(handle)
-    return True
-
-
 def test_a_reader_beside_a_writer_that_never_rests_gets_an_answer(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     run = made_up_run("never-rests", 40, 3)
@@ -231,7 +218,7 @@ def test_a_reader_beside_a_writer_that_never_rests_gets_an_answer(tmp_path: Path
         def beside(file: Path, most: int, start: int = 0) -> bytes:
             nonlocal reads
             data = real(file, most, start)
-            if file.name == CHAIN and reads < 15 and is_free(path):
+            if file.name == CHAIN and reads < 15 and is_free(path / SEGMENTS):
                 reads += 1
                 writer.append(stage(path, [next(parts)]))
                 writer.add([next(parts)])

@@ -1,7 +1,6 @@
 """What is committed in a ledger of format 2, as a reader sees it.
 
-Readers never write. They read the chain, then the journal; a writer that seals the journal in between is noticed, and
-both are read again.
+Readers never write. `snapshot` reads the chain and the journal beside writers; rows are read when they are asked for.
 """
 
 import os
