@@ -33,9 +33,11 @@ TOLD: dict[str, set[str]] = {
     },
     "audit/requests": {"began_s", "ended_s", "seq", "asked_by", "allowed_by", "supervised_by"},
     "audit/interventions": {"asked_by"},
+    "audit/policy_known_at": {"why_unknown"},
 }
 """By query, the columns that say what stands on record and no more: how many records there are, which is the first and
-the last, whom they name. Over fewer records they may say something else; the answer still says what is not observed.
+the last, whom they name; or why there is no answer. Over fewer records they may say something else; the answer still
+says what is not observed.
 """
 WHOLE = "whole"
 BY_RUN = [
@@ -45,7 +47,7 @@ BY_RUN = [
     if not name.startswith("staging/")
 ]
 """The queries whose rows are each about one run, but for the views of the events themselves."""
-KEPT_BY_NAMES = {"audit/unattributed_records"}
+KEPT_BY_NAMES = {"audit/policy_known_at", "audit/unattributed_records"}
 """Queries with a row for each principal that stands on record: where none does, there is one for NULL."""
 
 
