@@ -15,6 +15,7 @@ from tests.ledger.samples import ORIGIN
 from tests.quick import few
 
 PLAIN = "plain-one"
+PREDICTIONS = Path(__file__).parents[2] / "reports" / "predictions.json"
 NAMES = (
     "led*b",
     "led?b",
@@ -58,6 +59,8 @@ ASKED_LESS = (
     ("prove", "1:12"),
     ("whatif", "--run", "1", "--change", "drop window:*", "--json"),
     ("verify", "--replay"),
+    ("bisect", "--first", "fsar", "--second", "cfc", "--outcome", "policy_violations > 0", "--json"),
+    ("compact", "--json"),
     ("recover",),
 )
 WRITTEN = (
@@ -70,8 +73,16 @@ WRITTEN = (
     (("report", "{ledger}", "--out", "{out}"), ".pdf"),
     (("open", "{ledger}", "--out", "{out}"), ".duckdb"),
     (("explain", "{ledger}", "--run", "1", "--request", "A1-1/2.1", "--svg", "{out}"), ".svg"),
+    (("judge", "{predictions}", "--out", "{out}"), ".json"),
     (("key", "new", "{out}"), ".key"),
     (("simulate", "{out}", "--scenario", "door-relay", "--runs", "1", "--architecture", "fsar"), ".made"),
+)
+MADE = (
+    ("upgrade", "{old}", "--into", "{out}"),
+    ("whatif", "{ledger}", "--run", "1", "--change", "drop window:*", "--out", "{out}"),
+    ("recover", "{damaged}", "--into", "{out}"),
+    ("reproduce", "--out", "{out}", "--only", "results", "--runs", "2"),
+    ("witness", "new", "{out}", "--name", "example.org/w1"),
 )
 
 
@@ -160,12 +171,35 @@ def test_a_file_of_any_name_is_written_there_and_nowhere_else(
     monkeypatch.chdir(tmp_path)
     places = [f"{place}{suffix}" for place in (ALL_IN_ONE, "~/led", "led?b/in")]
     for place in places:
-        called = call(*(one.format(ledger=crowded / PLAIN, out=path_of(place)) for one in verb))
+        called = call(
+            *(one.format(ledger=crowded / PLAIN, predictions=PREDICTIONS, out=path_of(place)) for one in verb)
+        )
         assert called.code == 0, called.err
     assert set(tmp_path.rglob(f"*{suffix}")) == {tmp_path / place for place in places}
     assert {path.name.removesuffix(".pub") for path in tmp_path.iterdir()} == {
         place.partition("/")[0] for place in places
     }
+
+
+@pytest.mark.slow
+def test_a_ledger_or_folder_of_any_name_is_made_there_and_nowhere_else(
+    call: Call, crowded: Path, older: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(crowded))
+    monkeypatch.chdir(tmp_path)
+    damaged = shutil.copytree(older, tmp_path / f"{ALL_IN_ONE}.damaged")
+    last = sorted((damaged / "segments").iterdir())[-1]
+    last.write_bytes(last.read_bytes()[:-1])
+    made = {}
+    for number, verb in enumerate(MADE):
+        made[verb] = tmp_path / ALL_IN_ONE / str(number)
+        words = {"old": older, "ledger": crowded / PLAIN, "damaged": path_of(damaged.name)}
+        called = call(*(one.format(**words, out=path_of(f"{ALL_IN_ONE}/{number}")) for one in verb))
+        assert called.code in (0, 3), called.err
+        assert any(made[verb].iterdir())
+    assert {path.name for path in tmp_path.iterdir()} == {ALL_IN_ONE, damaged.name}
+    assert all(call("verify", made[verb]).code == 0 for verb in MADE[:3])
+    assert call("verify", made[MADE[3]] / "results").code == 0
 
 
 @pytest.mark.usefixtures("here")
