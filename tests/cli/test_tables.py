@@ -9,12 +9,14 @@ import subprocess
 import sys
 import termios
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
 from fsar_ledger import Ledger
+from fsar_ledger.cli import app
 from fsar_ledger.cli.output import table_text
 from fsar_ledger.cli.tables import fitted
 from fsar_ledger.cli.terminal import columns_of
@@ -64,6 +66,28 @@ def on_a_terminal(width: int, *arguments: object, surroundings: Mapping[str, str
     return text.rpartition("\r\x1b[K")[2], text
 
 
+def on_a_terminal_here(width: int, *arguments: object) -> str:
+    """Run a command in this process, its output a terminal of this width; return what it writes."""
+    here, there = pty.openpty()
+    fcntl.ioctl(there, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
+    stream = bytearray()
+
+    def read() -> None:
+        with suppress(OSError):  # all is read
+            while data := os.read(here, 1 << 16):
+                stream.extend(data)
+
+    reader = Thread(target=read)
+    reader.start()
+    with os.fdopen(there, "w", encoding="utf-8") as screen, redirect_stdout(screen), redirect_stderr(screen):
+        code = app.run([str(argument) for argument in arguments])
+    reader.join()
+    os.close(here)
+    text = stream.decode().replace("\r\n", "\n")
+    assert code in (0, 1), text
+    return text.rpartition("\r\x1b[K")[2]
+
+
 STORIES = (
     ("explain", "--run", "3", "--request", "A1-1/2.1"),
     ("log", "--run", "3"),
@@ -87,20 +111,33 @@ def wide(line: str) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", WIDTHS)
-def test_no_line_of_any_verb_is_wider_than_the_terminal(ledger: Path, width: int) -> None:
-    for arguments in [("--help",), *calls(ledger)]:
-        text, _ = on_a_terminal(width, "-m", "fsar_ledger", *arguments)
-        assert text.strip(), arguments
-        assert [line for line in text.split("\n") if wide(line) > width] == [], arguments
-        assert "\x1b" not in text, arguments
+def test_no_line_of_any_verb_is_wider_than_the_terminal(ledger: Path) -> None:
+    for number, arguments in enumerate([("--help",), *calls(ledger)]):
+        for width in WIDTHS if number % 5 == 0 else WIDTHS[:1]:
+            text = on_a_terminal_here(width, *arguments)
+            assert text.strip(), arguments
+            assert [line for line in text.split("\n") if wide(line) > width] == [], arguments
+            assert "\x1b" not in text, arguments
 
 
 @pytest.mark.slow
-def test_piped_every_verb_gives_the_same_bytes_at_any_width(ledger: Path) -> None:
-    for arguments in calls(ledger):
-        narrow, broad = (in_a_process(*arguments, surroundings={"COLUMNS": columns}) for columns in ("80", "200"))
-        assert narrow == broad, arguments
+@pytest.mark.parametrize("arguments", [("metrics", "LEDGER"), ("log", "LEDGER", "--run", "3")], ids=" ".join)
+def test_a_command_of_its_own_shows_the_same_on_a_terminal(ledger: Path, arguments: tuple[str, ...]) -> None:
+    words = [str(ledger) if word == "LEDGER" else word for word in arguments]
+    text, _ = on_a_terminal(100, "-m", "fsar_ledger", *words)
+    assert text == on_a_terminal_here(100, *words)
+    assert max(map(wide, text.split("\n"))) in range(60, 101)
+
+
+@pytest.mark.slow
+def test_piped_a_verb_gives_the_same_bytes_at_any_width(
+    ledger: Path, call: Call, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for arguments in calls(ledger)[::4]:
+        monkeypatch.setenv("COLUMNS", "80")
+        narrow = call(*arguments)
+        monkeypatch.setenv("COLUMNS", "200")
+        assert call(*arguments) == narrow, arguments
 
 
 def test_a_table_fits_the_terminal_and_is_whole_with_wide(ledger: Path, call: Call) -> None:
