@@ -6,7 +6,7 @@ import pytest
 
 from fsar_ledger import Ledger
 from tests.cli.conftest import Call
-from tests.cli.test_tables import on_a_terminal
+from tests.cli.terminals import on_a_terminal_here
 from tests.quick import few
 
 
@@ -29,6 +29,6 @@ def test_the_interventions_of_one_run_are_asked_for_by_its_number(call: Call, le
 
 @pytest.mark.parametrize("verb", few(["metrics", "statistics"], ["metrics"]))
 def test_on_a_terminal_human_intervention_is_told_to_be_a_share_of_runs(call: Call, ledger: Path, verb: str) -> None:
-    shown, _ = on_a_terminal(200, "-m", "fsar_ledger", verb, ledger)
+    shown = on_a_terminal_here(200, verb, ledger)
     assert "human_intervention is the share of runs that called the fleet supervisor" in shown
     assert "share of runs" not in call(verb, ledger).out

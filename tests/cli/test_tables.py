@@ -1,27 +1,19 @@
 """Tables fit the terminal they are shown on, and are plain text, the same at any width, where there is none."""
 
-import fcntl
-import os
-import pty
 import re
-import struct
 import subprocess
 import sys
-import termios
-from collections.abc import Mapping
-from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
-from threading import Thread
 
 import pytest
 
 from fsar_ledger import Ledger
-from fsar_ledger.cli import app
 from fsar_ledger.cli.output import table_text
 from fsar_ledger.cli.tables import fitted
 from fsar_ledger.cli.terminal import columns_of
 from fsar_ledger.metrics.groups import GROUPS
 from tests.cli.conftest import Call, in_a_process, one_message
+from tests.cli.terminals import on_a_terminal, on_a_terminal_here
 from tests.terminal import CLAIM, PAINT, painted
 
 WIDTHS = (80, 120, 200)
@@ -47,45 +39,6 @@ QUERIES = (
     "event_principals",
 )
 RUNS = [f"fsar.full.{scenario}.n4.s42.r{number:04}-abc" for scenario in ("door", "relay") for number in (1, 2)]
-
-
-def on_a_terminal(width: int, *arguments: object, surroundings: Mapping[str, str] = {}) -> tuple[str, str]:
-    """Run Python with these arguments in a terminal of this width; return what it writes to it, and the rest."""
-    here, there = pty.openpty()
-    fcntl.ioctl(there, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
-    stream = b""
-    command = [sys.executable, *map(str, arguments)]
-    with subprocess.Popen(command, stdout=there, stderr=there, env={**os.environ, **surroundings}) as child:
-        os.close(there)
-        with suppress(OSError):  # all is read
-            while data := os.read(here, 1 << 16):
-                stream += data
-    os.close(here)
-    text = stream.decode().replace("\r\n", "\n")
-    assert child.returncode in (0, 1), text
-    return text.rpartition("\r\x1b[K")[2], text
-
-
-def on_a_terminal_here(width: int, *arguments: object) -> str:
-    """Run a command in this process, its output a terminal of this width; return what it writes."""
-    here, there = pty.openpty()
-    fcntl.ioctl(there, termios.TIOCSWINSZ, struct.pack("HHHH", 40, width, 0, 0))
-    stream = bytearray()
-
-    def read() -> None:
-        with suppress(OSError):  # all is read
-            while data := os.read(here, 1 << 16):
-                stream.extend(data)
-
-    reader = Thread(target=read)
-    reader.start()
-    with os.fdopen(there, "w", encoding="utf-8") as screen, redirect_stdout(screen), redirect_stderr(screen):
-        code = app.run([str(argument) for argument in arguments])
-    reader.join()
-    os.close(here)
-    text = stream.decode().replace("\r\n", "\n")
-    assert code in (0, 1), text
-    return text.rpartition("\r\x1b[K")[2]
 
 
 STORIES = (
@@ -142,8 +95,8 @@ def test_piped_a_verb_gives_the_same_bytes_at_any_width(
 
 def test_a_table_fits_the_terminal_and_is_whole_with_wide(ledger: Path, call: Call) -> None:
     arguments = ("query", "failures", ledger)
-    fitting, _ = on_a_terminal(80, "-m", "fsar_ledger", *arguments)
-    whole, _ = on_a_terminal(500, "-m", "fsar_ledger", *arguments, "--wide")
+    fitting = on_a_terminal_here(80, *arguments)
+    whole = on_a_terminal_here(500, *arguments, "--wide")
     assert max(map(wide, fitting.split("\n"))) <= 80
     assert fitting.startswith("run_id ")
     assert "\nnot shown: " in fitting
@@ -216,9 +169,7 @@ def test_the_numbers_that_a_terminal_shows_are_those_that_questions_take(
     call: Call, ledger: Path, arguments: tuple[str, str]
 ) -> None:
     verb, question = arguments
-    shown, _ = on_a_terminal(
-        80, "-m", "fsar_ledger", verb, *((question, ledger) if verb == "query" else (ledger, question))
-    )
+    shown = on_a_terminal_here(80, verb, *((question, ledger) if verb == "query" else (ledger, question)))
     numbers = Ledger(ledger).numbers()
     rows = Ledger(ledger).query("failures").rows()
     listed = shown.split("---\n", 1)[1].splitlines()[: len(rows)]
@@ -319,7 +270,7 @@ def test_queries_are_listed_by_group_and_event_views_only_with_all(call: Call) -
 def test_on_a_terminal_names_leave_room_for_the_words_of_a_story(call: Call, ledger: Path) -> None:
     run = next(run for run in Ledger(ledger).numbers() if run.startswith("dhma"))
     for verb in (("log", ledger, "--run", run), ("explain", ledger, "--run", run, "--request", "A1-1/2.1")):
-        narrow, broad = (on_a_terminal(width, "-m", "fsar_ledger", *verb)[0] for width in (80, 200))
+        narrow, broad = (on_a_terminal_here(width, *verb) for width in (80, 200))
         folded = sum(line.startswith("  | ") for line in narrow.splitlines())
         assert folded < len(broad.splitlines()) / 2, verb  # were the words of all aligned, nearly each would be
         assert broad == call(*verb).out, verb
@@ -329,7 +280,7 @@ def test_on_a_terminal_names_leave_room_for_the_words_of_a_story(call: Call, led
 def test_on_a_terminal_an_audit_is_a_line_a_verdict_and_names_the_first_events_as_prove_takes_them(
     ledger: Path,
 ) -> None:
-    shown, _ = on_a_terminal(80, "-m", "fsar_ledger", "audit", ledger)
+    shown = on_a_terminal_here(80, "audit", ledger)
     verdicts, _, first = shown.partition("the first offending events")
     assert f"{ledger} RUN:SEQ` takes them" in first
     rows, numbers = Ledger(ledger).audit().rows, Ledger(ledger).numbers()
@@ -346,7 +297,7 @@ def test_on_a_terminal_an_audit_is_a_line_a_verdict_and_names_the_first_events_a
 
 
 def test_on_a_terminal_queries_are_listed_by_their_last_parts_with_the_names_of_parameters() -> None:
-    shown, _ = on_a_terminal(80, "-m", "fsar_ledger", "query", "--list")
+    shown = on_a_terminal_here(80, "query", "--list")
     assert re.search(r"^  robot_activity +What a robot was doing at a time \(run, robot, at\)$", shown, re.MULTILINE)
     assert "audit/" not in shown
     assert "run=all" not in shown
