@@ -171,22 +171,13 @@ READS = {"a name of one's own", "a summary", "a recursion that ends"}
 
 OFTEN = {
     "read a csv",
-    "read where DuckDB spills",
     "fetch",
-    "copy in a step",
     "log to a file",
-    "delete in a step",
-    "copy",
     "a NUL",
     "half a character",
-    "ten million characters",
-    "5,000 selects in each other",
     "one text",
-    "a text of many",
     "JSON that nests too deep",
     "too many bytes",
-    "two columns of one name",
-    "a type that Arrow would change",
     "a date beyond the calendar",
 }
 """Ways that are tried in a process each time. The others, which one lock or one limit stops with these, `make test-all`
