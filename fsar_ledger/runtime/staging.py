@@ -15,7 +15,6 @@ from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.store.append import Staged, stage
-from fsar_ledger.runtime import arenas
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run, simulate_slices
 from fsar_ledger.workers import WorkerPool
 
@@ -62,7 +61,6 @@ class Staging(msgspec.Struct, frozen=True):
 
     def _stream(self, batch: Batch) -> Iterator[Staged]:
         """As `of`, one segment after the other, without garbage collection: a run makes no cyclic garbage."""
-        arenas.prepare_for(max(spec.fleet_size for spec in batch))
         with without_collection():
             try:
                 if self.spans_commits:
