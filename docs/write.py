@@ -55,7 +55,10 @@ from fsar_ledger.report.printing import flat
 from fsar_ledger.report.provenance import WORDS, origins
 
 DOCS = Path(__file__).resolve().parent
-PAGES = tuple(DOCS / f"{name}.md" for name in ("auditors-hour", "open", "audit-example", "model", "recovery", "replay"))
+PAGES = (
+    DOCS.parent / "README.md",
+    *(DOCS / f"{name}.md" for name in ("auditors-hour", "open", "audit-example", "model", "recovery", "replay")),
+)
 FORMAT = DOCS / "ledger-format.md"
 NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")
 """One command of ours whose words are plain, or stand in quotes and mean themselves there."""
