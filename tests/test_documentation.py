@@ -26,6 +26,7 @@ from tests.cli.conftest import SMALL
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
 README_BYTES_MAX = 10_240
+DECISIONS = ROOT / "docs" / "decisions"
 PAGES = {path.name: path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
 LABEL = re.compile(r"\b(?:eq|sec|tab|fig|app):[a-z0-9_:-]*[a-z0-9]")
 LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
@@ -132,8 +133,8 @@ def anchors(text: str) -> set[str]:
 
 
 def test_every_file_and_link_that_a_page_names_exists() -> None:
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-    assert {page.name: found for page in pages if (found := dangling(page))} == {}
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    assert {page.relative_to(ROOT).as_posix(): found for page in pages if (found := dangling(page))} == {}
 
 
 def test_a_link_or_file_that_does_not_exist_is_found(tmp_path: Path) -> None:
@@ -147,6 +148,31 @@ def test_every_page_is_in_the_index() -> None:
     linked = set(re.findall(r"\]\(([\w.-]+)\)", PAGES["README.md"]))
     pages = {path.name for path in (ROOT / "docs").iterdir() if path.suffix in (".md", ".json", ".ipynb")}
     assert pages - {"README.md"} == linked
+
+
+def test_every_decision_is_in_its_index() -> None:
+    linked = re.findall(r"^- \[[^]]+\]\(([\w.-]+)\)$", (DECISIONS / "README.md").read_text("utf-8"), re.MULTILINE)
+    assert sorted(linked) == sorted(path.name for path in DECISIONS.iterdir() if path.name != "README.md")
+
+
+def unknown_decisions(text: str) -> list[str]:
+    """Return the decision files that a source names and that do not exist."""
+    return [name for name in re.findall(r"docs/decisions/([\w.-]*\w)", text) if not (DECISIONS / name).is_file()]
+
+
+def test_every_decision_that_code_names_exists() -> None:
+    found = {
+        path.relative_to(ROOT).as_posix(): unknown_decisions(path.read_text("utf-8"))
+        for folder in ("fsar_ledger", "queries", "reports", "benchmarks", "tests")
+        for path in sorted((ROOT / folder).rglob("*"))
+        if path.suffix in (".py", ".c", ".sql", ".toml", ".typ") and path != Path(__file__).resolve()
+    }
+    assert {name: unknown for name, unknown in found.items() if unknown} == {}
+
+
+def test_a_decision_that_does_not_exist_is_found() -> None:
+    text = "# See docs/decisions/draws-are-named.md.\n# See docs/decisions/draws-are-gone.md: why\n"
+    assert unknown_decisions(text) == ["draws-are-gone.md"]
 
 
 def test_the_readme_is_short_and_says_where_it_runs() -> None:
