@@ -18,6 +18,7 @@ DIFFERS = {
     "repeated": "cannot be told from others: one architecture has several runs of one seed, scenario and number",
     "unobserved": "are not known to have met the same world, which one of them does not observe",
 }
+# See docs/decisions/pairs-met-the-same-world.md.
 FAULTS = ("facts", "repeated")
 """Reasons that no experiment leads to: somebody else made, or changed, such runs."""
 

@@ -122,6 +122,7 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     t: float | None
     df: int | None
     p: float | None
+    # See docs/decisions/holm-has-two-families.md.
     p_holm: float | None
     family_tests: int | None
     cohens_d: float | None

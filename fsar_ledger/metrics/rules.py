@@ -14,6 +14,7 @@ METRICS, CLAIMS = "metric_summary", "case_claims"
 """The relations that the recorded numbers, and the claims of the cases, are read from."""
 
 
+# See docs/decisions/results-name-their-queries.md.
 def rules(*relations: str, of: Library | None = None) -> dict[str, str]:
     """Return a SHA-256 of the SQL of each query that these relations rest on, by name; comments and layout aside.
 

@@ -189,6 +189,7 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
             "interval": None if row is None else _interval(row),
         }
         cell |= dict.fromkeys(("difference", "distance", "gives", "share", "could"))
+        # See docs/decisions/open-cells-have-no-verdict.md.
         if row is not None and row.mean is not None and said.dial is None and _is_shaped(place, runs):
             one = verdicts.judge(row, paper.value, shares.get(place))
             difference = None if one.low is None or one.high is None else (one.low, one.high)

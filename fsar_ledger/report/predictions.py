@@ -26,6 +26,7 @@ class Record(msgspec.Struct, frozen=True):
     predictions: list[Outcome]
 
 
+# See docs/decisions/fit-is-registered-first.md.
 def judged(findings: Findings, folder: Traversable | None = None) -> Record | None:
     """Return the record in this folder (default: the packaged one), None if absent, or of another model or constants.
 

@@ -238,6 +238,7 @@ class Experiment(msgspec.Struct, frozen=True):
             found[-1].append(spec)
         return [tuple(batch) for batch in found]
 
+    # See docs/decisions/experiment-plans-are-events.md.
     def plan(self) -> ExperimentPlanned:
         """Return the plan, which is committed before the first run."""
         return ExperimentPlanned(

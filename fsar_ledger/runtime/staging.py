@@ -20,6 +20,7 @@ from fsar_ledger.workers import WorkerPool
 
 IN_FLIGHT = 2
 """Batches in progress per worker at most, so that memory stays flat."""
+# See docs/decisions/commits-hold-16384-events.md.
 COMMIT_EVENTS = 1 << 14
 """Events of a commit where runs may span several; independent of the number of workers."""
 
