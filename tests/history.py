@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from fsar_ledger.registration import registration
+from fsar_ledger.metrics.registration import registration
 
 ROOT = Path(__file__).parent.parent
 STAGES = (

@@ -11,16 +11,16 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fsar_ledger.calibration import calibrate
-from fsar_ledger.comparison import compare_predictions
-from fsar_ledger.prediction import predict
+from fsar_ledger.studies.calibration import calibrate
+from fsar_ledger.studies.comparison import judge
+from fsar_ledger.studies.predictions import predict
 from tests.history import ROOT, without_rules
 
 REPORTS = ROOT / "reports"
 MAKERS: Mapping[str, Callable[[Path], None]] = {
     "calibration": calibrate,
     "predictions": predict,
-    "comparison": lambda out: compare_predictions(REPORTS / "predictions.json", out),
+    "comparison": lambda out: judge(REPORTS / "predictions.json", out),
 }
 
 

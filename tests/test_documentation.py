@@ -38,7 +38,7 @@ COMMANDS = {
     for command in group.typer_instance.registered_commands
 }
 # The last two need each other (tests/witness/test_processes.py), and `judge` needs what `predict` writes
-# (tests/test_comparison.py).
+# (tests/studies/test_comparison.py).
 LONG = {"reproduce", "calibrate", "predict", "sensitivity", "judge", "witness serve", "witness ask"}
 
 

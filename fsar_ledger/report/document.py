@@ -11,8 +11,8 @@ import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
+from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.rules import changed
-from fsar_ledger.registration import registration
 from fsar_ledger.report import (
     all_readings,
     contradictions,

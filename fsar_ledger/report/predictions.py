@@ -11,8 +11,8 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.metrics.registration import Outcome
 from fsar_ledger.metrics.rules import changed
-from fsar_ledger.registration import Outcome
 from fsar_ledger.report.findings import Findings, Row
 from fsar_ledger.report.printing import flat, words
 

@@ -8,13 +8,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.comparison import compare_predictions
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics import rules as bound
 from fsar_ledger.metrics.library import Library, library, plain_sql
 from fsar_ledger.metrics.rules import CLAIMS, METRICS, changed, rules
 from fsar_ledger.report import calibration, document, predictions
 from fsar_ledger.report.findings import Findings
+from fsar_ledger.studies.comparison import judge
 from tests.records import renew
 from tests.report.test_predictions import of_the_record
 
@@ -59,7 +59,7 @@ def test_a_changed_rule_is_named_by_every_record(
     place = tmp_path / "predictions.json"
     place.write_bytes(files("fsar_ledger.reports").joinpath("predictions.json").read_bytes())
     with pytest.raises(UsageError, match=f"{CONFLICTS}; predict again"):
-        compare_predictions(place, tmp_path / "comparison.json")
+        judge(place, tmp_path / "comparison.json")
     assert list(tmp_path.iterdir()) == [place]
 
 

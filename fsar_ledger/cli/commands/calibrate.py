@@ -27,7 +27,7 @@ def calibrate(
     The fit is to the paper's results table alone. `reports/registration.toml` names the constants and their ranges. The
     record says where the fit began, what the data identify and what was accepted.
     """
-    from fsar_ledger.api.functions import calibrate as fit
+    from fsar_ledger.studies.calibration import calibrate as fit
 
     with Progress("tried", "parameter sets") as progress:
         fit(out, workers=workers, progress=progress)

@@ -28,7 +28,7 @@ def judge(
     Nothing is simulated. In the source of this package, `reports/predictions.json` holds the predictions made right
     after the fit, and `reports/comparison.json` their comparison.
     """
-    from fsar_ledger.api.functions import judge as compare
+    from fsar_ledger.studies.comparison import judge as compare
 
     compare(predictions, out)
     show(printable.line(f"{out}"))

@@ -28,7 +28,7 @@ def predict(
     as they are. No number of the paper is read. `reports/registration.toml` says what is predicted, and what the
     paper's claims imply for it.
     """
-    from fsar_ledger.api.functions import predict as write
+    from fsar_ledger.studies.predictions import predict as write
 
     with Progress("played", "experiments") as progress:
         write(out, workers=workers, progress=progress)

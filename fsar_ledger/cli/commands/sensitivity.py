@@ -47,10 +47,10 @@ def sensitivity(
     then give the part of each number's variance that is due to each of the dozen constants that move a number furthest.
     An interrupted study continues where it stopped.
     """
-    from fsar_ledger.api.functions import sensitivity as study
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.report.sensitivity import heat_map
     from fsar_ledger.report.typeset import publish
+    from fsar_ledger.studies.sensitivity import sensitivity as study
 
     if svg is not None:
         require_outside(svg, f"--svg {svg}")

@@ -1,6 +1,6 @@
 """Compares the predictions with what the paper prints, and with what its claims were registered to imply.
 
-It reads the record of `prediction.py` and nothing else of ours: nothing is simulated here, and the record is never
+It reads the record of `predictions.py` and nothing else of ours: nothing is simulated here, and the record is never
 replaced. No program can guarantee that a number was not predicted again after it was compared; `tests/history.py` shows
 it from the commits of the repository.
 """
@@ -8,6 +8,7 @@ it from the commits of the repository.
 from collections.abc import Callable, Iterator
 from hashlib import sha256
 from itertools import combinations, pairwise
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +20,16 @@ from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.paper_numbers import Place, Table, printed
+from fsar_ledger.metrics.registration import Check, Outcome, registration
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.rules import changed
-from fsar_ledger.metrics.verdicts import MARGINS, Answer, judge
-from fsar_ledger.prediction import CASES, SEED, SEEDS, Predicted, Record
+from fsar_ledger.metrics.verdicts import MARGINS, Answer
 from fsar_ledger.recording import require_another, require_writable, write_record
-from fsar_ledger.registration import Check, Outcome, registration
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
+from fsar_ledger.studies.predictions import CASES, SEED, SEEDS, Predicted, Record
 
 SAME = 22  # cells of 24 that must be answered alike whatever the seed; registered as `seeds`
 SUCCESS, LOCALITY, CONFLICTS = "coordination_success", "governance_locality", "authority_conflicts"
@@ -123,8 +125,8 @@ class Numbers:
         return self.find(*place, **named).mean
 
 
-def compare_predictions(predictions: Path, out: Path) -> None:
-    """Write the comparison of a record of predictions.
+def judge(predictions: str | PathLike[str], out: str | PathLike[str]) -> None:
+    """Compare predicted numbers with the paper's, and write the comparison; nothing is simulated.
 
     Raises:
         FsarLedgerError: the file is no such record, or lacks a number.
@@ -132,6 +134,7 @@ def compare_predictions(predictions: Path, out: Path) -> None:
             a ledger.
         WriteFailed: `out` cannot be written.
     """
+    predictions, out = Path(predictions), Path(out)
     require_outside(out, f"--out {out}")
     require_another(out, f"--out {out}", predictions, "PREDICTIONS")
     require_writable(out)
@@ -214,7 +217,7 @@ def _cell(numbers: Numbers, place: Place) -> CellBeside:
         numbers.mean("scaling", place.metric, place.architecture, teams=1, **where) if place.fleet_size > 4 else None
     )
     paper, said = printed(place.table)[place].value, registration().said_of(place.table, place._asdict())
-    judged = judge(_row(found), paper, None)
+    judged = verdicts.judge(_row(found), paper, None)
     by_text: dict[str, Answer | None] = {"cannot_follow": "no", "unspecified": None}
     return CellBeside(
         **place._asdict(),
@@ -253,7 +256,10 @@ def _seeds(numbers: Numbers) -> Iterator[Check]:
 
     def answers(of: str, seed: int) -> list[Answer]:
         found = (numbers.find(of, place.metric, place.architecture, seed=seed) for place, _ in cells)
-        return [judge(_row(number), paper.value, None).gives for number, (_, paper) in zip(found, cells, strict=True)]
+        return [
+            verdicts.judge(_row(number), paper.value, None).gives
+            for number, (_, paper) in zip(found, cells, strict=True)
+        ]
 
     first = answers(CASES, SEED)
     for seed in SEEDS:

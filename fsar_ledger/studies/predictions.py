@@ -5,7 +5,7 @@ scaling), and what nobody has seen: other seeds, fleet sizes between and beyond 
 pairs of ablations. Nothing here reads a number of the paper.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import combinations
 from pathlib import Path
@@ -14,6 +14,8 @@ from typing import Any
 
 import msgspec
 
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import Progress, workers_of
 from fsar_ledger.constants import Constants, Load, write_constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
@@ -38,8 +40,6 @@ CLAIMS_SQL = """
     FROM case_claims
     ORDER BY case_number, position, claim, is_taken DESC, architecture
 """
-
-Progress = Callable[[int, int], None]
 
 
 class Play(msgspec.Struct, frozen=True):
@@ -140,13 +140,14 @@ def plays() -> Iterator[Play]:
         yield one("seeds", SEED_RUNS, seed=seed)
 
 
-def predict(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
-    """Simulate everything that is registered and write the numbers. Takes minutes.
+def predict(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
+    """Simulate the experiments registered for prediction, and write their numbers; takes minutes.
 
     Raises:
         UsageError: The file lies inside a ledger.
         WriteFailed: The file cannot be written.
     """
+    out, workers = Path(out), workers_of(workers)
     require_outside(out, f"--out {out}")
     require_writable(out)
     every = list(plays())

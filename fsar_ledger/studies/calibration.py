@@ -20,17 +20,19 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import Progress, workers_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.configuration import FULL
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect, from_table
+from fsar_ledger.metrics.registration import Free, registration
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.rules import METRICS, rules
 from fsar_ledger.metrics.verdicts import published
 from fsar_ledger.recording import require_writable, write_record
-from fsar_ledger.registration import Free, registration
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
 from fsar_ledger.workers import WorkerPool
@@ -41,7 +43,6 @@ STEP = 0.1  # the step of the central differences of the Jacobian, in half range
 
 Vector = np.ndarray[tuple[int], np.dtype[np.float64]]
 Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
-Progress = Callable[[int, int], None]
 
 
 def with_values(values: Sequence[float]) -> Constants:
@@ -139,13 +140,14 @@ class Search(msgspec.Struct, frozen=True):
     slopes: Matrix
 
 
-def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
-    """Make the registered fit and write its record. Takes the better part of an hour.
+def calibrate(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
+    """Fit the constants again as registered, and write the record; takes the better part of an hour.
 
     Raises:
         UsageError: the file lies inside a ledger.
         WriteFailed: the file cannot be written.
     """
+    out, workers = Path(out), workers_of(workers)
     require_outside(out, f"--out {out}")
     require_writable(out)
     with WorkerPool(workers) as pool:

@@ -23,10 +23,10 @@ from fsar_ledger.report.sensitivity import (
     table_of,
 )
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
-from fsar_ledger.screening.evaluations import CELLS
-from fsar_ledger.screening.factors import factors, setting
-from fsar_ledger.screening.study import Size, sensitivity
-from tests.sensitivity.conftest import NAMES
+from fsar_ledger.studies.evaluations import CELLS
+from fsar_ledger.studies.factors import factors, setting
+from fsar_ledger.studies.sensitivity import Size, study
+from tests.studies.conftest import NAMES
 
 
 def test_a_file_is_read_as_it_was_written(file: Path, found: Sensitivity) -> None:
@@ -110,7 +110,7 @@ def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(t
         for factor in factors()
         if factor.name in ("structure.sync_period_us", "world.floor_teams", "world.window_mean_s")
     )
-    made = [sensitivity(tmp_path / f"{workers}.parquet", Size(2, 1, 0), workers, subject=subject) for workers in (1, 2)]
+    made = [study(tmp_path / f"{workers}.parquet", Size(2, 1, 0), workers, subject=subject) for workers in (1, 2)]
     assert made[0] == made[1]
     assert (tmp_path / "1.parquet").read_bytes() == (tmp_path / "2.parquet").read_bytes()
     moved = {(effect.factor, effect.architecture) for effect in made[0].effects if effect.mu_star}

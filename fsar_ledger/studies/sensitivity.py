@@ -5,13 +5,15 @@ shows in the spread between trajectories. The polynomial uses one seed; all othe
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import Progress, workers_of
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
 from fsar_ledger.ledger.store.paths import require_outside
@@ -19,10 +21,10 @@ from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report.sensitivity import About, Effect, Sensitivity, table_of, that_matter
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
-from .emulator import Indices, design, indices, terms
 from .evaluations import CELLS, Answers, Evaluate, Question, answer_all, evaluate
 from .factors import Factor, factors, setting
 from .morris import Matrix, Vector, by_chance, elementary_effects, summary, trajectory
+from .sobol import Indices, design, indices, terms
 
 SEED = 20_270_001  # of the first trajectory, counting up; never used for a published number or a fit
 BASE_SEED = SEED + 10_000  # of the repeats of the base, counting up
@@ -31,8 +33,6 @@ REPEATS = 10  # of the base in other worlds: they show what chance alone does
 DOZEN = 12
 DIGITS = 6  # written: the last bits of a sum differ between machines
 
-Progress = Callable[[int, int], None]
-
 
 class Size(msgspec.Struct, frozen=True):
     """The size of a study: trajectories, runs per scenario and architecture at each point, points for the polynomial.
@@ -40,9 +40,9 @@ class Size(msgspec.Struct, frozen=True):
     With 0 points there are no Sobol indices.
     """
 
-    trajectories: int = 20
-    runs: int = 10
-    points: int = 512
+    trajectories: int
+    runs: int
+    points: int
 
     def __post_init__(self) -> None:
         for name, least, most in (("trajectories", 2, 9_999), ("runs", 1, 9_999), ("points", 0, 1 << 16)):
@@ -128,6 +128,32 @@ class _Study:
 
 
 def sensitivity(
+    out: Place,
+    *,
+    trajectories: int = 20,
+    runs: int = 10,
+    points: int = 512,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Sensitivity:
+    """Measure how much each number depends on each constant, and write the effects as Parquet.
+
+    Takes most of an hour.
+
+    Args:
+        out: The file. An interrupted study continues from what is kept beside it.
+        trajectories: How often each factor is moved.
+        runs: Runs of each scenario and architecture in each evaluation.
+        points: Evaluations for the Sobol indices; 0: only the screening.
+        workers: Processes at once.
+        progress: Called with the evaluations done and their total.
+
+    Raises: As `study`.
+    """
+    return study(Path(out), Size(trajectories, runs, points), workers_of(workers), progress)
+
+
+def study(
     out: Path,
     size: Size,
     workers: int = 1,
