@@ -105,6 +105,7 @@ class Answers:
         self.found: dict[str, Answer] = {}
         header = _Header(fsar_ledger.__version__, MODEL_VERSION, _program())
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             whole = path.read_bytes() if path.exists() else b""
             lines = whole[: whole.rfind(b"\n") + 1].splitlines()
             self._read(lines, header)

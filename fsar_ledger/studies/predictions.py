@@ -19,13 +19,13 @@ from fsar_ledger.api.workload import Progress, workers_of
 from fsar_ledger.constants import Constants, Load, write_constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
-from fsar_ledger.metrics.rules import CLAIMS, METRICS, rules
-from fsar_ledger.recording import require_writable, write_record
+from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Claim, Predicted, Predictions, rules
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
+
+from .result import require_out, write
 
 SEED = 42
 SEEDS = (57721, 61803)  # registered, and never used before
@@ -47,55 +47,6 @@ class Play(msgspec.Struct, frozen=True):
 
     of: str
     experiment: Experiment
-
-
-class Predicted(msgspec.Struct, frozen=True, kw_only=True):
-    """One predicted number: its experiment, and the metric's mean, SD per run, runs and 95 % interval, in its unit.
-
-    `teams_working` None: all teams. `scenario` None: all scenarios.
-    """
-
-    of: str
-    seed: int
-    fleet_size: int
-    teams_working: int | None
-    encounter_mean_s: float
-    configuration: str
-    architecture: str
-    scenario: str | None
-    metric: str
-    mean: float | None
-    sd: float | None
-    n: int
-    ci_low: float | None
-    ci_high: float | None
-
-
-class Claim(msgspec.Struct, frozen=True, kw_only=True):
-    """One claim of the paper's cases, as in `cases/case_claims`: what is counted, of how many, and their ratio.
-
-    The counts and the ratio are None where no case arose.
-    """
-
-    case_number: int
-    claim: str
-    is_taken: bool
-    architecture: str
-    runs: int
-    numerator: int | None
-    denominator: int | None
-    value: float | None
-
-
-class Record(msgspec.Struct, frozen=True):
-    """All predictions, with the model, the constants and the queries that they rest on (`metrics/rules.py`)."""
-
-    model_version: str
-    parameters: str
-    rules: dict[str, str]
-    command: str
-    numbers: list[Predicted]
-    cases: list[Claim]
 
 
 def plays() -> Iterator[Play]:
@@ -148,8 +99,7 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
         WriteFailed: The file cannot be written.
     """
     out, workers = Path(out), workers_of(workers)
-    require_outside(out, f"--out {out}")
-    require_writable(out)
+    require_out(out)
     every = list(plays())
     numbers: list[Predicted] = []
     claims: list[Claim] = []
@@ -161,8 +111,16 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
                 claims += typed(database.rows(CLAIMS_SQL), Claim)
         if progress is not None:
             progress(done, len(every))
-    parameters, judged_by = write_constants(Constants()), rules(METRICS, CLAIMS)
-    write_record(out, Record(MODEL_VERSION, parameters, judged_by, "fsar-ledger predict --out FILE", numbers, claims))
+    write(
+        out,
+        Predictions(
+            model_version=MODEL_VERSION,
+            parameters=write_constants(Constants()),
+            rules=rules(METRICS, CLAIMS),
+            numbers=numbers,
+            cases=claims,
+        ),
+    )
 
 
 @contextmanager

@@ -12,11 +12,11 @@ from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.metrics.paper_numbers import printed
 from fsar_ledger.metrics.registration import registration
-from fsar_ledger.metrics.rules import METRICS, rules
+from fsar_ledger.metrics.study_results import METRICS, Predicted, Predictions, rules
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS
 from fsar_ledger.studies.comparison import CHECKS, compared, judge
-from fsar_ledger.studies.predictions import Predicted, Record, plays
+from fsar_ledger.studies.predictions import plays
 
 
 def mean_of(metric: str, architecture: str, size: int) -> float:
@@ -57,13 +57,19 @@ def every_number() -> list[Predicted]:
 NUMBERS = every_number()
 
 
-def record(change: Callable[[Predicted], float | None] | None = None) -> Record:
+def record(change: Callable[[Predicted], float | None] | None = None) -> Predictions:
     """Make a record of all numbers; `change` gives the mean of each."""
     numbers = NUMBERS if change is None else [msgspec.structs.replace(one, mean=change(one)) for one in NUMBERS]
-    return Record(MODEL_VERSION, write_constants(Constants()), rules(METRICS), "predict", numbers, [])
+    return Predictions(
+        model_version=MODEL_VERSION,
+        parameters=write_constants(Constants()),
+        rules=rules(METRICS),
+        numbers=numbers,
+        cases=[],
+    )
 
 
-def holding(of: Record) -> dict[str, bool | None]:
+def holding(of: Predictions) -> dict[str, bool | None]:
     return {outcome.name: outcome.holds for outcome in compared(of).predictions}
 
 
@@ -166,7 +172,7 @@ def test_a_file_that_is_not_there_is_a_mistake_of_the_call(tmp_path: Path) -> No
         judge(tmp_path / "none.json", tmp_path / "comparison.json")
 
 
-def written(folder: Path, of: Record) -> Path:
+def written(folder: Path, of: Predictions) -> Path:
     path = folder / "predictions.json"
     path.write_bytes(msgspec.json.encode(of))
     return path

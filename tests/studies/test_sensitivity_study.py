@@ -9,7 +9,7 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.errors import UsageError, WriteFailed
-from fsar_ledger.report.sensitivity import (
+from fsar_ledger.metrics.effects import (
     Sensitivity,
     that_matter,
 )

@@ -11,7 +11,7 @@ from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 
 if TYPE_CHECKING:
-    from fsar_ledger.report.sensitivity import Sensitivity
+    from fsar_ledger.metrics.effects import Sensitivity
 
 EXAMPLES = examples(
     "fsar-ledger sensitivity --out out/sensitivity.parquet --svg out/sensitivity.svg",
@@ -48,8 +48,8 @@ def sensitivity(
     An interrupted study continues where it stopped.
     """
     from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.publishing import publish
     from fsar_ledger.report.sensitivity import heat_map
-    from fsar_ledger.report.typeset import publish
     from fsar_ledger.studies.sensitivity import sensitivity as study
 
     if svg is not None:
@@ -65,7 +65,7 @@ def sensitivity(
 
 def _tell(found: "Sensitivity", *, wide: bool) -> None:
     from fsar_ledger.cli.tables import table
-    from fsar_ledger.report.sensitivity import dozen, reach
+    from fsar_ledger.metrics.effects import dozen, reach
 
     rows = dozen(found)
     still = sum(furthest == 0 for furthest in reach(found).values())
