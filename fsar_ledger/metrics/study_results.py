@@ -80,8 +80,8 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     the report says which parts are absent.
     """
 
-    FILE: ClassVar = "calibration.json"
-    MADE_BY: ClassVar = "fsar-ledger study run calibration --out FILE"
+    FILE: ClassVar[str] = "calibration.json"
+    MADE_BY: ClassVar[str] = "fsar-ledger study run calibration --out FILE"
 
     objective: Objective | None = None
     seeds: list[int] = []
@@ -137,8 +137,8 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
 class Predictions(msgspec.Struct, frozen=True, kw_only=True):
     """All predictions, with the model, the constants and the queries that they rest on."""
 
-    FILE: ClassVar = "predictions.json"
-    MADE_BY: ClassVar = "fsar-ledger study run predictions --out FILE"
+    FILE: ClassVar[str] = "predictions.json"
+    MADE_BY: ClassVar[str] = "fsar-ledger study run predictions --out FILE"
 
     model_version: str
     parameters: str
@@ -208,8 +208,8 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     the cases are in `report`.
     """
 
-    FILE: ClassVar = "comparison.json"
-    MADE_BY: ClassVar = "fsar-ledger study run comparison PREDICTIONS --out FILE"
+    FILE: ClassVar[str] = "comparison.json"
+    MADE_BY: ClassVar[str] = "fsar-ledger study run comparison PREDICTIONS --out FILE"
 
     model_version: str
     parameters: str
@@ -222,7 +222,7 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
         read_parameters(self.parameters)
 
 
-Result = TypeVar("Result", Calibration, Predictions, Comparison)
+Result = TypeVar("Result", bound=Calibration | Predictions | Comparison)
 
 
 def packaged(kind: type[Result], folder: Traversable | None = None) -> Result | None:

@@ -93,7 +93,7 @@ def judge(predictions: str | PathLike[str], out: str | PathLike[str]) -> None:
     require_out(out)
     require_another(out, f"--out {out}", predictions, "PREDICTIONS")
     found = read(predictions, Predictions)
-    if differs := stale(found.model_version, found.parameters, found.rules):
+    if differs := stale(found):
         raise UsageError(
             f"{predictions}: found predictions {differs}; judge them with the version that wrote them, or predict again"
         )

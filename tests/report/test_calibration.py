@@ -20,7 +20,7 @@ WHOLE: dict[str, Any] = {
     "evaluations": 7,
     "model_version": "1",
     "rules": rules(METRICS),
-    "command": "fsar-ledger calibrate --out FILE",
+    "command": "fsar-ledger study run calibration --out FILE",
     "parameters": [
         {
             "name": "world.motion_share",

@@ -135,6 +135,6 @@ def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(t
 def test_a_call_that_cannot_be_carried_out_is_one_message(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
 ) -> None:
-    assert run(["sensitivity", *arguments]) == 2
+    assert run(["study", "run", "sensitivity", *arguments]) == 2
     assert capsys.readouterr().err == f"fsar-ledger: {said}\n"
     assert not list(Path().glob("effects*"))
