@@ -14,7 +14,6 @@ of each whether it was chosen after fits.
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
@@ -23,27 +22,22 @@ import numpy as np
 from fsar_ledger.api.names import Place
 from fsar_ledger.api.workload import Progress, workers_of
 from fsar_ledger.constants import Constants
-from fsar_ledger.events.configuration import FULL
-from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics import study_results
-from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.metrics.registration import Free, registration
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.study_results import METRICS, Calibration, Direction, Objective, Parameter, Residual, rules
 from fsar_ledger.metrics.verdicts import published
-from fsar_ledger.runtime.experiment import Experiment, simulate
-from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
 from fsar_ledger.workers import WorkerPool
 
+from .evaluations import measured, simulated
+from .morris import Matrix, Vector
 from .result import require_out, write
 
 REGISTERED = registration()
 FREE, PLAN = REGISTERED.free, REGISTERED.fit
 STEP = 0.1  # the step of the central differences of the Jacobian, in half ranges
-
-Vector = np.ndarray[tuple[int], np.dtype[np.float64]]
-Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 
 
 def with_values(values: Sequence[float]) -> Constants:
@@ -72,27 +66,6 @@ def rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def measure(constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES) -> list[MetricRow]:
-    """Return the metrics, computed in SQL, of runs under these constants, with all runs in memory."""
-    records = [
-        simulate_run(RunSpec(PLAN.seed, architecture, FULL, scenario, 4, run), constants)
-        for scenario in SCENARIOS
-        for run in range(runs)
-        for architecture in architectures
-    ]
-    with from_table(encode(records), threads=1) as database:
-        return metric_rows(database)
-
-
-def measure_stored(constants: Constants, runs: int, workers: int) -> list[MetricRow]:
-    """Return the same as `measure` for many runs, through a temporary ledger."""
-    with TemporaryDirectory() as folder:
-        ledger = Path(folder) / "ledger"
-        simulate(ledger, Experiment(ARCHITECTURES, SCENARIOS, runs, PLAN.seed, constants=constants), workers)
-        with connect(ledger) as database:
-            return metric_rows(database)
-
-
 def distances(rows: list[MetricRow]) -> Vector:
     """Return (ours - paper) of the 24 cells in margins, row by row; an undefined cell is one margin away."""
     printed, margins = published(), REGISTERED.margins
@@ -107,7 +80,7 @@ def distances(rows: list[MetricRow]) -> Vector:
 def distances_at(task: tuple[Vector, int]) -> Vector:
     """Return the distances at a point on this many runs; called in a worker."""
     point, runs = task
-    return distances(measure(at(point), runs))
+    return distances(measured(at(point), PLAN.seed, runs))
 
 
 class Judge:
@@ -162,7 +135,9 @@ def calibrate(out: Place, *, workers: int | None = None, progress: Progress | No
         ]
         best = min(rough, key=lambda one: one.reached)
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
-    rows = measure_stored(at(last.point), PLAN.judged_runs, workers)
+    accepted = Experiment(ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
+    with simulated(accepted, workers) as database:
+        rows = metric_rows(database)
     write(out, _result(best.start, (*rough, last), rows, judge.evaluations))
 
 
@@ -225,7 +200,7 @@ def _result(start: Vector, searches: Sequence[Search], rows: list[MetricRow], ev
     return Calibration(
         objective=Objective(
             PLAN.rule,
-            start=round(objective(distances(measure(begun, PLAN.runs)), start), 3),
+            start=round(objective(distances(measured(begun, PLAN.seed, PLAN.runs)), start), 3),
             accepted=round(objective(distances(rows), last.point), 3),
         ),
         seeds=[PLAN.seed],

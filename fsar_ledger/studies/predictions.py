@@ -6,10 +6,8 @@ pairs of ablations. Nothing here reads a number of the paper.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import combinations
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
@@ -19,12 +17,13 @@ from fsar_ledger.api.workload import Progress, workers_of
 from fsar_ledger.constants import Constants, Load, write_constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.progress import each
 from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
 from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Claim, Predicted, Predictions, rules
-from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
 
+from .evaluations import simulated
 from .result import require_out, write
 
 SEED = 42
@@ -100,17 +99,14 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
     """
     out, workers = Path(out), workers_of(workers)
     require_out(out)
-    every = list(plays())
     numbers: list[Predicted] = []
     claims: list[Claim] = []
-    for done, play in enumerate(every, start=1):
-        with _ledger_of(play, workers) as database:
+    for play in each(list(plays()), progress):
+        with simulated(play.experiment, workers) as database:
             rows = [*metric_rows(database), *metric_rows(database, by_scenario=True)]
             numbers += [_predicted(play, row) for row in rows]
             if play.of == CASES:
                 claims += typed(database.rows(CLAIMS_SQL), Claim)
-        if progress is not None:
-            progress(done, len(every))
     write(
         out,
         Predictions(
@@ -121,16 +117,6 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
             cases=claims,
         ),
     )
-
-
-@contextmanager
-def _ledger_of(play: Play, workers: int) -> Iterator[Database]:
-    """Simulate the experiment into a temporary ledger and yield its database."""
-    with TemporaryDirectory() as folder:
-        ledger = Path(folder) / "ledger"
-        simulate(ledger, play.experiment, workers)
-        with connect(ledger) as database:
-            yield database
 
 
 def _predicted(play: Play, row: MetricRow) -> Predicted:

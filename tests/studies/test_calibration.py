@@ -28,6 +28,7 @@ from fsar_ledger.studies.calibration import (
     slopes,
     with_values,
 )
+from fsar_ledger.studies.evaluations import measured
 
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
 
@@ -66,9 +67,9 @@ OPENED = """
 import sys
 opened = set()
 sys.addaudithook(lambda name, arguments: opened.add(str(arguments[0])) if name == "open" else None)
-from fsar_ledger.studies import calibration
+from fsar_ledger.studies import calibration, evaluations
 from fsar_ledger.constants import Constants
-assert len(calibration.distances(calibration.measure(Constants(), 1))) == 24
+assert len(calibration.distances(evaluations.measured(Constants(), 1, 1))) == 24
 print(*sorted(name.rpartition("/")[2].removesuffix(".csv") for name in opened if name.endswith(".csv")))
 """
 
@@ -94,7 +95,7 @@ def test_the_objective_adds_squared_margins_and_squared_half_ranges() -> None:
 
 
 def test_a_distance_is_a_difference_in_margins() -> None:
-    rows = calibration.measure(Constants(), 1)
+    rows = measured(Constants(), PLAN.seed, 1)
     success = next(row for row in rows if (row.metric, row.architecture) == ("coordination_success", "dhma"))
     found = dict(zip(((row.metric, row.architecture) for row in rows), distances(rows), strict=True))
     assert len(found) == 24
