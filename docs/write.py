@@ -1,15 +1,13 @@
 """Write the parts of these pages that are real output, or (--check) say which of them are out of date.
 
     python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the
-                                    lists in docs/commands.md and docs/python.md, the tables of constants, of
-                                    readings and of mechanisms in docs/model.md, and the output in every
-                                    ```console block
+                                    lists in docs/commands.md and docs/python.md, the tables of constants, readings and
+                                    mechanisms in docs/model.md, and the output in every ```console block
     python docs/write.py PAGE...    only these of the first five pages, which takes a second
     python docs/write.py --check    exit code 1 and a diff where a page would change in what a reader notices: not in
                                     digests alone, but for docs/ledger-format.md, queries.md and event-types.json
 
-Within a ```console block, lines after `$ ` (and `> ` for continuation lines) are commands. They run in order, in an
-empty folder for each page.
+In a ```console block, lines after `$ ` (continued after `> `) are commands, run in order in an empty folder a page.
 """
 
 import base64
@@ -27,6 +25,7 @@ from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from typer.main import get_command
@@ -165,13 +164,17 @@ def _row(query: Query) -> str:
 
 def with_commands(page: str) -> str:
     """Return the page with a line for each command: its arguments and the first line of its help."""
-    rows = []
-    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
-        for part, one in getattr(command, "commands", {"": command}).items():
-            arguments = [each for each in one.params if each.param_type_name == "argument"]
-            words = [name, part, *(each.metavar if each.required else f"[{each.metavar}]" for each in arguments)]
-            rows.append(_line(" ".join(["fsar-ledger", *filter(None, words)]), one.help))
+    rows = _rows_of_commands(get_command(app), "fsar-ledger")
     return with_section(page, "commands", "\n".join(["", "| command | what it does |", "|---|---|", *rows, "", ""]))
+
+
+def _rows_of_commands(command: Any, *words: str) -> Iterator[str]:
+    for name, one in getattr(command, "commands", {}).items():
+        yield from () if one.hidden else _rows_of_commands(one, *words, name)
+    if not hasattr(command, "commands"):
+        arguments = (one for one in command.params if one.param_type_name == "argument")
+        words += tuple(one.metavar if one.required else f"[{one.metavar}]" for one in arguments)
+        yield _line(" ".join(words), command.help)
 
 
 def with_methods(page: str) -> str:

@@ -30,17 +30,23 @@ DECISIONS = ROOT / "docs" / "decisions"
 PAGES = {path.name: path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
 LABEL = re.compile(r"\b(?:eq|sec|tab|fig|app):[a-z0-9_:-]*[a-z0-9]")
 LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
-COMMANDS = {
-    command.name or command.callback.__name__: command for command in app.registered_commands if command.callback
-} | {
-    f"{group.name} {command.name}": command
-    for group in app.registered_groups
-    if group.typer_instance
-    for command in group.typer_instance.registered_commands
-}
-# The last two need each other (tests/witness/test_processes.py), and `judge` needs what `predict` writes
-# (tests/test_comparison.py).
-LONG = {"reproduce", "calibrate", "predict", "sensitivity", "judge", "witness serve", "witness ask"}
+
+
+def listed(group: typer.Typer, *words: str) -> Iterator[tuple[str, typer.models.CommandInfo]]:
+    """Each command that help lists, with the words that call it."""
+    for command in group.registered_commands:
+        if command.callback and not command.hidden:
+            yield " ".join([*words, command.name or command.callback.__name__]), command
+    for inner in group.registered_groups:
+        if inner.typer_instance and inner.name:
+            yield from listed(inner.typer_instance, *words, inner.name)
+
+
+COMMANDS = dict(listed(app))
+STUDIES = {f"study run {name}" for name in ("calibration", "predictions", "comparison", "sensitivity")} | {"study show"}
+# The last two need each other (tests/witness/test_processes.py), and a comparison and what is shown need what another
+# study writes (tests/studies).
+LONG = {"reproduce", *STUDIES, "witness serve", "witness ask"}
 
 
 def sources() -> Iterator[Path]:
@@ -323,8 +329,8 @@ ELSEWHERE = (
     "fsar-ledger statistics out/ledger --csv",
     "fsar-ledger compare out/ledger --first fsar --second dhma --by scenario",
     "fsar-ledger compare out/ledger out/large --first fsar --verified --json",
-    "fsar-ledger multiverse out/ledger",
-    "fsar-ledger multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
+    "fsar-ledger study run multiverse out/ledger",
+    "fsar-ledger study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
     "fsar-ledger explain out/ledger --run 1 --json",
     "fsar-ledger explain out/ledger --run 1 --request A1-1/2.1",
     "fsar-ledger log out/ledger",

@@ -66,7 +66,8 @@ class Account(msgspec.Struct, frozen=True):
             UsageError: Neither gives a format, or the file lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from fsar_ledger.report import sequence, typeset
+        from fsar_ledger.publishing import publish
+        from fsar_ledger.report import sequence
 
         place = Path(file)
         form = place.suffix[1:] if kind is None else kind
@@ -74,7 +75,7 @@ class Account(msgspec.Struct, frozen=True):
             raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
         require_outside(place, str(place))
         rows, figure = (self.recovery, sequence.ladder) if self.is_failure else (self.timeline, sequence.sequence)
-        typeset.publish(place, figure(rows, form))
+        publish(place, figure(rows, form))
 
 
 def account(about: AboutRun, ledger: Path, request: str | None, failure: str | None) -> Account:

@@ -1,4 +1,4 @@
-"""The functions of the API: those that make ledgers and records, and `verify_proof`."""
+"""The functions of the API: those that make ledgers, and `verify_proof`."""
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -15,7 +15,6 @@ from .workload import WORTH_ROBOTS, Progress, workers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.store.proof import Proven
-    from fsar_ledger.report.sensitivity import Sensitivity
     from fsar_ledger.runtime.experiment import Made
 
     from .reproduce import Reproduced
@@ -168,50 +167,3 @@ def verify_proof(
     if expected is not None:
         require_root(str(file), proven, expected, option("root"))
     return proven
-
-
-def calibrate(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
-    """Fit the constants again as registered, and write the record; takes the better part of an hour."""
-    from fsar_ledger.calibration import calibrate
-
-    calibrate(Path(out), progress, workers_of(workers))
-
-
-def predict(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
-    """Simulate the experiments registered for prediction, and write their numbers; takes minutes."""
-    from fsar_ledger.prediction import predict
-
-    predict(Path(out), progress, workers_of(workers))
-
-
-def judge(predictions: Place, out: Place) -> None:
-    """Compare predicted numbers with the paper's, and write the comparison; nothing is simulated."""
-    from fsar_ledger.comparison import compare_predictions
-
-    compare_predictions(Path(predictions), Path(out))
-
-
-def sensitivity(
-    out: Place,
-    *,
-    trajectories: int = 20,
-    runs: int = 10,
-    points: int = 512,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> "Sensitivity":
-    """Measure how much each number depends on each constant, and write the effects as Parquet.
-
-    Takes most of an hour.
-
-    Args:
-        out: The file. An interrupted study continues from what is kept beside it.
-        trajectories: How often each factor is moved.
-        runs: Runs of each scenario and architecture in each evaluation.
-        points: Evaluations for the Sobol indices; 0: only the screening.
-        workers: Processes at once.
-        progress: Called with the evaluations done and their total.
-    """
-    from fsar_ledger.screening.study import Size, sensitivity
-
-    return sensitivity(Path(out), Size(trajectories, runs, points), workers_of(workers), progress)

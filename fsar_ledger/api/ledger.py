@@ -356,7 +356,7 @@ class Ledger(Timelines, Replays, Integrity):
             out: The PDF; replaced if it exists.
             beside: Other ledgers to show, of ablations, larger fleets or workflows.
             workflows: A ledger of the workflows.
-            sensitivity: A file of `fsar-ledger sensitivity`.
+            sensitivity: A file of `fsar-ledger study run sensitivity`.
             numbers: A file for all its numbers, as JSON.
             pool: As in `metrics`.
             workers: As in `verify`.

@@ -69,14 +69,14 @@ class Why(msgspec.Struct, frozen=True, kw_only=True):
             UsageError: The name has another suffix, or the file lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from fsar_ledger.report import typeset
+        from fsar_ledger.publishing import publish
         from fsar_ledger.view.why import figure
 
         place = Path(file)
         if place.suffix not in (".svg", ".pdf"):
             raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
         require_outside(place, str(place))
-        typeset.publish(place, figure(self.seq, self.made, self.lines, place.suffix[1:]))
+        publish(place, figure(self.seq, self.made, self.lines, place.suffix[1:]))
 
 
 def why_of(record: LedgerRun, provenance: Provenance, seq: int, depth: int | None) -> Why:

@@ -21,17 +21,18 @@ from fsar_ledger import printable
 from fsar_ledger.errors import FsarLedgerError, UsageError, named_as_options
 
 from . import commands
+from .commands import study
 from .memory import reading
 from .once import Command
 from .terminal import Enough, say, show
 
 INTERRUPTED = 130
 ORDER = (
-    *("simulate", "info", "metrics", "statistics", "compare", "multiverse"),
+    *("simulate", "info", "metrics", "statistics", "compare"),
     *("query", "sql", "export", "open", "explain", "log"),
     *("state", "step", "why", "diff", "whatif", "cause", "bisect", "view"),
     *("audit", "verify", "prove", "verify_proof", "key", "witness", "recover", "upgrade", "compact", "report"),
-    *("calibrate", "predict", "judge", "sensitivity", "reproduce"),
+    *("study", "reproduce"),
 )
 """The commands in the order of the help; those that are not named here follow."""
 
@@ -66,14 +67,26 @@ def _register() -> None:
     for name in sorted(names, key=lambda one: (names[one], one)):
         module = import_module(f"{commands.__name__}.{name}")
         if hasattr(module, "group"):
-            for one in module.group.registered_commands:
-                one.cls = Command
+            _once(module.group)
             app.add_typer(module.group, name=name)
+            AFTER_INTERRUPTION.update(getattr(module, "AFTER_INTERRUPTION", {}))
         else:
             register = app.command(name.replace("_", "-"), cls=Command, epilog=module.EXAMPLES)
             register(reading(getattr(module, name)))
-        if hasattr(module, "AFTER_INTERRUPTION"):
-            AFTER_INTERRUPTION[name] = module.AFTER_INTERRUPTION
+            if hasattr(module, "AFTER_INTERRUPTION"):
+                AFTER_INTERRUPTION[name] = module.AFTER_INTERRUPTION
+    for one in study.run.registered_commands:
+        if one.name is not None and one.callback is not None:
+            app.command(study.OLD_NAMES[one.name], cls=Command, epilog=one.epilog, hidden=True)(one.callback)
+
+
+def _once(group: typer.Typer) -> None:
+    """Let all commands of a group, and of groups in it, refuse an option that is given twice."""
+    for one in group.registered_commands:
+        one.cls = Command
+    for inner in group.registered_groups:
+        if inner.typer_instance is not None:
+            _once(inner.typer_instance)
 
 
 AFTER_INTERRUPTION: dict[str, str] = {}
@@ -121,7 +134,9 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         code = INTERRUPTED
     if code == INTERRUPTED:
-        say(f"interrupted; {AFTER_INTERRUPTION.get(next(iter(arguments), ''), 'nothing was changed')}")
+        called = " ".join([*arguments, ""])
+        left = next((left for one, left in AFTER_INTERRUPTION.items() if called.startswith(f"{one} ")), None)
+        say(f"interrupted; {left or 'nothing was changed'}")
     return code if isinstance(code, int) else 0
 
 

@@ -106,6 +106,14 @@ def queries(line: Line) -> Iterable[str]:
 
 
 @offering
+def studies(_: Line) -> Iterable[str]:
+    """Return the studies that `study show` shows."""
+    from fsar_ledger.cli.studies import STUDIES
+
+    return STUDIES
+
+
+@offering
 def runs(line: Line) -> Iterable[str]:
     """Return the runs of the ledger that the line names."""
     with _ledger(line) as database:

@@ -356,7 +356,7 @@ BesideOption = Annotated[
 SensitivityOption = Annotated[
     Path | None,
     typer.Option(
-        "--sensitivity", metavar="FILE", help="A file of `fsar-ledger sensitivity`.", show_default="say how to make one"
+        "--sensitivity", metavar="FILE", help="A file of `study run sensitivity`.", show_default="say how to make one"
     ),
 ]
 

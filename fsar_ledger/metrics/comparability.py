@@ -255,7 +255,7 @@ def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
         f"{row['metric']}: {counted(row['runs'], 'run')} without a failure {'counts' if row['runs'] == 1 else 'count'} "
         "as in the paper, "
         f"as {number(row['published_value'])}{' s' if row['scale'] == 'seconds' else ''} (basis published); "
-        "`fsar-ledger query statistics/pairwise_tests_defined` leaves such pairs out"
+        "`fsar-ledger query statistics/all_pairwise_tests` also has the tests without such pairs (basis defined)"
         for row in database.rows(IMPUTED)
         if row["metric"] in shown
     ]

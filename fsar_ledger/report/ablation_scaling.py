@@ -18,8 +18,8 @@ from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.odds import Printed, odds
 from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.plans import completeness
+from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import DialledRow, cost_rows, dialled_rows
-from fsar_ledger.registration import registration
 from fsar_ledger.report import printing, run_shape
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, Told
 

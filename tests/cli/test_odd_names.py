@@ -54,7 +54,7 @@ ASKED_LESS = (
     ("cause", "--run", "1", "--outcome", "SELECT run_id FROM executions", "--futures", "0", "--json"),
     ("diff", "1", "2", "--json"),
     ("compare", "--first", "fsar", "--second", "cfc", "--json"),
-    ("multiverse", "--json"),
+    ("study", "run", "multiverse", "--json"),
     ("statistics", "--json"),
     ("prove", "1:12"),
     ("whatif", "--run", "1", "--change", "drop window:*", "--json"),
@@ -73,7 +73,7 @@ WRITTEN = (
     (("report", "{ledger}", "--out", "{out}"), ".pdf"),
     (("open", "{ledger}", "--out", "{out}"), ".duckdb"),
     (("explain", "{ledger}", "--run", "1", "--request", "A1-1/2.1", "--svg", "{out}"), ".svg"),
-    (("judge", "{predictions}", "--out", "{out}"), ".json"),
+    (("study", "run", "comparison", "{predictions}", "--out", "{out}"), ".json"),
     (("key", "new", "{out}"), ".key"),
     (("simulate", "{out}", "--scenario", "door-relay", "--runs", "1", "--architecture", "fsar"), ".made"),
 )
@@ -88,7 +88,7 @@ MADE = (
 
 def in_turn(verb: tuple[str, ...], ledger: str) -> tuple[str, ...]:
     """Return a call of the verb about the ledger, which comes after a name and before other arguments."""
-    at = 2 if verb[0] == "query" else 1
+    at = {"query": 2, "study": 3}.get(verb[0], 1)
     return (*verb[:at], path_of(ledger), *verb[at:])
 
 

@@ -22,7 +22,7 @@ VERBS = {
     "metrics": (),
     "statistics": ("--memory", "2000"),
     "compare": ("--first", "fsar", "--second", "cfc"),
-    "multiverse": ("--metric", "human_intervention"),
+    "study run multiverse": ("--metric", "human_intervention"),
     "audit": ("--memory", "2000"),
     "explain": (),
     "sql": ("SELECT * FROM events LIMIT 9",),
@@ -53,7 +53,7 @@ def calls(ledger: Path) -> list[tuple[object, ...]]:
     listing: list[tuple[object, ...]] = [("query", "--list"), ("query", "--list", "--all")]
     return (
         listing
-        + [(verb, ledger, *more) for verb, more in VERBS.items()]
+        + [(*verb.split(), ledger, *more) for verb, more in VERBS.items()]
         + [(verb, ledger, *more) for verb, *more in STORIES]
         + [("query", name, ledger) for name in QUERIES]
     )
@@ -346,7 +346,7 @@ def test_long_work_says_what_is_done_of_what_how_fast_and_how_long_the_rest_take
     [
         pytest.param("audit LEDGER", "judged 10 of 10 invariants", marks=pytest.mark.slow),
         pytest.param(
-            "multiverse LEDGER --metric human_intervention",
+            "study run multiverse LEDGER --metric human_intervention",
             "read 4 of 4 combinations of readings",
             marks=pytest.mark.slow,
         ),

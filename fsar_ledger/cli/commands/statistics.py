@@ -33,8 +33,8 @@ def statistics(
     Holm over the 24 tests of the architectures, or over those of all ablations. Runs that did not meet the same world
     are named first and left out; exit code 1 where facts differ that an experiment keeps alike. The answer says what
     cannot be compared, and why. A run without failures counts as in the paper (containment 1, latency 0 s); `query
-    statistics/pairwise_tests_defined` leaves such pairs out. The columns pooled_* test what the results table prints:
-    containment and latency pooled over failures.
+    statistics/all_pairwise_tests` also has the tests without such pairs (basis defined). The columns pooled_* test what
+    the results table prints: containment and latency pooled over failures.
     """
     from fsar_ledger.api.fields import csv_text
     from fsar_ledger.cli.answering import opened, warn

@@ -5,22 +5,27 @@ and since answers are looked up by their question, a finished study has the same
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
+from contextlib import contextmanager
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import msgspec
 
 import fsar_ledger
-from fsar_ledger.constants import write_constants
+from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.events.configuration import FULL
+from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
-from fsar_ledger.metrics.database import from_table
-from fsar_ledger.metrics.results import metric_rows
+from fsar_ledger.metrics.database import Database, connect, from_table
+from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.verdicts import MARGINS
+from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
 from fsar_ledger.workers import WorkerPool
 
@@ -53,16 +58,38 @@ Evaluate = Callable[[Question], Answer]
 
 def evaluate(question: Question) -> Answer:
     """Return the mean of each cell, measured by SQL; None where it is undefined."""
-    setting, seed = question.setting, question.seed
+    setting = question.setting
+    rows = measured(setting.constants, question.seed, question.runs, setting.fleet_size)
+    means = {(row.metric, row.architecture): row.mean for row in rows}
+    return tuple(means.get(cell) for cell in CELLS)
+
+
+def measured(
+    constants: Constants,
+    seed: int,
+    runs: int,
+    fleet_size: int = 4,
+    architectures: Sequence[Architecture] = ARCHITECTURES,
+) -> list[MetricRow]:
+    """Return the metrics, computed in SQL, of so many runs of each scenario and architecture, with all in memory."""
     records = [
-        simulate_run(RunSpec(seed, architecture, "full", scenario, setting.fleet_size, run), setting.constants)
+        simulate_run(RunSpec(seed, architecture, FULL, scenario, fleet_size, run), constants)
         for scenario in SCENARIOS
-        for run in range(question.runs)
-        for architecture in ARCHITECTURES
+        for run in range(runs)
+        for architecture in architectures
     ]
     with from_table(encode(records), threads=1) as database:
-        means = {(row.metric, row.architecture): row.mean for row in metric_rows(database)}
-    return tuple(means.get(cell) for cell in CELLS)
+        return metric_rows(database)
+
+
+@contextmanager
+def simulated(experiment: Experiment, workers: int) -> Iterator[Database]:
+    """Simulate an experiment into a temporary ledger, for more runs than memory holds, and yield its database."""
+    with TemporaryDirectory() as folder:
+        ledger = Path(folder) / "ledger"
+        simulate(ledger, experiment, workers)
+        with connect(ledger) as database:
+            yield database
 
 
 class _Header(msgspec.Struct, frozen=True):
@@ -105,6 +132,7 @@ class Answers:
         self.found: dict[str, Answer] = {}
         header = _Header(fsar_ledger.__version__, MODEL_VERSION, _program())
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             whole = path.read_bytes() if path.exists() else b""
             lines = whole[: whole.rfind(b"\n") + 1].splitlines()
             self._read(lines, header)

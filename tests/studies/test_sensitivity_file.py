@@ -11,26 +11,19 @@ import pytest
 from fsar_ledger.cli.app import run
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.effects import METADATA, Sensitivity, dozen, open_effects, parquet, reach
+from fsar_ledger.metrics.study_results import METRICS, rules
 from fsar_ledger.report.printing import flat
-from fsar_ledger.report.sensitivity import (
-    METADATA,
-    Sensitivity,
-    dozen,
-    heat_map,
-    open_effects,
-    reach,
-    section,
-    table_of,
-)
+from fsar_ledger.report.sensitivity import heat_map, section
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
-from fsar_ledger.screening.evaluations import CELLS
-from fsar_ledger.screening.factors import factors, setting
-from fsar_ledger.screening.study import Size, sensitivity
-from tests.sensitivity.conftest import NAMES
+from fsar_ledger.studies.evaluations import CELLS
+from fsar_ledger.studies.factors import factors, setting
+from fsar_ledger.studies.sensitivity import Size, study
+from tests.studies.conftest import NAMES
 
 
 def test_a_file_is_read_as_it_was_written(file: Path, found: Sensitivity) -> None:
-    assert table_of(found).equals(pq.read_table(file), check_metadata=True)
+    assert parquet(found) == file.read_bytes()
     assert len(found.effects) == len(CELLS) * len(NAMES)
 
 
@@ -54,7 +47,7 @@ def test_a_file_of_another_kind_is_refused(file: Path, tmp_path: Path) -> None:
         with pytest.raises(UsageError, match="found no file of effects"):
             open_effects(path)
     for path in (tmp_path / "nowhere.parquet", tmp_path):
-        with pytest.raises(UsageError, match="found no such file, expected one of `fsar-ledger sensitivity"):
+        with pytest.raises(UsageError, match="found no such file, expected one of `fsar-ledger study run sensitivity"):
             open_effects(path)
 
 
@@ -65,7 +58,9 @@ def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Se
     assert [row[0].printed for row in there.table.rows] == list(found.about.dozen)
     assert there.sentence.endswith("1 of them move nothing.")
     absent = constants(setting(factors(), {"world.absence_s": 0.0}).constants)
-    another_model = r"found effects of model .*, expected those of model {}; make them again: fsar-ledger sensitivity"
+    another_model = (
+        r"found effects of model .*, expected those of model {}; make them again: fsar-ledger study run sensitivity"
+    )
     for given, model, parameters, why in (
         (None, MODEL_VERSION, OWN, "was not looked at"),
         (found, "0", OWN, another_model.format(0)),
@@ -76,7 +71,15 @@ def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Se
         missing = section(given, model, parameters)
         assert (missing.figure, missing.table) == (None, None)
         assert re.search(why, missing.sentence)
-        assert "fsar-ledger sensitivity --out FILE.parquet" in missing.sentence
+        assert "fsar-ledger study run sensitivity --out FILE.parquet" in missing.sentence
+
+
+def test_effects_name_the_queries_that_judged_them_and_the_report_those_that_changed(found: Sensitivity) -> None:
+    assert found.about.rules == rules(METRICS)
+    for given, said in (({"facts/conflicts": "0"}, True), (None, False)):  # None: of a version that kept no digests
+        about = msgspec.structs.replace(found.about, rules=given)
+        sentence = section(Sensitivity(about, found.effects), MODEL_VERSION, OWN).sentence
+        assert sentence.endswith(" They were judged before facts/conflicts changed.") == said
 
 
 def test_the_table_names_the_cell_that_each_of_the_dozen_moves_furthest(found: Sensitivity) -> None:
@@ -110,7 +113,7 @@ def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(t
         for factor in factors()
         if factor.name in ("structure.sync_period_us", "world.floor_teams", "world.window_mean_s")
     )
-    made = [sensitivity(tmp_path / f"{workers}.parquet", Size(2, 1, 0), workers, subject=subject) for workers in (1, 2)]
+    made = [study(tmp_path / f"{workers}.parquet", Size(2, 1, 0), workers, subject=subject) for workers in (1, 2)]
     assert made[0] == made[1]
     assert (tmp_path / "1.parquet").read_bytes() == (tmp_path / "2.parquet").read_bytes()
     moved = {(effect.factor, effect.architecture) for effect in made[0].effects if effect.mu_star}
@@ -132,6 +135,6 @@ def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(t
 def test_a_call_that_cannot_be_carried_out_is_one_message(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
 ) -> None:
-    assert run(["sensitivity", *arguments]) == 2
+    assert run(["study", "run", "sensitivity", *arguments]) == 2
     assert capsys.readouterr().err == f"fsar-ledger: {said}\n"
     assert not list(Path().glob("effects*"))

@@ -8,15 +8,15 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.comparison import CHECKS, compare_predictions, compared
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.metrics.paper_numbers import printed
-from fsar_ledger.metrics.rules import METRICS, rules
+from fsar_ledger.metrics.registration import registration
+from fsar_ledger.metrics.study_results import METRICS, Predicted, Predictions, rules
 from fsar_ledger.metrics.verdicts import MARGINS
-from fsar_ledger.prediction import Predicted, Record, plays
-from fsar_ledger.registration import registration
 from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS
+from fsar_ledger.studies.comparison import CHECKS, compared, judge
+from fsar_ledger.studies.predictions import plays
 
 
 def mean_of(metric: str, architecture: str, size: int) -> float:
@@ -57,13 +57,19 @@ def every_number() -> list[Predicted]:
 NUMBERS = every_number()
 
 
-def record(change: Callable[[Predicted], float | None] | None = None) -> Record:
+def record(change: Callable[[Predicted], float | None] | None = None) -> Predictions:
     """Make a record of all numbers; `change` gives the mean of each."""
     numbers = NUMBERS if change is None else [msgspec.structs.replace(one, mean=change(one)) for one in NUMBERS]
-    return Record(MODEL_VERSION, write_constants(Constants()), rules(METRICS), "predict", numbers, [])
+    return Predictions(
+        model_version=MODEL_VERSION,
+        parameters=write_constants(Constants()),
+        rules=rules(METRICS),
+        numbers=numbers,
+        cases=[],
+    )
 
 
-def holding(of: Record) -> dict[str, bool | None]:
+def holding(of: Predictions) -> dict[str, bool | None]:
     return {outcome.name: outcome.holds for outcome in compared(of).predictions}
 
 
@@ -145,7 +151,7 @@ def test_what_the_text_excludes_is_no_answer_of_ours_even_where_ours_is_the_same
 
 def test_the_comparison_is_written_whole(tmp_path: Path) -> None:
     (tmp_path / "predictions.json").write_bytes(msgspec.json.encode(record()))
-    compare_predictions(tmp_path / "predictions.json", tmp_path / "out" / "comparison.json")
+    judge(tmp_path / "predictions.json", tmp_path / "out" / "comparison.json")
     written = json.loads((tmp_path / "out" / "comparison.json").read_text())
     assert written == msgspec.to_builtins(compared(record()))
 
@@ -157,16 +163,16 @@ def test_the_comparison_is_written_whole(tmp_path: Path) -> None:
 def test_a_file_that_is_no_record_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "predictions.json").write_bytes(content)
     with pytest.raises(FsarLedgerError, match=said):
-        compare_predictions(tmp_path / "predictions.json", tmp_path / "comparison.json")
+        judge(tmp_path / "predictions.json", tmp_path / "comparison.json")
     assert not (tmp_path / "comparison.json").exists()
 
 
 def test_a_file_that_is_not_there_is_a_mistake_of_the_call(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="cannot be read"):
-        compare_predictions(tmp_path / "none.json", tmp_path / "comparison.json")
+        judge(tmp_path / "none.json", tmp_path / "comparison.json")
 
 
-def written(folder: Path, of: Record) -> Path:
+def written(folder: Path, of: Predictions) -> Path:
     path = folder / "predictions.json"
     path.write_bytes(msgspec.json.encode(of))
     return path
@@ -175,7 +181,7 @@ def written(folder: Path, of: Record) -> Path:
 def test_a_record_that_lacks_a_number_is_refused_by_its_place(tmp_path: Path) -> None:
     short = msgspec.structs.replace(record(), numbers=[one for one in NUMBERS if one.fleet_size != 12])
     with pytest.raises(FsarLedgerError, match=r"predictions\.json: found no .*12.*expected everything"):
-        compare_predictions(written(tmp_path, short), tmp_path / "comparison.json")
+        judge(written(tmp_path, short), tmp_path / "comparison.json")
 
 
 @pytest.mark.parametrize(
@@ -196,9 +202,7 @@ def test_predictions_of_another_model_or_other_constants_are_refused(
     tmp_path: Path, changed: dict[str, str], said: str
 ) -> None:
     with pytest.raises(UsageError, match=said):
-        compare_predictions(
-            written(tmp_path, msgspec.structs.replace(record(), **changed)), tmp_path / "comparison.json"
-        )
+        judge(written(tmp_path, msgspec.structs.replace(record(), **changed)), tmp_path / "comparison.json")
     assert not (tmp_path / "comparison.json").exists()
 
 
@@ -206,5 +210,5 @@ def test_a_comparison_never_replaces_the_predictions(tmp_path: Path) -> None:
     path = written(tmp_path, record())
     before = path.read_bytes()
     with pytest.raises(UsageError, match="the same file"):
-        compare_predictions(path, tmp_path / "none" / ".." / path.name)
+        judge(path, tmp_path / "none" / ".." / path.name)
     assert path.read_bytes() == before

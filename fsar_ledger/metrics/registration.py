@@ -98,33 +98,6 @@ class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     claim: str
 
 
-class Check(msgspec.Struct, frozen=True):
-    """A number and the interval in which it must lie; an end of None is open.
-
-    `holds` is None if a number that the check needs is undefined.
-    """
-
-    what: str
-    value: float | None
-    low: float | None
-    high: float | None
-    holds: bool | None
-
-
-class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """The outcome of one registered prediction, which holds if all its checks do.
-
-    `holds` is None if no check fails but one cannot be made.
-    """
-
-    name: str
-    implies: str
-    holds: bool | None
-    held: int
-    of: int
-    checks: list[Check]
-
-
 class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The whole registration; `margins` by metric, in the metric's unit.
 

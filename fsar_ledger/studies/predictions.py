@@ -5,25 +5,26 @@ scaling), and what nobody has seen: other seeds, fleet sizes between and beyond 
 pairs of ablations. Nothing here reads a number of the paper.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
 
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import Progress, workers_of
 from fsar_ledger.constants import Constants, Load, write_constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.progress import each
 from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
-from fsar_ledger.metrics.rules import CLAIMS, METRICS, rules
-from fsar_ledger.recording import require_writable, write_record
-from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Claim, Predicted, Predictions, rules
+from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
+
+from .evaluations import simulated
+from .result import require_out, write
 
 SEED = 42
 SEEDS = (57721, 61803)  # registered, and never used before
@@ -39,63 +40,12 @@ CLAIMS_SQL = """
     ORDER BY case_number, position, claim, is_taken DESC, architecture
 """
 
-Progress = Callable[[int, int], None]
-
 
 class Play(msgspec.Struct, frozen=True):
     """One experiment whose numbers are predicted, and what it is for."""
 
     of: str
     experiment: Experiment
-
-
-class Predicted(msgspec.Struct, frozen=True, kw_only=True):
-    """One predicted number: its experiment, and the metric's mean, SD per run, runs and 95 % interval, in its unit.
-
-    `teams_working` None: all teams. `scenario` None: all scenarios.
-    """
-
-    of: str
-    seed: int
-    fleet_size: int
-    teams_working: int | None
-    encounter_mean_s: float
-    configuration: str
-    architecture: str
-    scenario: str | None
-    metric: str
-    mean: float | None
-    sd: float | None
-    n: int
-    ci_low: float | None
-    ci_high: float | None
-
-
-class Claim(msgspec.Struct, frozen=True, kw_only=True):
-    """One claim of the paper's cases, as in `cases/case_claims`: what is counted, of how many, and their ratio.
-
-    The counts and the ratio are None where no case arose.
-    """
-
-    case_number: int
-    claim: str
-    is_taken: bool
-    architecture: str
-    runs: int
-    numerator: int | None
-    denominator: int | None
-    value: float | None
-
-
-class Record(msgspec.Struct, frozen=True):
-    """All predictions, with the model, the constants and the queries that they rest on (`metrics/rules.py`)."""
-
-    model_version: str
-    parameters: str
-    rules: dict[str, str]
-    command: str
-    numbers: list[Predicted]
-    cases: list[Claim]
 
 
 def plays() -> Iterator[Play]:
@@ -140,38 +90,33 @@ def plays() -> Iterator[Play]:
         yield one("seeds", SEED_RUNS, seed=seed)
 
 
-def predict(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
-    """Simulate everything that is registered and write the numbers. Takes minutes.
+def predict(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
+    """Simulate the experiments registered for prediction, and write their numbers; takes minutes.
 
     Raises:
         UsageError: The file lies inside a ledger.
         WriteFailed: The file cannot be written.
     """
-    require_outside(out, f"--out {out}")
-    require_writable(out)
-    every = list(plays())
+    out, workers = Path(out), workers_of(workers)
+    require_out(out)
     numbers: list[Predicted] = []
     claims: list[Claim] = []
-    for done, play in enumerate(every, start=1):
-        with _ledger_of(play, workers) as database:
+    for play in each(list(plays()), progress):
+        with simulated(play.experiment, workers) as database:
             rows = [*metric_rows(database), *metric_rows(database, by_scenario=True)]
             numbers += [_predicted(play, row) for row in rows]
             if play.of == CASES:
                 claims += typed(database.rows(CLAIMS_SQL), Claim)
-        if progress is not None:
-            progress(done, len(every))
-    parameters, judged_by = write_constants(Constants()), rules(METRICS, CLAIMS)
-    write_record(out, Record(MODEL_VERSION, parameters, judged_by, "fsar-ledger predict --out FILE", numbers, claims))
-
-
-@contextmanager
-def _ledger_of(play: Play, workers: int) -> Iterator[Database]:
-    """Simulate the experiment into a temporary ledger and yield its database."""
-    with TemporaryDirectory() as folder:
-        ledger = Path(folder) / "ledger"
-        simulate(ledger, play.experiment, workers)
-        with connect(ledger) as database:
-            yield database
+    write(
+        out,
+        Predictions(
+            model_version=MODEL_VERSION,
+            parameters=write_constants(Constants()),
+            rules=rules(METRICS, CLAIMS),
+            numbers=numbers,
+            cases=claims,
+        ),
+    )
 
 
 def _predicted(play: Play, row: MetricRow) -> Predicted:

@@ -14,34 +14,30 @@ of each whether it was chosen after fits.
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
 import numpy as np
 
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import Progress, workers_of
 from fsar_ledger.constants import Constants
-from fsar_ledger.events.configuration import FULL
-from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.rows.codec import encode
-from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.metrics.database import connect, from_table
+from fsar_ledger.metrics import study_results
+from fsar_ledger.metrics.registration import Free, registration
 from fsar_ledger.metrics.results import MetricRow, metric_rows
-from fsar_ledger.metrics.rules import METRICS, rules
+from fsar_ledger.metrics.study_results import METRICS, Calibration, Direction, Objective, Parameter, Residual, rules
 from fsar_ledger.metrics.verdicts import published
-from fsar_ledger.recording import require_writable, write_record
-from fsar_ledger.registration import Free, registration
-from fsar_ledger.runtime.experiment import Experiment, simulate
-from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
 from fsar_ledger.workers import WorkerPool
+
+from .evaluations import measured, simulated
+from .morris import Matrix, Vector
+from .result import require_out, write
 
 REGISTERED = registration()
 FREE, PLAN = REGISTERED.free, REGISTERED.fit
 STEP = 0.1  # the step of the central differences of the Jacobian, in half ranges
-
-Vector = np.ndarray[tuple[int], np.dtype[np.float64]]
-Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
-Progress = Callable[[int, int], None]
 
 
 def with_values(values: Sequence[float]) -> Constants:
@@ -70,27 +66,6 @@ def rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def measure(constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES) -> list[MetricRow]:
-    """Return the metrics, computed in SQL, of runs under these constants, with all runs in memory."""
-    records = [
-        simulate_run(RunSpec(PLAN.seed, architecture, FULL, scenario, 4, run), constants)
-        for scenario in SCENARIOS
-        for run in range(runs)
-        for architecture in architectures
-    ]
-    with from_table(encode(records), threads=1) as database:
-        return metric_rows(database)
-
-
-def measure_stored(constants: Constants, runs: int, workers: int) -> list[MetricRow]:
-    """Return the same as `measure` for many runs, through a temporary ledger."""
-    with TemporaryDirectory() as folder:
-        ledger = Path(folder) / "ledger"
-        simulate(ledger, Experiment(ARCHITECTURES, SCENARIOS, runs, PLAN.seed, constants=constants), workers)
-        with connect(ledger) as database:
-            return metric_rows(database)
-
-
 def distances(rows: list[MetricRow]) -> Vector:
     """Return (ours - paper) of the 24 cells in margins, row by row; an undefined cell is one margin away."""
     printed, margins = published(), REGISTERED.margins
@@ -105,7 +80,7 @@ def distances(rows: list[MetricRow]) -> Vector:
 def distances_at(task: tuple[Vector, int]) -> Vector:
     """Return the distances at a point on this many runs; called in a worker."""
     point, runs = task
-    return distances(measure(at(point), runs))
+    return distances(measured(at(point), PLAN.seed, runs))
 
 
 class Judge:
@@ -139,15 +114,15 @@ class Search(msgspec.Struct, frozen=True):
     slopes: Matrix
 
 
-def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
-    """Make the registered fit and write its record. Takes the better part of an hour.
+def calibrate(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
+    """Fit the constants again as registered, and write the record; takes the better part of an hour.
 
     Raises:
         UsageError: the file lies inside a ledger.
         WriteFailed: the file cannot be written.
     """
-    require_outside(out, f"--out {out}")
-    require_writable(out)
+    out, workers = Path(out), workers_of(workers)
+    require_out(out)
     with WorkerPool(workers) as pool:
         judge = Judge(pool, progress)
         points = screened()
@@ -160,9 +135,10 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
         ]
         best = min(rough, key=lambda one: one.reached)
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
-    record = _record(best.start, last, measure_stored(at(last.point), PLAN.judged_runs, workers), judge.evaluations)
-    record["searches"] = [_told(one) for one in (*rough, last)]
-    write_record(out, record)
+    accepted = Experiment(ARCHITECTURES, SCENARIOS, PLAN.judged_runs, PLAN.seed, constants=at(last.point))
+    with simulated(accepted, workers) as database:
+        rows = metric_rows(database)
+    write(out, _result(best.start, (*rough, last), rows, judge.evaluations))
 
 
 def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
@@ -216,72 +192,69 @@ def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matri
     return np.asarray(np.array(columns).T)
 
 
-def _record(start: Vector, last: Search, rows: list[MetricRow], evaluations: int) -> dict[str, Any]:
+def _result(start: Vector, searches: Sequence[Search], rows: list[MetricRow], evaluations: int) -> Calibration:
+    last = searches[-1]
     constants, begun = at(last.point), at(start)
     _, singular, directions = np.linalg.svd(last.slopes, full_matrices=False)
     printed = published()
-    return {
-        "objective": {
-            "description": PLAN.rule,
-            "start": round(objective(distances(measure(begun, PLAN.runs)), start), 3),
-            "accepted": round(objective(distances(rows), last.point), 3),
-        },
-        "seeds": [PLAN.seed],
-        "runs_per_scenario": PLAN.judged_runs,
-        "evaluations": evaluations,
-        "model_version": MODEL_VERSION,
-        "rules": rules(METRICS),
-        "command": "fsar-ledger calibrate --out FILE",
-        "parameters": [
-            _parameter(one, begun, constants, directions, singular, index) for index, one in enumerate(FREE)
-        ],
-        "residuals": [
-            {
-                "metric": row.metric,
-                "architecture": row.architecture,
-                "paper": printed[row.metric, row.architecture or ""].value,
-                "ours": row.mean,
-                "distance_margins": round(float(distance), 3),
-            }
+    return Calibration(
+        objective=Objective(
+            PLAN.rule,
+            start=round(objective(distances(measured(begun, PLAN.seed, PLAN.runs)), start), 3),
+            accepted=round(objective(distances(rows), last.point), 3),
+        ),
+        seeds=[PLAN.seed],
+        runs_per_scenario=PLAN.judged_runs,
+        evaluations=evaluations,
+        model_version=MODEL_VERSION,
+        rules=rules(METRICS),
+        command=Calibration.MADE_BY,
+        parameters=[_parameter(one, begun, constants, directions, singular, index) for index, one in enumerate(FREE)],
+        residuals=[
+            Residual(
+                metric=row.metric,
+                architecture=row.architecture or "",
+                paper=printed[row.metric, row.architecture or ""].value,
+                ours=row.mean,
+                distance_margins=round(float(distance), 3),
+            )
             for row, distance in zip(rows, distances(rows), strict=True)
         ],
-        "directions": [
-            {
-                "singular_value": round(float(value), 3),
-                "identified": bool(value > 1),
-                "weights": {FREE[index].name: round(float(row[index]), 2) for index in np.argsort(-np.abs(row))[:4]},
-            }
+        directions=[
+            Direction(
+                singular_value=round(float(value), 3),
+                identified=bool(value > 1),
+                weights={FREE[index].name: round(float(row[index]), 2) for index in np.argsort(-np.abs(row))[:4]},
+            )
             for value, row in zip(singular, directions, strict=True)
         ],
-    }
-
-
-def _told(one: Search) -> dict[str, Any]:
-    """Return the record of a search, with the constants at its end."""
-    ended = at(one.point)
-    return {
-        "runs_per_scenario": one.runs,
-        "start": round(one.begun, 3),
-        "reached": round(one.reached, 3),
-        "ended_at": {free.name: _value(ended, free) for free in FREE},
-    }
+        searches=[
+            study_results.Search(
+                runs_per_scenario=one.runs,
+                start=round(one.begun, 3),
+                reached=round(one.reached, 3),
+                ended_at={free.name: _value(at(one.point), free) for free in FREE},
+            )
+            for one in searches
+        ],
+    )
 
 
 def _parameter(
     free: Free, begun: Constants, constants: Constants, directions: Matrix, singular: Vector, index: int
-) -> dict[str, Any]:
-    """Return the record of a constant, which is identified when the data determine it better than its range does."""
+) -> Parameter:
+    """Return the result for a constant, which is identified when the data determine it better than its range does."""
     information = float(((singular * directions[:, index]) ** 2).sum())
-    return {
-        "name": free.name,
-        "unit": free.range.unit,
-        "low": free.range.low,
-        "high": free.range.high,
-        "start": _value(begun, free),
-        "accepted": _value(constants, free),
-        "meaning": free.meaning,
-        "identified": information > 1,
-    }
+    return Parameter(
+        name=free.name,
+        unit=free.range.unit,
+        low=free.range.low,
+        high=free.range.high,
+        start=_value(begun, free),
+        accepted=_value(constants, free),
+        meaning=free.meaning,
+        identified=information > 1,
+    )
 
 
 def _value(constants: Constants, free: Free) -> float:

@@ -11,8 +11,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from fsar_ledger import calibration
-from fsar_ledger.calibration import (
+from fsar_ledger.constants import Constants, Structure, WorldConstants
+from fsar_ledger.errors import WriteFailed
+from fsar_ledger.metrics.registration import registration
+from fsar_ledger.runtime.simulation import MODEL_VERSION
+from fsar_ledger.studies import calibration
+from fsar_ledger.studies.calibration import (
     FREE,
     PLAN,
     at,
@@ -24,10 +28,7 @@ from fsar_ledger.calibration import (
     slopes,
     with_values,
 )
-from fsar_ledger.constants import Constants, Structure, WorldConstants
-from fsar_ledger.errors import WriteFailed
-from fsar_ledger.registration import registration
-from fsar_ledger.runtime.simulation import MODEL_VERSION
+from fsar_ledger.studies.evaluations import measured
 
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
 
@@ -66,9 +67,9 @@ OPENED = """
 import sys
 opened = set()
 sys.addaudithook(lambda name, arguments: opened.add(str(arguments[0])) if name == "open" else None)
-from fsar_ledger import calibration
+from fsar_ledger.studies import calibration, evaluations
 from fsar_ledger.constants import Constants
-assert len(calibration.distances(calibration.measure(Constants(), 1))) == 24
+assert len(calibration.distances(evaluations.measured(Constants(), 1, 1))) == 24
 print(*sorted(name.rpartition("/")[2].removesuffix(".csv") for name in opened if name.endswith(".csv")))
 """
 
@@ -94,7 +95,7 @@ def test_the_objective_adds_squared_margins_and_squared_half_ranges() -> None:
 
 
 def test_a_distance_is_a_difference_in_margins() -> None:
-    rows = calibration.measure(Constants(), 1)
+    rows = measured(Constants(), PLAN.seed, 1)
     success = next(row for row in rows if (row.metric, row.architecture) == ("coordination_success", "dhma"))
     found = dict(zip(((row.metric, row.architecture) for row in rows), distances(rows), strict=True))
     assert len(found) == 24
@@ -147,7 +148,7 @@ def test_the_record_of_a_small_fit_is_complete_and_the_same_again(
         monkeypatch.setattr(calibration, name, value)
     told: list[tuple[int, int]] = []
     for name in ("one.json", "two.json"):
-        calibrate(tmp_path / name, lambda done, total: told.append((done, total)), workers=1)
+        calibrate(tmp_path / name, workers=1, progress=lambda *done: told.append(done))
     assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
     assert told[-1] == (18, 18)
     record = json.loads((tmp_path / "one.json").read_text())

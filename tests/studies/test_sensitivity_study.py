@@ -9,16 +9,16 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.errors import UsageError, WriteFailed
-from fsar_ledger.report.sensitivity import (
+from fsar_ledger.metrics.effects import (
     Sensitivity,
     that_matter,
 )
 from fsar_ledger.runtime.simulation import MODEL_VERSION
-from fsar_ledger.screening.evaluations import CELLS, Answer, Question, evaluate
-from fsar_ledger.screening.factors import factors, setting
-from fsar_ledger.screening.morris import DELTA
-from fsar_ledger.screening.study import BASE_SEED, EMULATOR_SEED, REPEATS, Size
-from tests.sensitivity.conftest import NAMES, linear, study
+from fsar_ledger.studies.evaluations import CELLS, Answer, Question, evaluate
+from fsar_ledger.studies.factors import factors, setting
+from fsar_ledger.studies.morris import DELTA
+from fsar_ledger.studies.sensitivity import BASE_SEED, EMULATOR_SEED, REPEATS, Size
+from tests.studies.conftest import NAMES, linear, study
 
 
 def test_known_effects_are_found_again(found: Sensitivity) -> None:

@@ -6,12 +6,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger import prediction
 from fsar_ledger.errors import WriteFailed
 from fsar_ledger.events.configuration import CONFIGURATIONS, lacks
 from fsar_ledger.metrics.definitions import metrics
-from fsar_ledger.prediction import Play, plays, predict
 from fsar_ledger.runtime.simulation import MODEL_VERSION
+from fsar_ledger.studies import predictions
+from fsar_ledger.studies.predictions import Play, plays, predict
 
 
 def registered(of: str) -> list[Play]:
@@ -50,9 +50,9 @@ def test_numbers_name_what_was_played(tmp_path: Path, monkeypatch: pytest.Monkey
         msgspec.structs.replace(play, experiment=msgspec.structs.replace(play.experiment, runs=1))
         for play in (registered("loads")[0], registered("cases")[0])
     ]
-    monkeypatch.setattr(prediction, "plays", lambda: iter(small))
+    monkeypatch.setattr(predictions, "plays", lambda: iter(small))
     told: list[tuple[int, int]] = []
-    predict(tmp_path / "new" / "predictions.json", lambda *done: told.append(done), workers=1)
+    predict(tmp_path / "new" / "predictions.json", workers=1, progress=lambda *done: told.append(done))
     record = json.loads((tmp_path / "new" / "predictions.json").read_text())
     assert (record["model_version"], told) == (MODEL_VERSION, [(1, 2), (2, 2)])
     played = {(row["of"], row["fleet_size"], row["teams_working"], row["seed"]) for row in record["numbers"]}

@@ -1,33 +1,31 @@
 """Compares the predictions with what the paper prints, and with what its claims were registered to imply.
 
-It reads the record of `prediction.py` and nothing else of ours: nothing is simulated here, and the record is never
+It reads the result of `predictions.py` and nothing else of ours: nothing is simulated here, and the file is never
 replaced. No program can guarantee that a number was not predicted again after it was compared; `tests/history.py` shows
 it from the commits of the repository.
 """
 
 from collections.abc import Callable, Iterator
-from hashlib import sha256
 from itertools import combinations, pairwise
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from fsar_ledger import printable
-from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.paper_numbers import Place, Table, printed
+from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import MetricRow
-from fsar_ledger.metrics.rules import changed
-from fsar_ledger.metrics.verdicts import MARGINS, Answer, judge
-from fsar_ledger.prediction import CASES, SEED, SEEDS, Predicted, Record
-from fsar_ledger.recording import require_another, require_writable, write_record
-from fsar_ledger.registration import Check, Outcome, registration
-from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
+from fsar_ledger.metrics.study_results import Cell, Check, Comparison, Outcome, Predicted, Predictions, read
+from fsar_ledger.metrics.verdicts import MARGINS, Answer
+from fsar_ledger.publishing import require_another
+from fsar_ledger.runtime.simulation import ARCHITECTURES
+
+from .predictions import CASES, SEED, SEEDS
+from .result import require_out, stale, write
 
 SAME = 22  # cells of 24 that must be answered alike whatever the seed; registered as `seeds`
 SUCCESS, LOCALITY, CONFLICTS = "coordination_success", "governance_locality", "authority_conflicts"
@@ -35,47 +33,6 @@ COUNTS = tuple(one.name for one in published_metrics() if one.scale == "count")
 """Metrics without an upper bound; the others in the ablation table are shares."""
 TABLES: dict[Table, str] = {"results": CASES, "ablation": "ablation", "ablation_text": "ablation", "scaling": "scaling"}
 """The predictions that each table is compared with, as `Play.of`."""
-
-
-class CellBeside(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "class"}):
-    """One printed cell beside what was predicted for it.
-
-    `ours` is with all teams working, `ours_one_team` with one, for larger fleets; `low` and `high` are the 90 %
-    interval of (ours - paper); `gives` answers whether this model gives the printed number, None where the paper does
-    not specify what the cell depends on.
-    """
-
-    table: str
-    metric: str
-    architecture: str
-    configuration: str
-    fleet_size: int
-    scenario: str | None
-    kind: str
-    paper: float
-    ours: float | None
-    ours_one_team: float | None
-    n: int
-    margin: float
-    low: float | None
-    high: float | None
-    distance: float | None
-    gives: Answer | None
-
-
-class Comparison(msgspec.Struct, frozen=True):
-    """The printed cells of the results, ablation and scaling tables, and all predictions.
-
-    `model_version`, `parameters` and `rules` are the model, the constants and the queries that they rest on. The tests
-    of the significance table and the numbers of the cases are in `report`.
-    """
-
-    model_version: str
-    parameters: str
-    rules: dict[str, str]
-    command: str
-    cells: list[CellBeside]
-    predictions: list[Outcome]
 
 
 class NotPredicted(Exception):
@@ -123,8 +80,8 @@ class Numbers:
         return self.find(*place, **named).mean
 
 
-def compare_predictions(predictions: Path, out: Path) -> None:
-    """Write the comparison of a record of predictions.
+def judge(predictions: str | PathLike[str], out: str | PathLike[str]) -> None:
+    """Compare predicted numbers with the paper's, and write the comparison; nothing is simulated.
 
     Raises:
         FsarLedgerError: the file is no such record, or lacks a number.
@@ -132,91 +89,48 @@ def compare_predictions(predictions: Path, out: Path) -> None:
             a ledger.
         WriteFailed: `out` cannot be written.
     """
-    require_outside(out, f"--out {out}")
+    predictions, out = Path(predictions), Path(out)
+    require_out(out)
     require_another(out, f"--out {out}", predictions, "PREDICTIONS")
-    require_writable(out)
-    record = read(predictions)
-    _require_of_today(record, predictions)
+    found = read(predictions, Predictions)
+    if differs := stale(found):
+        raise UsageError(
+            f"{predictions}: found predictions {differs}; judge them with the version that wrote them, or predict again"
+        )
     try:
-        write_record(out, compared(record))
+        write(out, compared(found))
     except NotPredicted as error:
         raise FsarLedgerError(
-            f"{predictions}: found no {error}, expected everything that `fsar-ledger predict` writes; write it again"
+            f"{predictions}: found no {error}, expected everything that `{Predictions.MADE_BY}` writes; write it again"
         ) from error
 
 
-def read(path: Path) -> Record:
-    """Return a record of predictions. Raises: UsageError, FsarLedgerError."""
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=Record)
-    except OSError as error:
-        raise UsageError(
-            f"{path}: cannot be read ({error.strerror}); expected what `fsar-ledger predict --out FILE` writes"
-        ) from error
-    except (
-        msgspec.MsgspecError,
-        RecursionError,
-        ValueError,
-    ) as error:  # nested too deeply, or a number of thousands of digits
-        raise FsarLedgerError(
-            f"{path}: {error}; expected what `fsar-ledger predict --out FILE` writes; write it again"
-        ) from error
-
-
-def _require_of_today(record: Record, path: Path) -> None:
-    """Check that the record has this version's model and constants, which are those of the registration, and its rules.
-
-    Raises: UsageError.
-    """
-    if record.model_version != MODEL_VERSION:
-        raise UsageError(
-            f"{path}: found predictions of model {record.model_version!r:.80}, expected model {MODEL_VERSION!r}; "
-            "judge them with the version that wrote them, or predict again"
-        )
-    if (today := write_constants(Constants())) != record.parameters:
-        raise UsageError(
-            f"{path}: found predictions with the constants {_digest(record.parameters)} (SHA-256), expected those of "
-            f"this version, {_digest(today)}; "
-            "judge them with the version that wrote them, or predict again"
-        )
-    if judged_otherwise := changed(record.rules):
-        raise UsageError(
-            f"{path}: found predictions that other queries made, expected those of this version; changed since: "
-            f"{printable.some(map(printable.value, judged_otherwise))}; predict again"
-        )
-
-
-def _digest(parameters: str) -> str:
-    return sha256(parameters.encode("utf-8", "surrogatepass")).hexdigest()[:12]
-
-
-def compared(record: Record) -> Comparison:
+def compared(found: Predictions) -> Comparison:
     """Return all cells and predictions with their answers. Raises: NotPredicted if a number is missing."""
-    numbers = Numbers(record.numbers)
+    numbers = Numbers(found.numbers)
     cells = [_cell(numbers, place) for table in TABLES for place in printed(table)]
     outcomes = [
         _outcome(said.name, said.implies, list(CHECKS[said.name](numbers))) for said in registration().prediction
     ]
     return Comparison(
-        record.model_version,
-        record.parameters,
-        record.rules,
-        "fsar-ledger judge PREDICTIONS --out FILE",
-        cells,
-        outcomes,
+        model_version=found.model_version,
+        parameters=found.parameters,
+        rules=found.rules,
+        cells=cells,
+        predictions=outcomes,
     )
 
 
-def _cell(numbers: Numbers, place: Place) -> CellBeside:
+def _cell(numbers: Numbers, place: Place) -> Cell:
     where: dict[str, Any] = {"size": place.fleet_size, "configuration": place.configuration, "scenario": place.scenario}
     found = numbers.find(TABLES[place.table], place.metric, place.architecture, **where)
     one_team = (
         numbers.mean("scaling", place.metric, place.architecture, teams=1, **where) if place.fleet_size > 4 else None
     )
     paper, said = printed(place.table)[place].value, registration().said_of(place.table, place._asdict())
-    judged = judge(_row(found), paper, None)
+    judged = verdicts.judge(_row(found), paper, None)
     by_text: dict[str, Answer | None] = {"cannot_follow": "no", "unspecified": None}
-    return CellBeside(
+    return Cell(
         **place._asdict(),
         kind=said.kind,
         paper=paper,
@@ -253,7 +167,10 @@ def _seeds(numbers: Numbers) -> Iterator[Check]:
 
     def answers(of: str, seed: int) -> list[Answer]:
         found = (numbers.find(of, place.metric, place.architecture, seed=seed) for place, _ in cells)
-        return [judge(_row(number), paper.value, None).gives for number, (_, paper) in zip(found, cells, strict=True)]
+        return [
+            verdicts.judge(_row(number), paper.value, None).gives
+            for number, (_, paper) in zip(found, cells, strict=True)
+        ]
 
     first = answers(CASES, SEED)
     for seed in SEEDS:

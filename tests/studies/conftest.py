@@ -7,10 +7,11 @@ from typing import Any
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.report.sensitivity import Sensitivity, open_effects
-from fsar_ledger.screening.evaluations import CELLS, Answer, Question
-from fsar_ledger.screening.factors import factors
-from fsar_ledger.screening.study import Size, sensitivity
+from fsar_ledger.metrics.effects import Sensitivity, open_effects
+from fsar_ledger.studies import sensitivity
+from fsar_ledger.studies.evaluations import CELLS, Answer, Question
+from fsar_ledger.studies.factors import factors
+from fsar_ledger.studies.sensitivity import Size
 
 NAMES = (
     "world.message",
@@ -43,7 +44,7 @@ def linear(question: Question) -> Answer:
 
 
 def study(out: Path, size: Size = SMALL, **changes: Any) -> Sensitivity:
-    return sensitivity(out, size, **{"ask": linear, "subject": SOME, **changes})
+    return sensitivity.study(out, size, **{"ask": linear, "subject": SOME, **changes})
 
 
 @pytest.fixture(scope="session")

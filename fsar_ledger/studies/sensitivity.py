@@ -5,24 +5,27 @@ shows in the spread between trajectories. The polynomial uses one seed; all othe
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 import numpy as np
-import pyarrow.parquet as pq
 
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import Progress, workers_of
 from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.errors import UsageError, WriteFailed
-from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.effects import About, Effect, Sensitivity, parquet, that_matter
+from fsar_ledger.metrics.study_results import METRICS, rules
 from fsar_ledger.metrics.verdicts import MARGINS
-from fsar_ledger.report.sensitivity import About, Effect, Sensitivity, table_of, that_matter
+from fsar_ledger.publishing import publish
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
-from .emulator import Indices, design, indices, terms
 from .evaluations import CELLS, Answers, Evaluate, Question, answer_all, evaluate
 from .factors import Factor, factors, setting
 from .morris import Matrix, Vector, by_chance, elementary_effects, summary, trajectory
+from .result import require_out
+from .sobol import Indices, design, indices, terms
 
 SEED = 20_270_001  # of the first trajectory, counting up; never used for a published number or a fit
 BASE_SEED = SEED + 10_000  # of the repeats of the base, counting up
@@ -31,8 +34,6 @@ REPEATS = 10  # of the base in other worlds: they show what chance alone does
 DOZEN = 12
 DIGITS = 6  # written: the last bits of a sum differ between machines
 
-Progress = Callable[[int, int], None]
-
 
 class Size(msgspec.Struct, frozen=True):
     """The size of a study: trajectories, runs per scenario and architecture at each point, points for the polynomial.
@@ -40,9 +41,9 @@ class Size(msgspec.Struct, frozen=True):
     With 0 points there are no Sobol indices.
     """
 
-    trajectories: int = 20
-    runs: int = 10
-    points: int = 512
+    trajectories: int
+    runs: int
+    points: int
 
     def __post_init__(self) -> None:
         for name, least, most in (("trajectories", 2, 9_999), ("runs", 1, 9_999), ("points", 0, 1 << 16)):
@@ -128,6 +129,32 @@ class _Study:
 
 
 def sensitivity(
+    out: Place,
+    *,
+    trajectories: int = 20,
+    runs: int = 10,
+    points: int = 512,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Sensitivity:
+    """Measure how much each number depends on each constant, and write the effects as Parquet.
+
+    Takes most of an hour.
+
+    Args:
+        out: The file. An interrupted study continues from what is kept beside it.
+        trajectories: How often each factor is moved.
+        runs: Runs of each scenario and architecture in each evaluation.
+        points: Evaluations for the Sobol indices; 0: only the screening.
+        workers: Processes at once.
+        progress: Called with the evaluations done and their total.
+
+    Raises: As `study`.
+    """
+    return study(Path(out), Size(trajectories, runs, points), workers_of(workers), progress)
+
+
+def study(
     out: Path,
     size: Size,
     workers: int = 1,
@@ -155,14 +182,13 @@ def sensitivity(
     """
     if out.suffix != ".parquet":
         raise UsageError(f"--out {out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .parquet")
-    require_outside(out, f"--out {out}")
-    _require_place(out)
+    require_out(out)
     answers = Answers(out.with_name(out.name + ".partial"))
     try:
         found = _studied(_Study(size, subject or factors()), answers, ask, workers, progress)
     finally:
         answers.close()
-    _write(out, found)
+    publish(out, parquet(found), advice="make room and call it again, which goes on from there")
     answers.finish()
     return found
 
@@ -216,6 +242,7 @@ def _about(study: _Study, evaluations: int) -> About:
         evaluations=evaluations,
         factors=tuple(study.names),
         dozen=(),
+        rules=rules(METRICS),
     )
 
 
@@ -235,33 +262,3 @@ def _matrix(found: Mapping[str, tuple[float | None, ...]], questions: Sequence[Q
 
 def _rounded(value: float | None) -> float | None:
     return None if value is None else float(f"{value:.{DIGITS}g}")
-
-
-def _require_place(out: Path) -> None:
-    """Check early that the file can be written: an hour of work should not end in a refusal."""
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteFailed(
-            f"{out}: cannot be written ({error.strerror}); give a path in a folder that can be made"
-        ) from error
-    if out.is_dir():
-        raise WriteFailed(
-            f"{out}: cannot be written (it is a folder); expected the name of a file, such as "
-            f"{out / 'sensitivity.parquet'}"
-        )
-
-
-def _write(out: Path, found: Sensitivity) -> None:
-    temporary = out.with_name(f".{out.name}.tmp")
-    try:
-        with temporary.open("wb") as file:  # pyarrow would expand a leading `~`
-            pq.write_table(table_of(found), file, compression="zstd")
-        temporary.replace(out)
-    except OSError as error:
-        raise WriteFailed(
-            f"{out}: cannot be written ({error.strerror or error}); make room and call it again, which goes on from "
-            "there"
-        ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
