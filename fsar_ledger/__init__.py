@@ -24,14 +24,14 @@ if TYPE_CHECKING:
         reproduce,
         sensitivity,
         simulate,
-        verify_proof,
     )
-    from fsar_ledger.api.keys import key_new, key_public
+    from fsar_ledger.api.key import key_new, key_public
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.opening import open_ledger
     from fsar_ledger.api.reproduce import Reproduced
     from fsar_ledger.api.table import Table
     from fsar_ledger.api.verify import Verification
+    from fsar_ledger.api.verify_proof import verify_proof
     from fsar_ledger.api.witness import witness_new
     from fsar_ledger.errors import FsarLedgerError
 
@@ -66,7 +66,7 @@ _HOMES = {
     "api.audit": ("Audit",),
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
-    "api.keys": ("key_new", "key_public"),
+    "api.key": ("key_new", "key_public"),
     "api.ledger": ("Ledger",),
     "api.functions": (
         "Simulated",
@@ -76,12 +76,12 @@ _HOMES = {
         "reproduce",
         "sensitivity",
         "simulate",
-        "verify_proof",
     ),
     "api.opening": ("open_ledger",),
     "api.reproduce": ("Reproduced",),
     "api.table": ("Table",),
     "api.verify": ("Verification",),
+    "api.verify_proof": ("verify_proof",),
     "api.witness": ("witness_new",),
     "errors": ("FsarLedgerError",),
 }

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 import typer
+from typer.main import get_command
 
 from fsar_ledger.cli.app import app, run
 from fsar_ledger.ledger.log.note import parse_note
@@ -29,13 +30,10 @@ README_BYTES_MAX = 10_240
 PAGES = {path.name: path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
 LABEL = re.compile(r"\b(?:eq|sec|tab|fig|app):[a-z0-9_:-]*[a-z0-9]")
 LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
-COMMANDS = {
-    command.name or command.callback.__name__: command for command in app.registered_commands if command.callback
-} | {
-    f"{group.name} {command.name}": command
-    for group in app.registered_groups
-    if group.typer_instance
-    for command in group.typer_instance.registered_commands
+COMMANDS: dict[str, Any] = {
+    f"{name} {part}".strip(): one
+    for name, command in get_command(app).commands.items()  # type: ignore[attr-defined]
+    for part, one in getattr(command, "commands", {"": command}).items()
 }
 # The last two need each other (tests/witness/test_processes.py), and `judge` needs what `predict` writes
 # (tests/test_comparison.py).

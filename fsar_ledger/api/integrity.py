@@ -9,7 +9,6 @@ from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.compacting import Compacted
-    from fsar_ledger.ledger.store.proof import Proof
     from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.ledger.verify.recover import Recovery
     from fsar_ledger.witness.cosign import Cosigned
@@ -21,7 +20,6 @@ class Integrity:
     """The part of `Ledger` that verifies, proves, recovers, upgrades and compacts."""
 
     path: Path
-    _demanded: str | None
 
     def verify(
         self,
@@ -60,18 +58,6 @@ class Integrity:
         witnesses, replays = (witness_policy, cosigned, now_s), (replay, recorded)
         return verify_ledger(self.path, quick, anchor, trusted_key, witnesses, replays, workers, progress)
 
-    def prove(self, event: str | int) -> "Proof":
-        """Prove that an event, given as `RUN:SEQ` or by its number, is in the ledger.
-
-        `str` of the answer is a C2SP tlog-proof.
-
-        Raises:
-            UsageError: There is no such event, or more than one such run.
-        """
-        from .prove import prove_event
-
-        return prove_event(self.path, str(event), self._demanded)
-
     def recover(
         self,
         into: Place | None = None,
@@ -91,7 +77,7 @@ class Integrity:
         from fsar_ledger.ledger.verify.recover import recover
         from fsar_ledger.ledger.verify.report import Asked
 
-        from .keys import anchor_of, trusted_of
+        from .key import anchor_of, trusted_of
 
         asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
         return recover(self.path, readers_of(workers, self.path), progress, asked, None if into is None else Path(into))

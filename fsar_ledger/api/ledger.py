@@ -1,16 +1,26 @@
 """A ledger in Python: a method for every command that reads one, under the same name."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.opening import open_for_answers
 
+from . import audit as _audit
+from . import bisect as _bisect
+from . import cause as _cause
+from . import compare as _compare
+from . import diff as _diff
+from . import export as _export
+from . import info as _info
+from . import metrics as _metrics
+from . import open as _open
+from . import prove as _prove
+from . import statistics as _statistics
 from .integrity import Integrity
 from .lookup import parameters_of, robot_of, run_of, time_of
-from .names import By, Place, Pool, Run, Time, by_scenario, names_of, pools_seeds
+from .names import Place, Pool, Run, Time, names_of, pools_seeds
 from .replays import Replays
 from .timelines import Timelines
 from .workload import Progress, readers_of
@@ -23,16 +33,10 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.progress import Showing
     from fsar_ledger.metrics.sandbox import Limits
 
-    from .audit import Audit
-    from .compare import Comparison
     from .events import Events
     from .explain import Account
-    from .files import Written
-    from .info import Contents
     from .multiverse import MultiverseResult
-    from .open import Opened
     from .provenance import Provenance
-    from .statistics import Statistics
     from .table import Table
 
 
@@ -56,17 +60,18 @@ class Ledger(Timelines, Replays, Integrity):
         return f"Ledger({str(self.path)!r})"
 
     @property
+    def demanded(self) -> str | None:
+        """Return the newest record's SHA-256 if answers about any other head are refused."""
+        return self._demanded
+
+    @property
     def head(self) -> "Head":
         """Return the present head: commits, events and the root over them. Raises: As `open_ledger`."""
         return open_for_answers(self.path).head
 
     # --- what it holds ---
 
-    def info(self) -> "Contents":
-        """Return the plans, which of their runs are there, and the parameters of their worlds."""
-        from .info import contents
-
-        return contents(self.path, self._demanded)
+    info = _info.info
 
     def runs(self) -> "Table":
         """Return a row for each run, with its number, architecture, configuration, scenario, seed and fleet size."""
@@ -93,7 +98,7 @@ class Ledger(Timelines, Replays, Integrity):
                 name = None if run is None else run_of(database, run, self.path)
                 robot = None if robot is None else robot_of(database, robot, name)
                 time_of(database, "since", since, name)
-        return Events(self.path, Filter(name, since_us, until_us, robot), self._demanded)
+        return Events(self.path, Filter(name, since_us, until_us, robot), self.demanded)
 
     # --- questions ---
 
@@ -168,7 +173,7 @@ class Ledger(Timelines, Replays, Integrity):
         from .provenance import Provenance
         from .table import Table
 
-        rows, head, rows_verified = table_untrusted(self.path, select, limits_of(seconds, memory_mib), self._demanded)
+        rows, head, rows_verified = table_untrusted(self.path, select, limits_of(seconds, memory_mib), self.demanded)
         return Table(rows, Provenance(head, rows_verified))
 
     @contextmanager
@@ -180,7 +185,7 @@ class Ledger(Timelines, Replays, Integrity):
 
         from .provenance import Provenance
 
-        with stream_untrusted(self.path, select, limits, self._demanded) as found:
+        with stream_untrusted(self.path, select, limits, self.demanded) as found:
             yield Provenance(found.head, found.rows_verified), found.columns, found.batches
 
     def requests(self, run: Run | None = None) -> "Table":
@@ -203,53 +208,19 @@ class Ledger(Timelines, Replays, Integrity):
         with self.about_run(run, request or failure) as about:
             return account(about, self.path, request, failure)
 
+    # --- replays ---
+
+    diff = _diff.diff
+    cause = _cause.cause
+    bisect = _bisect.bisect
+
     # --- judgement ---
 
-    def metrics(self, by: By = None, pool: Pool = None) -> "Table":
-        """Judge the ledger by its metrics, a row for each metric, architecture and setting.
-
-        Args:
-            by: `scenario` for a row for each scenario.
-            pool: `seeds` to pool the runs of all seeds.
-        """
-        from fsar_ledger.metrics.results import MetricRow, metric_rows
-
-        from .provenance import of_judgement
-        from .table import Table, of_structs
-
-        per_scenario, pooled = by_scenario(by), pools_seeds(pool)
-        with self.database() as database:
-            rows = of_structs(metric_rows(database, by_scenario=per_scenario, pools_seeds=pooled), MetricRow)
-            rows = rows if per_scenario else rows.drop_columns(["scenario"])
-            return Table(rows, of_judgement(database))
-
-    def statistics(self, pool: Pool = None) -> "Statistics":
-        """Compare the architectures in pairs, and FSAR with itself without a mechanism.
-
-        The answer has tests and effect sizes, and says what is not compared.
-        """
-        from .statistics import compute_statistics
-
-        pooled = pools_seeds(pool)
-        with self.database() as database:
-            return compute_statistics(database, pooled=pooled)
-
-    def compare(
-        self,
-        first: str | None = None,
-        second: str | None = None,
-        other: "Ledger | Place | None" = None,
-        by: By = None,
-        pool: Pool = None,
-    ) -> "Comparison":
-        """Compare two sides in pairs, as `ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]`.
-
-        The second side may be of another ledger.
-        """
-        from .compare import compare_sides
-
-        ledgers = [self] if other is None else [self, other if isinstance(other, Ledger) else Ledger(other)]
-        return compare_sides(ledgers, (first, second), by_scenario=by_scenario(by), pooled=pools_seeds(pool))
+    metrics = _metrics.metrics
+    statistics = _statistics.statistics
+    compare = _compare.compare
+    audit = _audit.audit
+    prove = _prove.prove
 
     def multiverse(
         self, metric: str | Sequence[str] | None = None, pool: Pool = None, *, progress: Progress | None = None
@@ -264,79 +235,10 @@ class Ledger(Timelines, Replays, Integrity):
         with self.database() as database:
             return read_multiverse(database, names_of(metric), pools_seeds=pooled, progress=progress)
 
-    def audit(
-        self,
-        invariant: str | Sequence[str] | None = None,
-        architecture: str | Sequence[str] | None = None,
-        *,
-        progress: Progress | None = None,
-    ) -> "Audit":
-        """Check the invariants I1 to I5 and A1 to A5, or those named, on the runs of all or these architectures.
-
-        `progress` is called with how often an invariant was judged, on some of the runs, and how often that will be.
-        """
-        from .audit import audit_runs
-
-        view = open_for_answers(self.path)
-        return audit_runs(view, self._demanded, names_of(invariant) or (), names_of(architecture) or (), progress)
-
     # --- files ---
 
-    def export(
-        self,
-        out: Place,
-        query: str | None = None,
-        parameters: Mapping[str, object] | None = None,
-        *,
-        raw: bool = False,
-        tiles: bool = False,
-        progress: Progress | None = None,
-    ) -> "Written":
-        """Write every event, or the answer of a query, to a .csv, .parquet, .ndjson or .jsonl file.
-
-        Args:
-            out: The file; replaced if it exists.
-            tiles: Write the hashes of the tree to the new folder `out` instead, as C2SP tlog-tiles, and the checkpoint.
-            query: The name of a query; None: every event as it is stored.
-            parameters: The parameters of the query.
-            raw: Do not escape text in CSV that a terminal or a spreadsheet would act on.
-            progress: Called with the commits whose events were written, and their number.
-
-        Raises:
-            UsageError: The file has another suffix, or lies inside a ledger.
-            WriteFailed: The file cannot be written.
-        """
-        from .files import Written, require_place, write_events, write_table
-
-        file = Path(out)
-        if tiles:
-            if query is not None or parameters or raw:
-                raise UsageError("export: found tiles and a query, parameters or raw text, expected tiles alone")
-            from .tiles import write_tiles
-
-            return write_tiles(self.path, file, demanded=self._demanded, progress=progress)
-        require_place(file)
-        if query is not None:
-            found = self.query(query, **(parameters or {}))
-            return Written(write_table(file, found.stored, raw=raw), found.provenance)
-        if parameters:
-            raise UsageError(f"export: found parameter {next(iter(parameters))} and no query, expected both or neither")
-        return write_events(self.path, file, raw=raw, demanded=self._demanded, progress=progress)
-
-    def open(self, out: Place | None = None, *, progress: Progress | None = None) -> "Opened":
-        """Write a DuckDB file with every view and packaged query of the present head, for other programs.
-
-        Args:
-            out: A .duckdb file, replaced if `open` wrote it; None: named as the ledger, in the working folder.
-            progress: Called with the views and queries that were written, and their number.
-
-        Raises:
-            UsageError: The file has another suffix, lies inside a ledger, or is not one of `open`.
-            WriteFailed: The file cannot be written.
-        """
-        from .open import write_database
-
-        return write_database(self.path, None if out is None else Path(out), self._demanded, progress)
+    export = _export.export
+    open = _open.open
 
     def report(
         self,
@@ -385,5 +287,5 @@ class Ledger(Timelines, Replays, Integrity):
         """Yield a DuckDB connection over the events and the packaged queries."""
         from fsar_ledger.metrics.database import connect
 
-        with connect(self.path, demanded=self._demanded) as database:
+        with connect(self.path, demanded=self.demanded) as database:
             yield database

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsar_ledger.errors import UsageError
-
 from .lookup import robot_of, time_of
 from .names import Place, Run, Time, names_of
 
@@ -13,17 +11,14 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.view import View
 
-    from .bisect import Bisected
-    from .causes import Caused
-    from .difference import Diff
     from .ledger import Ledger
-    from .moment import Moment
     from .pictures import Picture
     from .provenance import Provenance
+    from .state import Moment
     from .table import Table
     from .walks import Steps
     from .whatif import Asked, Fork, WhatIf
-    from .whys import Why
+    from .why import Why
     from .workload import Progress
 
 
@@ -31,7 +26,9 @@ class Replays:
     """The part of `Ledger` that replays runs."""
 
     path: Path
-    _demanded: str | None
+
+    @property
+    def demanded(self) -> str | None: ...  # noqa: D102
 
     if TYPE_CHECKING:
 
@@ -55,12 +52,12 @@ class Replays:
         from .provenance import Provenance
 
         view = open_for_answers(self.path)
-        return view, Provenance(view.head, is_verified(view, self._demanded))
+        return view, Provenance(view.head, is_verified(view, self.demanded))
 
     def _name(self, view: "View", run: Run) -> str:
         from .lookup import run_in
 
-        return run_in(view, run, self._demanded)
+        return run_in(view, run, self.demanded)
 
     def state(
         self,
@@ -84,10 +81,10 @@ class Replays:
             UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
         """
         from .lookup import about_run
-        from .moment import moment
+        from .state import moment
 
         view, provenance = self._view()
-        with about_run(view, run, self._demanded) as (database, name, _):
+        with about_run(view, run, self.demanded) as (database, name, _):
             at_us = time_of(database, "at", at, name)
             whose = None if robot is None else robot_of(database, robot, name)
         return moment(view, provenance, name, at_us, whose, as_known_by, by_commit)
@@ -108,27 +105,9 @@ class Replays:
         from .walks import Steps
 
         view, provenance = self._view()
-        with about_run(view, run, self._demanded) as (database, name, _):
+        with about_run(view, run, self.demanded) as (database, name, _):
             at_us = time_of(database, "at", at, name)
         return Steps(record_of(view, name), provenance, at_us)
-
-    def diff(self, first: Run, second: Run, other: "Replays | Place | None" = None) -> "Diff":
-        """Say in what two runs differ, where they part and why, and what they came to.
-
-        Args:
-            first: A run of this ledger.
-            second: A run of this ledger, or of `other`.
-            other: Another ledger.
-
-        Raises:
-            UsageError: There is no such run.
-        """
-        from .difference import difference_of
-
-        theirs = self if other is None else other if isinstance(other, Replays) else type(self)(other)
-        (_, own), (_, its) = self._view(), theirs._view()
-        provenances = (own,) if other is None else (own, its)
-        return difference_of(self.record(first), theirs.record(second), provenances)
 
     def fork(self, run: Run, changes: "Asked") -> "Fork":
         """Fork a run: repeat it up to the first change, and play on under the same draws. Nothing is stored.
@@ -196,79 +175,6 @@ class Replays:
         found = repeated(base_of_record(record_of(view, self._name(view, run)), view.head.root)).changeable()
         return Table(of_structs(found, Changeable), provenance)
 
-    def cause(
-        self,
-        run: Run,
-        outcome: str,
-        *,
-        lengths: bool = False,
-        futures: int = 50,
-        progress: "Progress | None" = None,
-    ) -> "Caused":
-        """Find a smallest set of facts and answers that suffices for an outcome, and when it became unavoidable.
-
-        Args:
-            run: A simulated run of this model version.
-            outcome: A condition on a metric (`policy_violations > 0`) or on the number of violations of an invariant
-                (`i3 > 0`), or a SELECT of the `run_id` of each run that has it.
-            lengths: Whether the lengths of messages, ways, executions and responses count as causes, too.
-            futures: How many futures to draw from each moment; 0: none.
-            progress: Called with the runs that were played, and their number, where it is known.
-
-        Raises:
-            UsageError: The run does not have the outcome, or it cannot be made again.
-            QueryFailed: The SELECT fails.
-        """
-        from fsar_ledger.analysis.records import record_of
-
-        from .causes import cause_of
-
-        view, provenance = self._view()
-        record = record_of(view, self._name(view, run))
-        return cause_of(record, provenance, outcome, lengths=lengths, futures=futures, progress=progress)
-
-    def bisect(
-        self,
-        outcome: str,
-        first: str | None = None,
-        second: str | None = None,
-        other: "Ledger | Place | None" = None,
-        *,
-        changes: "Asked | None" = None,
-        architecture: str | Sequence[str] | None = None,
-    ) -> "Bisected":
-        """Find the first run in which two sides disagree on an outcome, and where the two part there.
-
-        The sides are configurations, parameter sets or models, as in `compare`; or the runs as recorded and their forks
-        with `changes`. Another ledger can be what another release made of the same experiment.
-
-        Args:
-            outcome: As in `cause`.
-            first: As in `compare`.
-            second: As in `compare`.
-            other: Another ledger, which holds the second side.
-            changes: As in `fork`, instead of two sides.
-            architecture: With `changes`, only the runs of this one, or of these.
-
-        Raises:
-            UsageError: There is no such side or outcome, or nothing to pair.
-            QueryFailed: The SELECT of the outcome fails.
-        """
-        from .bisect import bisect_changes, bisect_sides
-        from .ledger import Ledger
-
-        assert isinstance(self, Ledger)
-        view, provenance = self._view()
-        if changes is not None:
-            if first is not None or second is not None or other is not None:
-                raise UsageError("bisect: found changes and two sides, expected one or the other")
-            return bisect_changes(view, provenance, changes, names_of(architecture) or (), outcome)
-        if architecture is not None:
-            raise UsageError("bisect: found an architecture without changes; sides name theirs")
-        ledgers = [self] if other is None else [self, other if isinstance(other, Ledger) else Ledger(other)]
-        provenances = tuple(one._view()[1] for one in ledgers)
-        return bisect_sides(ledgers, provenances, (first, second), outcome)
-
     def view(
         self,
         out: Place,
@@ -290,8 +196,8 @@ class Replays:
         """
         from .pictures import Source, write_page
 
-        beside = None if other is None else Source(other.path, other._demanded)
-        return write_page(Source(self.path, self._demanded), Path(out), run, second, beside)
+        beside = None if other is None else Source(other.path, other.demanded)
+        return write_page(Source(self.path, self.demanded), Path(out), run, second, beside)
 
     def trace(self, out: Place, run: Run | None = None) -> "Picture":
         """Write a run as trace events, which ui.perfetto.dev opens: for runs too long for a page.
@@ -306,7 +212,7 @@ class Replays:
         """
         from .pictures import Source, write_trace
 
-        return write_trace(Source(self.path, self._demanded), Path(out), run)
+        return write_trace(Source(self.path, self.demanded), Path(out), run)
 
     def why(self, event: str | tuple[Run, int], *, depth: int | None = 2) -> "Why":
         """Say why an event happened: its triggers, what the decision read, who wrote that, and what ports answered.
@@ -321,11 +227,11 @@ class Replays:
         from fsar_ledger.analysis.records import record_of
 
         from .prove import asked_event, found_event
-        from .whys import why_of
+        from .why import why_of
 
         view, provenance = self._view()
         if isinstance(event, str):
-            run, seq = found_event(view, *asked_event(view, event, self._demanded), self._demanded)
+            run, seq = found_event(view, *asked_event(view, event, self.demanded), self.demanded)
         else:
             run, seq = self._name(view, event[0]), event[1]
         return why_of(record_of(view, run), provenance, seq, depth)
@@ -342,7 +248,7 @@ class Replays:
             UsageError: There is no such run or kind.
         """
         from .lookup import about_run
-        from .whys import verdicts_of
+        from .why import verdicts_of
 
-        with about_run(self._view()[0], run, self._demanded) as (database, name, _):
+        with about_run(self._view()[0], run, self.demanded) as (database, name, _):
             return verdicts_of(database, name, kind)

@@ -19,7 +19,9 @@ class Timelines:
     """The part of `Ledger` that tells a run in order."""
 
     path: Path
-    _demanded: str | None
+
+    @property
+    def demanded(self) -> str | None: ...  # noqa: D102
 
     def numbers(self) -> dict[str, int]:
         """Return the number of each run, by its name: the short name that every question takes for it."""
@@ -27,7 +29,7 @@ class Timelines:
         from fsar_ledger.metrics.verified import is_verified_for_runs
 
         view = open_for_answers(self.path)
-        is_verified_for_runs(view, self._demanded)
+        is_verified_for_runs(view, self.demanded)
         return view.run_names.numbers()
 
     @contextmanager
@@ -46,14 +48,14 @@ class Timelines:
         from .lookup import AboutRun, about_run, numbers_of
 
         if run is not None or not action:
-            with about_run(open_for_answers(self.path), run, self._demanded) as found:
+            with about_run(open_for_answers(self.path), run, self.demanded) as found:
                 yield found
             return
         from fsar_ledger.metrics.database import connect
 
         from .explain import run_with
 
-        with connect(self.path, demanded=self._demanded) as database:
+        with connect(self.path, demanded=self.demanded) as database:
             name = run_with(database, self.path, action)
             yield AboutRun(database, name, numbers_of(database).get(name))
 
@@ -83,7 +85,7 @@ class Timelines:
         from .log import ALL, asked_of, timeline
 
         if run == ALL:
-            with connect(self.path, demanded=self._demanded) as database:
+            with connect(self.path, demanded=self.demanded) as database:
                 return timeline(database, asked_of(database, self.path, ALL, since, until, robot, about))
         with self.about_run(run) as (database, name, _):
             return timeline(database, asked_of(database, self.path, name, since, until, robot, about))
@@ -114,12 +116,12 @@ class Timelines:
 
         from .log import ALL, about_of, asked_of, stream
 
-        if pause is not None and self._demanded is not None:
+        if pause is not None and self.demanded is not None:
             raise UsageError(
                 "rows that will be committed later cannot have been compared with the root yet: expected a ledger that "
                 "was opened without demanding that, or no waiting for more"
             )
-        with connect(self.path, demanded=self._demanded) as database:
+        with connect(self.path, demanded=self.demanded) as database:
             asked = asked_of(database, self.path, ALL, since, until, robot, about, is_growing=pause is not None)
             provenance = about_of(database, asked)
-        return stream(self.path, asked, provenance, self._demanded, pause)
+        return stream(self.path, asked, provenance, self.demanded, pause)

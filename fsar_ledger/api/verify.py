@@ -11,7 +11,7 @@ from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
 from fsar_ledger.metrics.verified import whole_look
 
-from .keys import anchor_of, trusted_of
+from .key import anchor_of, trusted_of
 from .names import Place
 from .witness import Seen, seen_of
 from .workload import Progress, readers_of

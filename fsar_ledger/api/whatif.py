@@ -17,7 +17,7 @@ from fsar_ledger.printable import did_you_mean, value
 from fsar_ledger.runtime.change_texts import parsed, read_changes
 from fsar_ledger.runtime.changes import Changes
 
-from .difference import Diff, difference_of
+from .diff import Diff, difference_of
 from .provenance import Provenance
 from .workload import Progress
 

@@ -1,5 +1,6 @@
 """Open the ledger that a command reads, and warn on stderr of what its answer leaves open."""
 
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,12 +15,22 @@ if TYPE_CHECKING:
 
 
 def opened(ledger: Path, *, verified: bool) -> "Ledger":
-    """Open the ledger; with `verified`, compare its rows with the root first. Raises: As `demanded_head`."""
+    """Open the ledger; with `verified`, its rows are compared with the root when it is first read.
+
+    Raises: As `demanded_head`, then.
+    """
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.opening import demanded_head
 
-    with Progress("verified", "segments") as progress:
-        return Ledger(ledger, demanded=demanded_head(ledger, verified=verified, progress=progress))
+    class Compared(Ledger):
+        """A ledger whose rows are compared with the root once the call is known to make sense."""
+
+        @cached_property
+        def demanded(self) -> str | None:
+            with Progress("verified", "segments") as progress:
+                return demanded_head(ledger, verified=True, progress=progress)
+
+    return Compared(ledger) if verified else Ledger(ledger)
 
 
 def warn(ledger: Path, provenance: "Provenance") -> None:

@@ -80,20 +80,6 @@ def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified
     return pretty({"head": head and {"size": head.size, "root": head.root}, **standing, **answer})
 
 
-def signature_text(state: str, signer: str | None) -> str:
-    """Return what the signature of a note is worth, in words.
-
-    `signer` is the trusted key that made it, or the one that the note names.
-    """
-    if signer is None:
-        return "unsigned"
-    return (
-        f"signed by {printable.value(signer)}"
-        if state == "signed"
-        else f"signed, signer not checked (it names {printable.value(signer)})"
-    )
-
-
 def answer_json(provenance: "Provenance", answer: Mapping[str, object]) -> Shown:
     """Return one JSON object: what the answer holds for, then the answer."""
     return json_text(provenance.head, {**provenance.answer(), **answer}, provenance.rows_verified)

@@ -10,7 +10,7 @@ from .tables import table
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.words import Line
-    from fsar_ledger.api.difference import Diff, Parting
+    from fsar_ledger.api.diff import Diff, Parting
 
 CHAIN = 6
 """Causes that are shown of one event; of a longer chain, the first and the last."""

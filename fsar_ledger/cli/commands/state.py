@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.beliefs import Belief
     from fsar_ledger.analysis.standing import RobotNow, Standing
     from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.api.moment import Moment
+    from fsar_ledger.api.state import Moment
 
 EXAMPLES = examples(
     "fsar-ledger state out/ledger --run 1 --at 46.6s",

@@ -151,7 +151,7 @@ def _lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None", *
 
 def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
     """Return a line for each problem, or lines on what was found consistent."""
-    from fsar_ledger.cli.output import signature_text
+    from fsar_ledger.api.key import signature_text
 
     if not report.ok:
         count = f"{counted(len(report.problems), 'problem')}{' at a quick look' if report.is_quick else ''}"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fsar_ledger.analysis.why import Made, Read
     from fsar_ledger.analysis.words import Line
     from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.api.whys import Why
+    from fsar_ledger.api.why import Why
 
 EXAMPLES = examples(
     "fsar-ledger why out/ledger 1:148",
