@@ -1,15 +1,17 @@
 """What every answer has: a document for programs, a text for people, an exit code, and what it holds for."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger import printable
+from fsar_ledger.errors import FsarLedgerError, option
 
 if TYPE_CHECKING:
     from fsar_ledger.printable import Shown
 
     from .fields import Row
+    from .names import Place
     from .provenance import Provenance
     from .table import Table
 
@@ -82,6 +84,51 @@ class Answer:
     def beside_rows(self) -> list[str]:
         """Return the lines that are told on stderr where only rows can be shown."""
         return []
+
+
+class Drawable(Answer):
+    """An answer that can be drawn."""
+
+    __slots__ = ()
+
+    def draw(self, file: "Place", kind: Any = None) -> None:
+        """Draw it; `kind` is the format, where the suffix does not decide it."""
+        raise NotImplementedError
+
+
+class Drawn(Answer):
+    """An answer, and the files that show it, too."""
+
+    __slots__ = ("answer", "files", "provenance")
+
+    def __init__(self, answer: Answer, *files: Path) -> None:
+        self.answer, self.files = answer, files
+        (self.provenance,) = provenances(answer)
+
+    def document(self, screen: Screen) -> Mapping[str, object]:
+        """Return what JSON says of the answer."""
+        return self.answer.document(screen)
+
+    def text(self, screen: Screen) -> "Iterator[Shown]":
+        """Yield the answer, and the names of the files."""
+        yield from self.answer.text(screen)
+        yield printable.lines(*map(str, self.files))
+
+
+def drawn(ask: "Callable[[], Drawable]", **files: "Place | None") -> Answer:
+    """Return the answer, and draw it to the files, given by the names of their options.
+
+    Raises: UsageError, before anything is asked, if one lies inside a ledger; WriteFailed.
+    """
+    from fsar_ledger.ledger.store.paths import require_outside
+
+    places = {kind: Path(file) for kind, file in files.items() if file is not None}
+    for kind, file in places.items():
+        require_outside(file, option(kind, file))
+    found = ask()
+    for kind, file in places.items():
+        found.draw(file, kind)
+    return Drawn(found, *places.values()) if places else found
 
 
 _STANDING = ("provenance", "provenances")

@@ -12,12 +12,16 @@ from . import bisect as _bisect
 from . import cause as _cause
 from . import compare as _compare
 from . import diff as _diff
+from . import explain as _explain
 from . import export as _export
 from . import info as _info
 from . import metrics as _metrics
 from . import open as _open
 from . import prove as _prove
+from . import state as _state
 from . import statistics as _statistics
+from . import whatif as _whatif
+from . import why as _why
 from .integrity import Integrity
 from .lookup import parameters_of, robot_of, run_of, time_of
 from .names import Place, Pool, Run, Time, names_of, pools_seeds
@@ -34,7 +38,6 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.sandbox import Limits
 
     from .events import Events
-    from .explain import Account
     from .multiverse import MultiverseResult
     from .provenance import Provenance
     from .table import Table
@@ -188,29 +191,18 @@ class Ledger(Timelines, Replays, Integrity):
         with stream_untrusted(self.path, select, limits, self.demanded) as found:
             yield Provenance(found.head, found.rows_verified), found.columns, found.batches
 
-    def requests(self, run: Run | None = None) -> "Table":
-        """Return the requests of a run, the first by default: who asked, allowed, executed, supervised; the result."""
-        from .explain import requests
-
-        with self.about_run(run) as (database, name, _):
-            return requests(database, name)
-
-    def explain(self, run: Run | None = None, request: str | None = None, failure: str | None = None) -> "Account":
-        """Give an account of a request of a run, or of a failure, level by level.
-
-        Without `run` it is the only one that has the request.
-
-        Raises:
-            UsageError: There is no such request, several runs have it, it has not failed, or both or neither are named.
-        """
-        from .explain import account
-
-        with self.about_run(run, request or failure) as about:
-            return account(about, self.path, request, failure)
+    requests = _explain.requests
+    explain = _explain.explain
 
     # --- replays ---
 
+    state = _state.state
+    why = _why.why
+    verdicts = _why.verdicts
     diff = _diff.diff
+    fork = _whatif.fork
+    whatif = _whatif.whatif
+    changeable = _whatif.changeable
     cause = _cause.cause
     bisect = _bisect.bisect
 

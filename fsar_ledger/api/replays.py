@@ -1,11 +1,10 @@
 """The methods of `Ledger` that replay: moments, differences, what would have been, and why."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .lookup import robot_of, time_of
-from .names import Place, Run, Time, names_of
+from .lookup import time_of
+from .names import Place, Run, Time
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -14,12 +13,7 @@ if TYPE_CHECKING:
     from .ledger import Ledger
     from .pictures import Picture
     from .provenance import Provenance
-    from .state import Moment
-    from .table import Table
     from .walks import Steps
-    from .whatif import Asked, Fork, WhatIf
-    from .why import Why
-    from .workload import Progress
 
 
 class Replays:
@@ -59,36 +53,6 @@ class Replays:
 
         return run_in(view, run, self.demanded)
 
-    def state(
-        self,
-        run: Run,
-        at: Time = None,
-        *,
-        robot: str | None = None,
-        as_known_by: str | None = None,
-        by_commit: int | None = None,
-    ) -> "Moment":
-        """Return how things stood in a run at a time: robots, requests, claims, recoveries, calls, tasks and the rest.
-
-        Args:
-            run: The run.
-            at: The time within the run; None: its end.
-            robot: Only what this robot has a part in.
-            as_known_by: A decider, such as `coordinator` or `robot/A1`: also what it had been told by then.
-            by_commit: Only from what the ledger had recorded after so many commits.
-
-        Raises:
-            UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
-        """
-        from .lookup import about_run
-        from .state import moment
-
-        view, provenance = self._view()
-        with about_run(view, run, self.demanded) as (database, name, _):
-            at_us = time_of(database, "at", at, name)
-            whose = None if robot is None else robot_of(database, robot, name)
-        return moment(view, provenance, name, at_us, whose, as_known_by, by_commit)
-
     def step(self, run: Run, at: Time = None) -> "Steps":
         """Return a walk through a run: to the next event, decision or refusal, to a cause, a time or a text.
 
@@ -108,72 +72,6 @@ class Replays:
         with about_run(view, run, self.demanded) as (database, name, _):
             at_us = time_of(database, "at", at, name)
         return Steps(record_of(view, name), provenance, at_us)
-
-    def fork(self, run: Run, changes: "Asked") -> "Fork":
-        """Fork a run: repeat it up to the first change, and play on under the same draws. Nothing is stored.
-
-        Args:
-            run: A simulated run of this model version.
-            changes: Texts such as `drop window:fleet/B1/0`, or the names of `.toml` files; none gives a null fork.
-
-        Raises:
-            UsageError: There is no such run, it cannot be made again, or a change is none or has no effect.
-        """
-        from fsar_ledger.analysis.records import record_of
-
-        from .whatif import fork_of
-
-        view, _ = self._view()
-        return fork_of(view, record_of(view, self._name(view, run)), changes)
-
-    def whatif(
-        self,
-        changes: "Asked",
-        run: Run | None = None,
-        *,
-        architecture: str | Sequence[str] | None = None,
-        out: Place | None = None,
-        progress: "Progress | None" = None,
-    ) -> "WhatIf":
-        """Fork a run, or all of them, and measure what the changes do to every metric, in pairs.
-
-        Args:
-            changes: As in `fork`.
-            run: A run; None: all simulated runs. In one of them what a name does not mean there changes nothing.
-            architecture: Only the runs of this one, or of these.
-            out: A ledger to store the forks in, each beside its base; created if there is none.
-            progress: Called with the forks that were played, and their number.
-
-        Raises:
-            UsageError: As `fork`; or no run does anything else; or `out` lies inside a ledger.
-            WriteFailed: `out` cannot be written.
-        """
-        from fsar_ledger.analysis.records import record_of
-
-        from .whatif import what_if
-
-        view, provenance = self._view()
-        record = None if run is None else record_of(view, self._name(view, run))
-        place = None if out is None else Path(out)
-        return what_if(view, provenance, record, changes, names_of(architecture) or (), place, progress)
-
-    def changeable(self, run: Run) -> "Table":
-        """Return what the changes of a run can name: the facts of its world, and what it asks at its ports.
-
-        The answer has a row for each: its name, a shorter one, when it begins and ends, and what happens or is the
-        answer.
-
-        Raises:
-            UsageError: There is no such run, or it cannot be made again.
-        """
-        from fsar_ledger.analysis.bases import Changeable, base_of_record, repeated
-        from fsar_ledger.analysis.records import record_of
-
-        from .table import Table, of_structs
-
-        view, provenance = self._view()
-        found = repeated(base_of_record(record_of(view, self._name(view, run)), view.head.root)).changeable()
-        return Table(of_structs(found, Changeable), provenance)
 
     def view(
         self,
@@ -213,42 +111,3 @@ class Replays:
         from .pictures import Source, write_trace
 
         return write_trace(Source(self.path, self.demanded), Path(out), run)
-
-    def why(self, event: str | tuple[Run, int], *, depth: int | None = 2) -> "Why":
-        """Say why an event happened: its triggers, what the decision read, who wrote that, and what ports answered.
-
-        Args:
-            event: `RUN:SEQ`, as in `prove`, or a pair of run and seq.
-            depth: 1: how the event came about; 2: and how the events came about that it rests on; and so on; None: all.
-
-        Raises:
-            UsageError: There is no such event, or the run cannot be made again, or not as it is recorded.
-        """
-        from fsar_ledger.analysis.records import record_of
-
-        from .prove import asked_event, found_event
-        from .why import why_of
-
-        view, provenance = self._view()
-        if isinstance(event, str):
-            run, seq = found_event(view, *asked_event(view, event, self.demanded), self.demanded)
-        else:
-            run, seq = self._name(view, event[0]), event[1]
-        return why_of(record_of(view, run), provenance, seq, depth)
-
-    def verdicts(self, run: Run, kind: str) -> "Table":
-        """Return the verdicts of one kind on a run, each with the events that made it.
-
-        Args:
-            run: A run.
-            kind: `violation` (a start against policy), `conflict` (of authority), `late` (a task), `unattributed` (a
-                record that lacks a principal), or an invariant, as `i4`.
-
-        Raises:
-            UsageError: There is no such run or kind.
-        """
-        from .lookup import about_run
-        from .why import verdicts_of
-
-        with about_run(self._view()[0], run, self.demanded) as (database, name, _):
-            return verdicts_of(database, name, kind)

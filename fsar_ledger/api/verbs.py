@@ -60,8 +60,8 @@ class Clock(NamedTuple):
 class Verb(NamedTuple):
     """A verb: its name on the command line, its function, and what the command has beside its own options.
 
-    `call` answers the command where that is another function, with the same parameters. `beside` are switches that
-    the text of the answer looks at (`Screen.has`).
+    `call` answers the command where that is another function: it takes the same parameters, and those that it declares
+    itself. `beside` are switches that the text of the answer looks at (`Screen.has`).
     """
 
     name: str
@@ -71,6 +71,17 @@ class Verb(NamedTuple):
     examples: tuple[str, ...]
     beside: Mapping[str, Option]
     after_interruption: str
+
+    @property
+    def parameters(self) -> dict[str, inspect.Parameter]:
+        """Return the parameters of the function, then those that `call` adds; a default of `call` counts."""
+        found = dict(inspect.signature(self.function).parameters)
+        for name, one in inspect.signature(self.call).parameters.items():
+            if name not in found and declared(one) is not None:
+                found[name] = one
+            elif name in found and one.default is not inspect.Parameter.empty:
+                found[name] = found[name].replace(default=one.default)
+        return found
 
     @property
     def help(self) -> str:
@@ -115,7 +126,7 @@ def verb(
         examples: Calls without the name of the program; a test runs them.
         takes: What the command takes beside the parameters of the function.
         name: The name on the command line; None: that of the function.
-        call: Answers the command instead, with the same parameters.
+        call: Answers the command instead, with the same parameters and those that it declares.
         beside: Switches that the text of the answer looks at.
         after_interruption: What an interrupted call leaves.
     """
@@ -197,3 +208,4 @@ ParameterOption = Annotated[
     Mapping[str, object] | None,
     declare("--param", "NAME=VALUE", "A parameter of the query; may be repeated.", complete="parameters"),
 ]
+SvgOption = Annotated[Place | None, declare("--svg", "FILE", "Also draw it, as SVG; replaced if it exists.")]

@@ -29,7 +29,7 @@ TAKEN: dict[str, tuple[str, Any, object]] = {
 
 def callback(verb: Verb) -> Callable[..., None]:
     """Return the function of a verb's command, for typer."""
-    parameters = inspect.signature(verb.function).parameters.values()
+    parameters = verb.parameters.values()
     own = {one.name: found for one in parameters if isinstance(found := declared(one), Option)}
     ledgers = [one.name for one in parameters if _names_ledger(one.annotation)]
     reads = ledgers[:1] == ["ledger"] and not any(found.flag == "--memory" for found in own.values())

@@ -3,7 +3,6 @@
 Warnings go to stderr before the answer goes to stdout.
 """
 
-import inspect
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from functools import cached_property
@@ -100,7 +99,7 @@ def respond(
     held = {name: opened(place, verified=verified) for name, place in places.items()}
     screen = Screen(held.get("ledger"), asked, wide=form.wide)
     with ExitStack() as stack:
-        for one in inspect.signature(verb.function).parameters.values():
+        for one in verb.parameters.values():
             beside = declared(one)
             if isinstance(beside, Shows):
                 given[one.name] = stack.enter_context(Progress(beside.verb, beside.unit))
