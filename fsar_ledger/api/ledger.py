@@ -1,6 +1,6 @@
 """A ledger in Python: a method for every command that reads one, under the same name."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from . import diff as _diff
 from . import explain as _explain
 from . import export as _export
 from . import info as _info
+from . import log as _log
 from . import metrics as _metrics
 from . import open as _open
 from . import prove as _prove
@@ -52,10 +53,10 @@ class Ledger(Timelines, Replays, Integrity):
     Args:
         path: The folder of the ledger.
         demanded: The SHA-256 of the newest record, whose rows were just compared with its root; answers about any other
-            head are refused.
+            head are refused. A function that compares them and returns it is called when the ledger is first read.
     """
 
-    def __init__(self, path: Place, *, demanded: str | None = None) -> None:
+    def __init__(self, path: Place, *, demanded: str | Callable[[], str | None] | None = None) -> None:
         self.path = Path(path)
         self._demanded = demanded
 
@@ -63,8 +64,15 @@ class Ledger(Timelines, Replays, Integrity):
         return f"Ledger({str(self.path)!r})"
 
     @property
+    def demands(self) -> bool:
+        """Return whether answers about any other head than one are refused."""
+        return self._demanded is not None
+
+    @property
     def demanded(self) -> str | None:
         """Return the newest record's SHA-256 if answers about any other head are refused."""
+        if callable(self._demanded):
+            self._demanded = self._demanded()
         return self._demanded
 
     @property
@@ -193,6 +201,9 @@ class Ledger(Timelines, Replays, Integrity):
 
     requests = _explain.requests
     explain = _explain.explain
+
+    log = _log.log
+    stream_log = _log.stream_log
 
     # --- replays ---
 

@@ -15,7 +15,7 @@ from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.observing import Unobserved
 
 from .files import whole_file
-from .log import asked_of, timeline
+from .log_rows import asked_of, timeline
 from .lookup import about_run
 from .names import Run
 from .provenance import Provenance

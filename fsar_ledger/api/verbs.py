@@ -57,6 +57,12 @@ class Clock(NamedTuple):
     """The command line gives the present time, in seconds since 1970; it is no option."""
 
 
+class Pause(NamedTuple):
+    """The command line gives a function that waits so long, and ends when nobody reads any more; it is no option."""
+
+    seconds: float
+
+
 class Verb(NamedTuple):
     """A verb: its name on the command line, its function, and what the command has beside its own options.
 
@@ -141,10 +147,10 @@ def verb(
     return register
 
 
-def declared(parameter: inspect.Parameter) -> Option | Shows | Clock | None:
+def declared(parameter: inspect.Parameter) -> Option | Shows | Clock | Pause | None:
     """Return what the annotation of a parameter declares."""
     found = getattr(parameter.annotation, "__metadata__", ())
-    return next((one for one in found if isinstance(one, Option | Shows | Clock)), None)
+    return next((one for one in found if isinstance(one, Option | Shows | Clock | Pause)), None)
 
 
 def _text(function: Callable[..., Any]) -> str:

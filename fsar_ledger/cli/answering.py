@@ -1,6 +1,5 @@
 """Open the ledger that a command reads, and warn on stderr of what its answer leaves open."""
 
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,15 +21,11 @@ def opened(ledger: Path, *, verified: bool) -> "Ledger":
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.opening import demanded_head
 
-    class Compared(Ledger):
-        """A ledger whose rows are compared with the root once the call is known to make sense."""
+    def compared() -> str | None:
+        with Progress("verified", "segments") as progress:
+            return demanded_head(ledger, verified=True, progress=progress)
 
-        @cached_property
-        def demanded(self) -> str | None:
-            with Progress("verified", "segments") as progress:
-                return demanded_head(ledger, verified=True, progress=progress)
-
-    return Compared(ledger) if verified else Ledger(ledger)
+    return Ledger(ledger, demanded=compared if verified else None)
 
 
 def warn(ledger: Path, provenance: "Provenance") -> None:

@@ -112,11 +112,6 @@ def pretty(document: object) -> Shown:
     return printable.ascii_json(msgspec.json.format(json_bytes(to_builtins(document)), indent=2).decode() + "\n")
 
 
-def json_rows(rows: Sequence[Row]) -> Shown:
-    """Return a JSON object for each row, one a line, in ASCII."""
-    return printable.ascii_json("".join(f"{json_bytes(row).decode()}\n" for row in rows))
-
-
 def cell_text(value: object) -> str:
     """Return the value as a cell of a table."""
     if isinstance(value, str):

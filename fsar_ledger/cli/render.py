@@ -5,14 +5,14 @@ Warnings go to stderr before the answer goes to stdout.
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
-from functools import cached_property
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fsar_ledger.api.answers import Answer, provenances
 from fsar_ledger.api.fields import Row
-from fsar_ledger.api.verbs import Clock, Shows, Verb, declared
+from fsar_ledger.api.verbs import Clock, Pause, Shows, Verb, declared
 from fsar_ledger.printable import Shown
 
 from .answering import opened, warn
@@ -20,7 +20,7 @@ from .output import answer_json, pretty, run_text, run_word
 from .progress import Progress
 from .streaming import Form, Kept
 from .tables import is_fitted, table
-from .terminal import say, width_of_names
+from .terminal import pause, say, width_of_names
 
 if TYPE_CHECKING:
     from fsar_ledger.api.ledger import Ledger
@@ -32,6 +32,7 @@ class Screen:
     def __init__(self, ledger: "Ledger | None", asked: Collection[str], *, wide: bool) -> None:
         self._ledger = ledger
         self._asked = asked
+        self._numbers: Mapping[str, int] | None = None
         self._wide = wide
 
     @property
@@ -49,13 +50,17 @@ class Screen:
         """Whether tables are fitted to a terminal."""
         return is_fitted(wide=self._wide)
 
-    @cached_property
-    def _numbers(self) -> Mapping[str, int]:
-        return {} if self._ledger is None else self._ledger.numbers()
-
     def numbers(self) -> Mapping[str, int]:
         """Return the number of each run that has one, by its name."""
+        if self._numbers is None:
+            self._numbers = {} if self._ledger is None else self._ledger.numbers()
         return self._numbers
+
+    def _number(self, run: str) -> int | None:
+        """Return the number of a run, which may have come since the numbers were read."""
+        if run not in self.numbers():
+            self._numbers = None
+        return self.numbers().get(run)
 
     def table(self, rows: Sequence[Row], columns: Sequence[str] | None = None) -> Shown:
         """Return the rows as a table; None: with the columns of the first."""
@@ -63,11 +68,11 @@ class Screen:
 
     def run_text(self, run: str) -> str:
         """Return the words that name a run: `run 12, NAME`; `run NAME` where it has no number."""
-        return run_text(run, self._numbers.get(run))
+        return run_text(run, self._number(run))
 
     def run_word(self, run: str) -> str:
         """Return what names the run in a command that people may copy: its number, where it has one."""
-        return run_word(run, self._numbers.get(run))
+        return run_word(run, self._number(run))
 
     def width_of_names(self, longest: int, beside: int) -> int:
         """Return the width of the column of names before words, in a line with so many columns beside both."""
@@ -105,6 +110,8 @@ def respond(
                 given[one.name] = stack.enter_context(Progress(beside.verb, beside.unit))
             elif isinstance(beside, Clock):
                 given[one.name] = now_s()
+            elif isinstance(beside, Pause):
+                given[one.name] = partial(pause, beside.seconds)
         answer = verb.call(**given | held)
     if isinstance(answer, AbstractContextManager):  # rows that come from a process, which may fail in their midst
         with answer as rows:
