@@ -1,6 +1,5 @@
 """The methods of `Ledger` that rest on hashes, signatures and witnesses."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,50 +12,11 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.verify.recover import Recovery
     from fsar_ledger.witness.cosign import Cosigned
 
-    from .verify import Verification
-
 
 class Integrity:
     """The part of `Ledger` that verifies, proves, recovers, upgrades and compacts."""
 
     path: Path
-
-    def verify(
-        self,
-        *,
-        quick: bool = False,
-        anchor: Place | None = None,
-        trusted_key: str | None = None,
-        witness_policy: Place | None = None,
-        cosigned: Sequence[Place] = (),
-        replay: bool = False,
-        recorded: bool = False,
-        workers: int | None = None,
-        progress: Progress | None = None,
-        now_s: int | None = None,
-    ) -> "Verification":
-        """Derive every hash, count and record again; damage does not raise, but is in `ok` and `problems`.
-
-        Args:
-            quick: Read no rows.
-            anchor: A copy of `checkpoint` kept elsewhere; since then the ledger must only have grown.
-            trusted_key: A public key that must have signed, as a .pub file or text.
-            witness_policy: A C2SP tlog-policy; enough of its witnesses must have seen the ledger. Needs `now_s`.
-            cosigned: Notes that show what the witnesses saw; without any, they are asked.
-            replay: Also play every run again.
-            recorded: Play in the world that is on record: check the decisions alone, not that the world was the seed's.
-            workers: Processes at once; None: one per core, if there is enough to do.
-            progress: Called with the segments done and their total.
-            now_s: The present time in seconds since 1970.
-
-        Raises:
-            NotALedger: There is none.
-            UsageError: The arguments contradict each other.
-        """
-        from .verify import verify_ledger
-
-        witnesses, replays = (witness_policy, cosigned, now_s), (replay, recorded)
-        return verify_ledger(self.path, quick, anchor, trusted_key, witnesses, replays, workers, progress)
 
     def recover(
         self,

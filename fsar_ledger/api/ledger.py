@@ -19,32 +19,31 @@ from . import log as _log
 from . import metrics as _metrics
 from . import open as _open
 from . import prove as _prove
+from . import sql as _sql
 from . import state as _state
 from . import statistics as _statistics
+from . import verify as _verify
+from . import view as _view
 from . import whatif as _whatif
 from . import why as _why
 from .integrity import Integrity
-from .lookup import parameters_of, robot_of, run_of, time_of
+from .lookup import AboutRun, about_run, numbers_of, parameters_of, present, recorded, robot_of, run_of, time_of
 from .names import Place, Pool, Run, Time, names_of, pools_seeds
-from .replays import Replays
-from .timelines import Timelines
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
+    from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.progress import Showing
-    from fsar_ledger.metrics.sandbox import Limits
 
     from .events import Events
     from .multiverse import MultiverseResult
-    from .provenance import Provenance
     from .table import Table
+    from .walks import Steps
 
 
-class Ledger(Timelines, Replays, Integrity):
+class Ledger(Integrity):
     """A ledger to query. Each answer holds for the newest commit at that moment, and names its head.
 
     A run is given by its name, its number (`numbers()`), or a part of its name that no other run has; a robot as `B1`
@@ -111,6 +110,35 @@ class Ledger(Timelines, Replays, Integrity):
                 time_of(database, "since", since, name)
         return Events(self.path, Filter(name, since_us, until_us, robot), self.demanded)
 
+    def numbers(self) -> dict[str, int]:
+        """Return the number of each run, by its name: the short name that every question takes for it."""
+        from fsar_ledger.metrics.verified import is_verified_for_runs
+
+        view = open_for_answers(self.path)
+        is_verified_for_runs(view, self.demanded)
+        return view.run_names.numbers()
+
+    @contextmanager
+    def about_run(self, run: Run | None, action: str | None = None) -> "Iterator[AboutRun]":
+        """Yield what there is about one run; without a run, the database is perhaps over all events.
+
+        Args:
+            run: The run; None: the only one with this action or, without an action, the first.
+            action: As `run` says.
+
+        Raises:
+            UsageError: There is no such run, or none or several have the action.
+        """
+        if run is not None or not action:
+            with about_run(open_for_answers(self.path), run, self.demanded) as found:
+                yield found
+            return
+        from .explain import run_with
+
+        with self.database() as database:
+            name = run_with(database, self.path, action)
+            yield AboutRun(database, name, numbers_of(database).get(name))
+
     # --- questions ---
 
     def query(self, name: str, /, **parameters: object) -> "Table":
@@ -165,40 +193,7 @@ class Ledger(Timelines, Replays, Integrity):
 
         return text_of(name)
 
-    def sql(self, select: str, *, seconds: int | None = None, memory_mib: int | None = None) -> "Table":
-        """Answer a SELECT of your own in a locked-down process that can read this ledger and nothing else.
-
-        Args:
-            select: One SELECT in DuckDB's SQL, over `events`, a view for each event type, and the packaged queries by
-                the last parts of their names; one with parameters is called, as in `denials(run := 1)`. `SHOW TABLES`
-                lists them, `DESCRIBE NAME` the columns of one.
-            seconds: The time limit; None: 60.
-            memory_mib: The memory limit, at least 1024; None: 4096.
-
-        Raises:
-            QueryFailed: It is not one SELECT, fails, needs something outside the ledger, or meets a limit.
-        """
-        from fsar_ledger.metrics.untrusted import table_untrusted
-
-        from .limits import limits_of
-        from .provenance import Provenance
-        from .table import Table
-
-        rows, head, rows_verified = table_untrusted(self.path, select, limits_of(seconds, memory_mib), self.demanded)
-        return Table(rows, Provenance(head, rows_verified))
-
-    @contextmanager
-    def stream(
-        self, select: str, limits: "Limits"
-    ) -> "Iterator[tuple[Provenance, list[str], Iterator[pa.RecordBatch]]]":
-        """Yield the answer of `sql` in Arrow batches, so that a long one is never in memory at once."""
-        from fsar_ledger.metrics.untrusted import stream_untrusted
-
-        from .provenance import Provenance
-
-        with stream_untrusted(self.path, select, limits, self.demanded) as found:
-            yield Provenance(found.head, found.rows_verified), found.columns, found.batches
-
+    sql = _sql.sql
     requests = _explain.requests
     explain = _explain.explain
 
@@ -206,6 +201,31 @@ class Ledger(Timelines, Replays, Integrity):
     stream_log = _log.stream_log
 
     # --- replays ---
+
+    def record(self, run: Run) -> "LedgerRun":
+        """Return the record of a run: its events, each with its time and the seq of its cause.
+
+        Raises:
+            UsageError: There is no such run.
+        """
+        return recorded(self, open_for_answers(self.path), run)
+
+    def step(self, run: Run, at: Time = None) -> "Steps":
+        """Return a walk through a run: to the next event, decision or refusal, to a cause, a time or a text.
+
+        Args:
+            run: The run.
+            at: Where to begin; None: at event 0.
+
+        Raises:
+            UsageError: There is no such run, or `at` is no time of it.
+        """
+        from .walks import Steps
+
+        view, provenance = present(self)
+        with about_run(view, run, self.demanded) as (database, name, _):
+            at_us = time_of(database, "at", at, name)
+        return Steps(recorded(self, view, name), provenance, at_us)
 
     state = _state.state
     why = _why.why
@@ -216,6 +236,8 @@ class Ledger(Timelines, Replays, Integrity):
     changeable = _whatif.changeable
     cause = _cause.cause
     bisect = _bisect.bisect
+    view = _view.view
+    trace = _view.trace
 
     # --- judgement ---
 
@@ -223,6 +245,7 @@ class Ledger(Timelines, Replays, Integrity):
     statistics = _statistics.statistics
     compare = _compare.compare
     audit = _audit.audit
+    verify = _verify.verify
     prove = _prove.prove
 
     def multiverse(

@@ -47,10 +47,14 @@ class Option(NamedTuple):
 
 
 class Shows(NamedTuple):
-    """The command line shows the progress of the call, in these words; it is no option."""
+    """The command line shows the progress of the call, in these words; it is no option.
+
+    `instead` has other verbs for calls with a switch.
+    """
 
     verb: str
     unit: str
+    instead: Mapping[str, str] = {}
 
 
 class Clock(NamedTuple):
@@ -129,7 +133,7 @@ def verb(
     """Register a function as a verb of the command line, with calls that show how it is used.
 
     Args:
-        examples: Calls without the name of the program; a test runs them.
+        examples: Calls without the name of the program, which a test runs, and other lines of a shell.
         takes: What the command takes beside the parameters of the function.
         name: The name on the command line; None: that of the function.
         call: Answers the command instead, with the same parameters and those that it declares.
@@ -139,7 +143,7 @@ def verb(
 
     def register(function: _Function) -> _Function:
         called = name or function.__name__.replace("_", "-")
-        calls = tuple(f"fsar-ledger {one}" for one in examples)
+        calls = tuple(f"fsar-ledger {one}" if one.startswith(called) else one for one in examples)
         VERBS[called] = Verb(called, function, call or function, takes, calls, beside, after_interruption)
         function.__doc__ = _documented(function)
         return function
@@ -215,3 +219,12 @@ ParameterOption = Annotated[
     declare("--param", "NAME=VALUE", "A parameter of the query; may be repeated.", complete="parameters"),
 ]
 SvgOption = Annotated[Place | None, declare("--svg", "FILE", "Also draw it, as SVG; replaced if it exists.")]
+WorkersOption = Annotated[
+    int | None,
+    declare(
+        "--workers",
+        "N",
+        "Processes at once; the answer is the same for any number.",
+        "one per core, if there is enough to do",
+    ),
+]

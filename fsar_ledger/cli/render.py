@@ -107,12 +107,15 @@ def respond(
         for one in verb.parameters.values():
             beside = declared(one)
             if isinstance(beside, Shows):
-                given[one.name] = stack.enter_context(Progress(beside.verb, beside.unit))
+                words = (other for switch, other in beside.instead.items() if given[switch])
+                given[one.name] = stack.enter_context(Progress(next(words, beside.verb), beside.unit))
             elif isinstance(beside, Clock):
                 given[one.name] = now_s()
             elif isinstance(beside, Pause):
                 given[one.name] = partial(pause, beside.seconds)
         answer = verb.call(**given | held)
+        for ledger in held.values():
+            ledger.demanded  # noqa: B018 - compares the rows, had the verb not asked for them
     if isinstance(answer, AbstractContextManager):  # rows that come from a process, which may fail in their midst
         with answer as rows:
             pieces: Iterable[Shown] = Kept(_pieces(rows, form, screen))
