@@ -1,10 +1,10 @@
 """The typer application, and `run`, which turns a call into an exit code.
 
-Every module of `commands` is a command. Only `terminal.py` prints, and only this module, `progress.py` and the
-witness's server read a clock. Commands import what they need when they run, so that `--help` stays quick. A command
-that fails raises an error of `errors.py`; `run` turns it into one message on stderr and its exit code: 0 fine, 1 a
-write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130
-interrupted.
+A command is a verb of the API (`api/verbs.py`), or a module of `commands`. Only `terminal.py` prints, and only this
+module, `progress.py` and the witness's server read a clock. Commands import what they need when they run, so that
+`--help` stays quick. A command that fails raises an error of `errors.py`; `run` turns it into one message on stderr and
+its exit code: 0 fine, 1 a write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the
+ledger is damaged, 130 interrupted.
 """
 
 import errno
@@ -41,11 +41,14 @@ GROUPS = {
     "Replay": ("state", "step", "why", "diff", "whatif", "cause", "bisect", "view"),
     "Prove": ("audit", "verify", "prove", "verify-proof", "key", "witness"),
     "The paper": ("reproduce", "report", "calibrate", "predict", "judge", "sensitivity"),
-    "Maintain": ("recover", "upgrade", "compact"),
+    "Maintain": ("maintain",),
 }
 """The commands in the groups and the order of the help."""
+MAINTAIN = ("recover", "upgrade", "compact")
+"""The commands under `maintain`. Until 0.10.0 each is also called without it."""
 FAMILIES = {
     "key": "Make keys that sign ledgers.",
+    "maintain": "Repair a ledger, write it in the newer format, or put its segments together.",
     "witness": "Check that ledgers only grow, or have your own checked.",
 }
 """What the commands do whose names begin with the same word."""
@@ -65,11 +68,20 @@ class Commands(Mapping[str, Any]):
         return len(self._names)
 
     def __getitem__(self, name: str) -> Any:
-        if name not in self._names:
+        if name not in self._names and name not in MAINTAIN:
             raise KeyError(name)
         if name not in self._made:
             self._made[name] = _command(name)
         return self._made[name]
+
+
+class Family(TyperGroup):
+    """Commands whose names begin with the same word."""
+
+    def format_commands(self, _: Any, formatter: Any) -> None:
+        """Write the first line of the help of each command, whole."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, (one.help or "").partition("\n")[0]) for name, one in self.commands.items()])
 
 
 class Verbs(TyperGroup):
@@ -123,7 +135,13 @@ def _summary(name: str) -> str:
 
 def _command(name: str) -> Any:
     """Make a command."""
-    made = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    made = typer.Typer(cls=Family, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    if name == "maintain":
+        made.callback(help=FAMILIES[name])(lambda: None)
+        family = typer.main.get_group(made)
+        for part in MAINTAIN:
+            family.add_command(_command(part))
+        return family
     if _module(name) not in _modules():
         for verb in _verbs(name):
             end = examples(*verb.examples)
@@ -137,13 +155,14 @@ def _command(name: str) -> Any:
         return typer.main.get_command(made)
     for one in module.group.registered_commands:
         one.cls = Command
-    made.add_typer(module.group, name=name)
+    made.add_typer(module.group, name=name, cls=Family)
     return typer.main.get_group(made).commands[name]
 
 
-def _left_by(name: str) -> str:
-    """Return what an interrupted call of the command leaves."""
-    if name not in Commands():
+def _left_by(arguments: Sequence[str]) -> str:
+    """Return what an interrupted call leaves."""
+    name = next((one for one in arguments if one != "maintain"), "")
+    if name not in (*Commands(), *MAINTAIN):
         return NOTHING_CHANGED
     if _module(name) in _modules():
         module = import_module(f"{commands.__name__}.{_module(name)}")
@@ -217,7 +236,7 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         code = INTERRUPTED
     if code == INTERRUPTED:
-        say(f"interrupted; {_left_by(next(iter(arguments), ''))}")
+        say(f"interrupted; {_left_by(arguments)}")
     return code if isinstance(code, int) else 0
 
 

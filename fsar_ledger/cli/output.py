@@ -6,7 +6,6 @@ a cell, a field or a line (`printable`), so whatever these functions return is s
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
@@ -19,9 +18,6 @@ from fsar_ledger.printable import Shown
 
 if TYPE_CHECKING:
     from fsar_ledger.api.provenance import Provenance
-
-SETTING = ("family", "family_tests", "seed", "seeds", "kind", "source", "model_version", "constants")
-"""Columns that a table for people shows only where they tell rows apart."""
 
 
 class HeadLike(Protocol):
@@ -83,17 +79,6 @@ def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified
 def answer_json(provenance: "Provenance", answer: Mapping[str, object]) -> Shown:
     """Return one JSON object: what the answer holds for, then the answer."""
     return json_text(provenance.head, {**provenance.answer(), **answer}, provenance.rows_verified)
-
-
-def unit_of_interventions(ledger: Path) -> Shown:
-    """Return the line below a table of metrics that keeps a share of runs from being read as a number of calls."""
-    calls = f"`fsar-ledger query interventions {printable.word(ledger)}` lists the calls"
-    return printable.lines("", f"human_intervention is the share of runs that called the fleet supervisor; {calls}")
-
-
-def telling(rows: Sequence[Row]) -> list[str]:
-    """Return the columns, without those of a setting that is the same in every row."""
-    return [name for name in (rows[0] if rows else ()) if name not in SETTING or len({row[name] for row in rows}) > 1]
 
 
 def check_form(*, as_json: bool, as_csv: bool, raw: bool, as_ndjson: bool = False) -> None:

@@ -22,9 +22,9 @@ DAMAGED = 3
 SHOWN = 10
 
 EXAMPLES = examples(
-    "fsar-ledger recover out/ledger",
-    "fsar-ledger recover out/ledger --json",
-    "fsar-ledger recover out/ledger --into out/continued",
+    "fsar-ledger maintain recover out/ledger",
+    "fsar-ledger maintain recover out/ledger --json",
+    "fsar-ledger maintain recover out/ledger --into out/continued",
 )
 AFTER_INTERRUPTION = "what was mended stays; run it again"
 
