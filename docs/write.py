@@ -61,7 +61,7 @@ PAGES = (
 FORMAT = DOCS / "ledger-format.md"
 NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")
 """One command of ours whose words are plain, or stand in quotes and mean themselves there."""
-INTERNAL = {"about_run", "database", "stream"}
+INTERNAL = {"about_run", "database"}
 """Methods of `Ledger` that only the command line and the report use."""
 DIGEST = re.compile(r"(?<![0-9a-zA-Z])(?=[0-9a-f]*[a-f])(?=[0-9a-f]*[0-9])[0-9a-f]{12,64}(?![0-9a-zA-Z])")
 FOLDERS = {

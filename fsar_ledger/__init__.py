@@ -16,13 +16,14 @@ if TYPE_CHECKING:
     from fsar_ledger.api.audit import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
-    from fsar_ledger.api.functions import Simulated, reproduce, simulate, verify_proof
-    from fsar_ledger.api.keys import key_new, key_public
+    from fsar_ledger.api.functions import Simulated, reproduce, simulate
+    from fsar_ledger.api.key import key_new, key_public
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.opening import open_ledger
     from fsar_ledger.api.reproduce import Reproduced
     from fsar_ledger.api.table import Table
     from fsar_ledger.api.verify import Verification
+    from fsar_ledger.api.verify_proof import verify_proof
     from fsar_ledger.api.witness import witness_new
     from fsar_ledger.errors import FsarLedgerError
     from fsar_ledger.studies.calibration import calibrate
@@ -61,13 +62,14 @@ _HOMES = {
     "api.audit": ("Audit",),
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
-    "api.keys": ("key_new", "key_public"),
+    "api.key": ("key_new", "key_public"),
     "api.ledger": ("Ledger",),
-    "api.functions": ("Simulated", "reproduce", "simulate", "verify_proof"),
+    "api.functions": ("Simulated", "reproduce", "simulate"),
     "api.opening": ("open_ledger",),
     "api.reproduce": ("Reproduced",),
     "api.table": ("Table",),
     "api.verify": ("Verification",),
+    "api.verify_proof": ("verify_proof",),
     "api.witness": ("witness_new",),
     "errors": ("FsarLedgerError",),
     "studies.calibration": ("calibrate",),

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 import typer
+from typer.main import get_command
 
 from fsar_ledger.cli.app import app, run
 from fsar_ledger.ledger.log.note import parse_note
@@ -32,17 +33,16 @@ LABEL = re.compile(r"\b(?:eq|sec|tab|fig|app):[a-z0-9_:-]*[a-z0-9]")
 LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
 
 
-def listed(group: typer.Typer, *words: str) -> Iterator[tuple[str, typer.models.CommandInfo]]:
+def listed(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
     """Each command that help lists, with the words that call it."""
-    for command in group.registered_commands:
-        if command.callback and not command.hidden:
-            yield " ".join([*words, command.name or command.callback.__name__]), command
-    for inner in group.registered_groups:
-        if inner.typer_instance and inner.name:
-            yield from listed(inner.typer_instance, *words, inner.name)
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from listed(command, *words, name)
+        else:
+            yield " ".join([*words, name]), command
 
 
-COMMANDS = dict(listed(app))
+COMMANDS: dict[str, Any] = dict(listed(get_command(app)))
 STUDIES = {f"study run {name}" for name in ("calibration", "predictions", "comparison", "sensitivity")} | {"study show"}
 # The last two need each other (tests/witness/test_processes.py), and a comparison and what is shown need what another
 # study writes (tests/studies).

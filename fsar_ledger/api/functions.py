@@ -1,6 +1,6 @@
-"""The functions of the API: those that make ledgers, and `verify_proof`."""
+"""The functions of the API that make ledgers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,18 +8,15 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from .experiments import experiment_of
-from .keys import origin_of, signer_of, trusted_of
+from .key import origin_of, signer_of
 from .ledger import Ledger
-from .names import Place, names_of
+from .names import Names, Place, names_of
 from .workload import WORTH_ROBOTS, Progress, workers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.store.proof import Proven
     from fsar_ledger.runtime.experiment import Made
 
     from .reproduce import Reproduced
-
-Names = str | Sequence[str] | None
 
 
 class Simulated(msgspec.Struct, frozen=True):
@@ -138,32 +135,3 @@ def reproduce(
         only=names_of(only),
         runs=runs,
     )
-
-
-def verify_proof(
-    file: Place, trusted_key: str | None = None, *, anchor: Place | None = None, root: str | None = None
-) -> "Proven":
-    """Check a proof of `Ledger.prove`, kept in a file, without the ledger; return what it shows.
-
-    Args:
-        file: A file, or a pipe.
-        trusted_key: A public key, from a .pub file or text, that must have signed it.
-        anchor: A copy of `checkpoint` of the same size, kept elsewhere, that must have the proof's root.
-        root: The root in hex that it must have.
-
-    Raises:
-        LedgerCorrupted: It proves nothing, the trusted key did not sign it, or it leads to another root.
-        UsageError: There is no such file, the anchor is none or is of another size, or the root is no hash.
-    """
-    from fsar_ledger.errors import option
-    from fsar_ledger.ledger.store.proof import check_proof, read_proof, require_root, require_tree
-
-    from .keys import checkpoint_of, root_of
-
-    kept, expected = checkpoint_of(anchor), root_of(root)
-    proven = check_proof(str(file), read_proof(Path(file)), trusted_of(trusted_key))
-    if kept is not None:
-        require_tree(str(file), proven, kept, str(anchor))
-    if expected is not None:
-        require_root(str(file), proven, expected, option("root"))
-    return proven

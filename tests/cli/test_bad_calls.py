@@ -316,10 +316,6 @@ def test_wrong_sql_is_explained(call: Call, ledger: Path, text: str) -> None:
     assert "Traceback" not in called.err
 
 
-def test_two_formats_at_once_are_refused(call: Call, ledger: Path) -> None:
-    one_message(call("metrics", ledger, "--json", "--csv"), 2, "--json and --csv")
-
-
 def test_metrics_by_something_else_are_refused(call: Call, ledger: Path) -> None:
     one_message(call("metrics", ledger, "--by", "robot"), 2, "--by scenario")
 

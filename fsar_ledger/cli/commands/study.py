@@ -23,20 +23,6 @@ from fsar_ledger.cli.options import (
 from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 
-OLD_NAMES = {
-    "calibration": "calibrate",
-    "predictions": "predict",
-    "comparison": "judge",
-    "sensitivity": "sensitivity",
-    "multiverse": "multiverse",
-}
-"""The verb that was each study before 0.9.0. It works as before until the release after that, and no help lists it."""
-
-AFTER_INTERRUPTION = dict.fromkeys(
-    ("study run sensitivity", "sensitivity"),
-    "finished evaluations are kept beside --out, and the same command continues there",
-)
-
 group = typer.Typer()
 run = typer.Typer()
 group.add_typer(run, name="run")

@@ -1,92 +1,140 @@
-"""The command `state`: a fleet at a moment of a run."""
+"""The verb `state`: a moment of a run, how things stood, what a decider had been told, what the ledger had recorded."""
 
-from collections.abc import Iterator
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping
+from operator import itemgetter
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.cli.options import JsonOption, LedgerArgument, OneRunOption, VerifiedOption, examples
-from fsar_ledger.cli.terminal import show
-from fsar_ledger.printable import Shown
+from fsar_ledger.errors import UsageError, option
+
+from .answers import Answer, Screen
+from .names import Time
+from .verbs import JSON, OneRunOption, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.beliefs import Belief
     from fsar_ledger.analysis.standing import RobotNow, Standing
-    from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.api.moment import Moment
+    from fsar_ledger.projections.fold import State
 
-EXAMPLES = examples(
-    "fsar-ledger state out/ledger --run 1 --at 46.6s",
-    "fsar-ledger state out/ledger --run 2 --at 72s --as-known-by coordinator",
-    "fsar-ledger state out/ledger --run 1 --at 72s --robot B1 --json",
-)
+    from .ledger import Ledger
+    from .provenance import Provenance
+
 BESIDE = "    "
 
 
+class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
+    """How things stood in a run at a time.
+
+    `seq` is the last event that had happened by then, and `event_s` its time; `ends_s` that of the last of the run.
+    `commit` is the commit of the ledger, from 1, that recorded the run. `beliefs` are what a decider had been told,
+    None unless asked for. `state` are the projections themselves. Units: seconds of run time.
+    """
+
+    run: str
+    at_s: float
+    seq: int
+    event_s: float
+    ends_s: float
+    commit: int
+    standing: "Standing"
+    beliefs: "list[Belief] | None"
+    state: "State"
+    provenance: "Provenance"
+
+    def document(self, screen: Screen) -> Mapping[str, object]:
+        """Return all but the projections."""
+        return {name: value for name, value in Answer.document(self, screen).items() if name != "state"}
+
+    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+        """Yield how things stood, and what was believed."""
+        yield printable.lines(
+            screen.run_text(self.run),
+            f"at {self.at_s:.3f} s of {self.ends_s:.3f} s, after event {self.seq} at {self.event_s:.3f} s",
+            f"recorded with commit {self.commit}",
+            *standing_lines(self.standing),
+        )
+        if self.beliefs is not None:
+            told = (f"{BESIDE}{line}" for line in map(_belief, self.beliefs))
+            yield printable.lines("", "what it had been told, and what held", *told)
+
+
+@verb(
+    "state out/ledger --run 1 --at 46.6s",
+    "state out/ledger --run 2 --at 72s --as-known-by coordinator",
+    "state out/ledger --run 1 --at 72s --robot B1 --json",
+    takes=JSON,
+)
 def state(
-    ledger: LedgerArgument,
+    ledger: "Ledger",
     run: OneRunOption,
-    at: Annotated[
-        str | None,
-        typer.Option("--at", metavar="TIME", help="Within the run: 46.6, 46.6s or 46600ms.", show_default="its end"),
-    ] = None,
-    robot: Annotated[
-        str | None,
-        typer.Option("--robot", metavar="ROBOT", help="Only what this robot has a part in.", show_default="all"),
-    ] = None,
+    at: Annotated[Time, declare("--at", "TIME", "Within the run: 46.6, 46.6s or 46600ms.", "its end")] = None,
+    *,
+    robot: Annotated[str | None, declare("--robot", "ROBOT", "Only what this robot has a part in.", "all")] = None,
     as_known_by: Annotated[
         str | None,
-        typer.Option(
+        declare(
             "--as-known-by",
-            metavar="DECIDER",
-            help="Also what it had been told: coordinator, robot/A1, service/registry, agent/A1/planning.",
-            show_default=False,
+            "DECIDER",
+            "Also what it had been told: coordinator, robot/A1, service/registry, agent/A1/planning.",
         ),
     ] = None,
     by_commit: Annotated[
-        int | None,
-        typer.Option(
-            "--by-commit", metavar="N", help="From what the ledger had recorded after N commits.", show_default="all"
-        ),
+        int | None, declare("--by-commit", "N", "From what the ledger had recorded after N commits.", "all")
     ] = None,
-    verified: VerifiedOption = False,
-    as_json: JsonOption = False,
-) -> None:
+) -> Moment:
     """Show a fleet at a moment of a run: who does what, what waits, what is in force, and what is open.
 
     There are two times: --at is when it held in the run, and --by-commit what the ledger had recorded. With
     --as-known-by also what a decider had been told by then, how old that is, and what held: its decisions rest on the
     former.
+
+    Raises:
+        UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
     """
-    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.analysis.beliefs import beliefs
+    from fsar_ledger.analysis.moments import Timeline
+    from fsar_ledger.analysis.records import commits_of, record_of
+    from fsar_ledger.analysis.standing import standing
 
-    asked = opened(ledger, verified=verified)
-    found = asked.state(run, at, robot=robot, as_known_by=as_known_by, by_commit=by_commit)
-    warn(ledger, found.provenance)
-    show(_json(found) if as_json else printable.lines(*_lines(asked, found)))
+    from .lookup import about_run, present, robot_of, time_of
+    from .provenance import of_run
 
-
-def _json(found: "Moment") -> Shown:
-    from msgspec import structs
-
-    from fsar_ledger.cli.output import answer_json
-
-    answer = {name: value for name, value in structs.asdict(found).items() if name not in ("provenance", "state")}
-    return answer_json(found.provenance, answer)
-
-
-def _lines(asked: "Ledger", found: "Moment") -> Iterator[str]:
-    from fsar_ledger.cli.output import run_text
-
-    yield run_text(found.run, asked.numbers().get(found.run))
-    yield f"at {found.at_s:.3f} s of {found.ends_s:.3f} s, after event {found.seq} at {found.event_s:.3f} s"
-    yield f"recorded with commit {found.commit}"
-    yield from standing_lines(found.standing)
-    if found.beliefs is not None:
-        yield ""
-        yield "what it had been told, and what held"
-        yield from (f"{BESIDE}{line}" for line in map(_belief, found.beliefs))
+    view, provenance = present(ledger)
+    with about_run(view, run, ledger.demanded) as (database, name, _):
+        at_us = time_of(database, "at", at, name)
+        whose = None if robot is None else robot_of(database, robot, name)
+    commits = len(view.commits)
+    found = commits_of(view, name)
+    if by_commit is not None:
+        if not 0 <= by_commit <= commits:
+            raise UsageError(f"{option('by_commit', by_commit)}: expected 0 to {commits}, the commits of the ledger")
+        if by_commit < (commit := found[0][1] + 1):
+            raise UsageError(
+                f"{option('by_commit', by_commit)}: by then the ledger had recorded nothing of run "
+                f"{printable.value(name)}, which came with commit {commit}"
+            )
+    timeline = Timeline(record_of(view, name, None if by_commit is None else view.commits[by_commit - 1].tree_size))
+    times_us = timeline.record.times_us
+    at_us = times_us[-1] if at_us is None else at_us
+    seq = timeline.seq_at(at_us)
+    after = timeline.after(seq)
+    known = None if as_known_by is None else beliefs(timeline.record, seq, after, as_known_by)
+    stands = standing(timeline.record, seq, after, whose)
+    return Moment(
+        run=name,
+        at_s=at_us / 1e6,
+        seq=seq,
+        event_s=times_us[seq] / 1e6,
+        ends_s=times_us[-1] / 1e6,
+        commit=found[bisect_right(found, seq, key=itemgetter(0)) - 1][1] + 1,
+        standing=stands,
+        beliefs=known,
+        state=after,
+        provenance=of_run(provenance, stands.not_observed),
+    )
 
 
 def standing_lines(found: "Standing") -> Iterator[str]:

@@ -1,24 +1,60 @@
-"""Keys that sign ledgers, and the names under which they sign."""
+"""The verbs `key new` and `key public`: keys that sign ledgers, and the names under which they sign."""
 
 import re
+from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
+
+from .answers import Answer, Screen
+from .names import Place
+from .verbs import argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.log.note import Checkpoint, Signer, VerifierKey
     from fsar_ledger.ledger.verify.notes import Anchor
 
 
-def key_new(file: str | PathLike[str], name: str | None = None) -> "VerifierKey":
-    """Make a key that signs ledgers, the secret in `file`, the public half in `file` + `.pub`; return the public half.
+class PublicKey(Answer, msgspec.Struct, frozen=True):
+    """A public key."""
 
-    Args:
-        file: A new file. Whoever has it can rewrite every ledger that the key signed.
-        name: The origin of the ledgers it signs; None: `fsar-ledger/simulated`.
+    key: "VerifierKey"
+
+    def text(self, _: Screen) -> Iterator[printable.Shown]:
+        """Yield the key."""
+        yield printable.line(str(self.key))
+
+
+def _new(file: Path, name: str | None) -> PublicKey:
+    return PublicKey(key_new(file, name))
+
+
+def _public(key: str, name: str) -> PublicKey:
+    return PublicKey(key_public(key, name))
+
+
+@verb(
+    "key new fleet.key",
+    "key new arm.key --name example.org/arm",
+    name="key new",
+    takes=(),
+    call=_new,
+)
+def key_new(
+    file: Annotated[Place, argument("FILE", "Where the secret key goes; the public one goes to FILE.pub.")],
+    name: Annotated[
+        str | None, declare("--name", "NAME", "The origin of the ledgers it signs.", "fsar-ledger/simulated")
+    ] = None,
+) -> "VerifierKey":
+    """Make a key that signs ledgers, and print its public half.
+
+    Keep FILE secret: whoever has it can rewrite every ledger that it signed. The public half is for everyone who
+    verifies.
 
     Raises:
         UsageError: The name cannot be an origin, or the file exists or would lie inside a ledger.
@@ -32,8 +68,19 @@ def key_new(file: str | PathLike[str], name: str | None = None) -> "VerifierKey"
     return new_key(Path(file), ORIGIN if name is None else short("name", name))
 
 
-def key_public(key: str, name: str) -> "VerifierKey":
-    """Return a public key, from a .pub file or text, under another name, to verify a ledger of that origin.
+@verb(
+    'key public out/fleet.key.pub --name "example.org/fleet/ablation"',
+    name="key public",
+    takes=(),
+    call=_public,
+)
+def key_public(
+    key: Annotated[str, argument("KEY", "A public key: a .pub file, or the key itself.")],
+    name: Annotated[str, declare("--name", "NAME", "The origin of the ledger to verify.")],
+) -> "VerifierKey":
+    """Print a public key under another name, for `verify --trusted-key`.
+
+    `reproduce` signs each ledger with one secret under a name of its own.
 
     Raises:
         UsageError: There is no such key, or no ledger can have this origin.
@@ -110,3 +157,17 @@ def root_of(text: str | None) -> str | None:
     if text is not None and not re.fullmatch("[0-9a-fA-F]{64}", text):
         raise UsageError(f"{option('root', f'{text:.80}')}: found no hash, expected 64 hexadecimal digits")
     return None if text is None else text.lower()
+
+
+def signature_text(state: str, signer: str | None) -> str:
+    """Return what the signature of a note is worth, in words.
+
+    `signer` is the trusted key that made it, or the one that the note names.
+    """
+    if signer is None:
+        return "unsigned"
+    return (
+        f"signed by {printable.value(signer)}"
+        if state == "signed"
+        else f"signed, signer not checked (it names {printable.value(signer)})"
+    )
