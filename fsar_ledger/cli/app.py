@@ -154,8 +154,13 @@ def _command(name: str) -> Any:
             family.add_command(_command(part))
         return family
     if name in OLD_STUDIES:
-        family = typer.main.get_group(import_module(f"{commands.__name__}.study").run)
-        return family.commands[OLD_STUDIES[name]]
+        (study,) = (
+            one
+            for one in import_module(f"{commands.__name__}.study").run.registered_commands
+            if one.name == OLD_STUDIES[name]
+        )
+        made.command(name, cls=Command, epilog=study.epilog)(study.callback)
+        return typer.main.get_command(made)
     if _module(name) not in _modules():
         for verb in _verbs(name):
             end = examples(*verb.examples)
@@ -173,10 +178,11 @@ def _command(name: str) -> Any:
 
 
 def _once(group: typer.Typer) -> None:
-    """Let all commands of a group, and of groups in it, refuse an option that is given twice."""
+    """Let all commands of a group, and of groups in it, refuse an option given twice, and be listed whole."""
     for one in group.registered_commands:
         one.cls = Command
     for inner in group.registered_groups:
+        inner.cls = Family
         if inner.typer_instance is not None:
             _once(inner.typer_instance)
 

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from fsar_ledger.cli.app import app
-from fsar_ledger.cli.commands.study import OLD_NAMES
+from fsar_ledger.cli.app import OLD_STUDIES, app
 
 from .conftest import Call, one_message
 
@@ -70,9 +69,9 @@ def test_what_cannot_be_shown_is_one_message(call: Call, tmp_path: Path) -> None
 def test_the_verbs_of_before_are_the_studies_and_no_help_lists_them(call: Call, ledger: Path) -> None:
     commands: Any = get_command(app)
     runs = commands.commands["study"].commands["run"].commands
-    assert set(OLD_NAMES) == set(runs)
-    for name, old in OLD_NAMES.items():
-        assert commands.commands[old].hidden
+    assert set(OLD_STUDIES.values()) == set(runs)
+    for old, name in OLD_STUDIES.items():
+        assert old not in [*commands.commands]
         assert commands.commands[old].callback.__wrapped__ is runs[name].callback.__wrapped__
         assert f"  {old} " not in call("--help").out
     assert call("multiverse", ledger, *SMALL).out == call("study", "run", "multiverse", ledger, *SMALL).out
