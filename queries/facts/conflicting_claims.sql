@@ -8,21 +8,15 @@
 -- Example: fsar-ledger query facts/conflicting_claims LEDGER
 WITH pairs AS (
     SELECT
-        one.run_id, one.action_id, one.dimension,
-        unnest([one.seq, other.seq]) AS seq,
-        unnest([one.claimant, other.claimant]) AS claimant,
-        unnest([one.began_us, other.began_us]) AS began_us
-    FROM held_claims AS one
-    INNER JOIN held_claims AS other
-        ON
-            one.run_id = other.run_id AND one.action_id = other.action_id AND one.dimension = other.dimension
-            AND one.claimant < other.claimant
-            AND one.began_us < other.ended_us AND one.ended_us > other.began_us
+        run_id, action_id, dimension, from_us, later_seq,
+        unnest([one_seq, other_seq]) AS seq,
+        unnest([one_claimant, other_claimant]) AS claimant
+    FROM claim_overlaps
 )
 
 SELECT
     conflicts.run_id, conflicts.action_id, conflicts.dimension, conflicts.began_us,
-    max(pairs.seq) FILTER (pairs.began_us = conflicts.began_us) AS seq,
+    max(pairs.later_seq) FILTER (pairs.from_us = conflicts.began_us) AS seq,
     list(DISTINCT pairs.seq ORDER BY pairs.seq) AS claim_seqs,
     list(DISTINCT pairs.claimant ORDER BY pairs.claimant) AS claimants
 FROM conflicts

@@ -10,10 +10,8 @@
 -- Units: as in conflicts
 -- NULL: as in conflicts
 -- Example: fsar-ledger query readings/conflict_of_claim LEDGER
-SELECT later.run_id, later.action_id, later.dimension, later.began_us
-FROM held_claims AS later
-SEMI JOIN held_claims AS earlier
-    ON
-        later.run_id = earlier.run_id AND later.action_id = earlier.action_id AND later.dimension = earlier.dimension
-        AND later.claimant <> earlier.claimant AND (earlier.began_us, earlier.seq) < (later.began_us, later.seq)
-        AND later.began_us < earlier.ended_us
+SELECT
+    run_id, action_id, dimension,
+    from_us AS began_us
+FROM claim_overlaps
+GROUP BY run_id, action_id, dimension, later_seq, from_us
