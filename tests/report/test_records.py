@@ -45,7 +45,7 @@ def test_a_changed_rule_is_named_by_every_record(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, findings: Findings
 ) -> None:
     before = rules(METRICS)
-    other = edited(CONFLICTS, ("held_until_us > began_us", "held_until_us >= began_us"))
+    other = edited(CONFLICTS, ("min(began_us)", "max(began_us)"))
     monkeypatch.setattr(bound, "library", lambda: other)
     assert [name for name, digest in rules(METRICS).items() if before[name] != digest] == [CONFLICTS]
     for name in RELATIONS:
@@ -104,7 +104,7 @@ def test_records_are_made_until_one_has_other_results(
 ) -> None:
     assert records.main(["--stale"]) == records.main([]) == 0
     assert capsys.readouterr().out.count("rests on the queries as they are\n") == 3
-    other = edited(CONFLICTS, ("held_until_us > began_us", "held_until_us >= began_us"))
+    other = edited(CONFLICTS, ("min(began_us)", "max(began_us)"))
     monkeypatch.setattr(bound, "library", lambda: other)
     monkeypatch.setattr(records, "renew", lambda record, _: record.name == "predictions.json")
     assert records.main(["--stale"]) == 0
