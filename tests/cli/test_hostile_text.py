@@ -77,10 +77,10 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("prove", ledger, EVIL),
     )
     yield from (
-        ("upgrade", ledger, "--into", out / "second\x1b[2J"),
-        ("upgrade", ledger, "--into", ledger / EVIL),
-        ("compact", out / "second\x1b[2J"),
-        ("compact", ledger),
+        ("maintain", "upgrade", ledger, "--into", out / "second\x1b[2J"),
+        ("maintain", "upgrade", ledger, "--into", ledger / EVIL),
+        ("maintain", "compact", out / "second\x1b[2J"),
+        ("maintain", "compact", ledger),
     )
     yield from (
         ("view", ledger, "--run", run, "--out", out / "page.html", "--perfetto", out / "trace.json"),
@@ -90,7 +90,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     yield from (
         ("key", "new", key, "--name", EVIL),
         ("key", "new", key, "--name", "x/\u05d0"),
-        ("recover", ledger, "--workers", 1),
+        ("maintain", "recover", ledger, "--workers", 1),
     )
     yield from calls_of_witnesses(ledger, place)
     yield from (
@@ -179,7 +179,8 @@ def more_calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, 
             f"SELECT run_id, robot, path, 'e' || robot AS \"{EVIL}\" FROM events WHERE robot IS NOT NULL LIMIT 3",
             form,
         )
-    yield from ((verb, ledger, "--json") for verb in ("info", "verify", "explain", "audit", "recover"))
+    yield from ((verb, ledger, "--json") for verb in ("info", "verify", "explain", "audit"))
+    yield "maintain", "recover", ledger, "--json"
     yield from (
         ("verify-proof", proof, "--json"),
         ("explain", ledger, "--run", run, "--request", action, "--json"),
@@ -222,7 +223,7 @@ def more_calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, 
         ("report", out / "nowhere", "--out", out / "x.pdf"),
         ("report", ledger, "--out", out),
     )
-    yield "recover", ledger, "--into", out / "copy", "--json", "--workers", 1
+    yield "maintain", "recover", ledger, "--into", out / "copy", "--json", "--workers", 1
 
 
 def drive(all_calls: Iterator[tuple[object, ...]], call: Call) -> tuple[set[str], set[int]]:
@@ -232,7 +233,8 @@ def drive(all_calls: Iterator[tuple[object, ...]], call: Call) -> tuple[set[str]
         called = call(*arguments)
         assert (painted(called.out), painted(called.err)) == ([], []), arguments
         assert "Traceback" not in called.err
-        seen.add(" ".join(map(str, arguments[: 2 if arguments[0] in ("key", "witness") else 1])))
+        words = [" ".join(map(str, arguments[:count])) for count in (1, 2, 3)]
+        seen.update(name for name in words if name in COMMANDS)
         codes.add(called.code)
     return seen, codes
 
@@ -268,8 +270,8 @@ def test_a_damaged_ledger_does_not_paint_either(ledger: Path, call: Call, tmp_pa
     for arguments in (
         ("verify", copy),
         ("verify", copy, "--json"),
-        ("recover", copy),
-        ("recover", copy, "--json"),
+        ("maintain", "recover", copy),
+        ("maintain", "recover", copy, "--json"),
         ("metrics", copy),
         ("sql", copy, "SELECT 1"),
     ):

@@ -158,9 +158,9 @@ def _of_file(
             f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file "
             f"{printable.word(file)} out/ledger`"
         )
-    select = _text_of(file, limits_of(*most).sql_bytes)
     asked = opened(Path(name), verified=verified)
     try:
+        select = _text_of(file, limits_of(*most).sql_bytes)
         with rows_of_select(asked, select, *most) as rows:
             text = Kept(form.pieces(rows.provenance, rows.columns, rows.batches(), asked.numbers))
         warn(asked.path, rows.provenance)
