@@ -115,11 +115,13 @@ def outcomes_of(record: LedgerRun, draw: Random) -> list[str]:
     return found
 
 
-@pytest.mark.slow
-def test_causes_of_fifty_random_outcomes_suffice_and_are_smallest() -> None:
+@pytest.mark.parametrize(
+    "outcomes", [pytest.param(12, marks=pytest.mark.slow), pytest.param(50, marks=pytest.mark.soak)]
+)
+def test_causes_of_random_outcomes_suffice_and_are_smallest(outcomes: int) -> None:
     draw = Random(15)
     judged = 0
-    while judged < 50:
+    while judged < outcomes:
         record = simulated(
             draw.choice(("fsar", "cfc", "dhma")), draw.randrange(20), scenario=draw.choice(PAPER_SCENARIOS)
         )
