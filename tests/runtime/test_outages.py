@@ -38,7 +38,7 @@ from fsar_ledger.projections.world import World, evolve
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers import task
-from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, Scheduled, StartAction
+from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Handlers, PublicCommand, Scheduled, StartAction
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.replay import replay_run
@@ -76,9 +76,11 @@ def test_a_handler_table_that_lacks_what_it_names_is_refused() -> None:
     class Unknown(Command):
         """A command of no module."""
 
-    assert HandlerTable.of(task).decides == task.DECIDES
+    assert HandlerTable.of(task).decides == task.HANDLERS.decides
     forgetful = ModuleType("forgetful")
-    vars(forgetful).update(DECIDES=task.DECIDES, REACTS=task.REACTS, ACTORS={})
+    handlers = Handlers()
+    handlers.decide(BeginStep)(task.begin_step)
+    vars(forgetful)["HANDLERS"] = handlers
     with pytest.raises(ValueError, match="BeginStep by nobody"):
         HandlerTable.of(forgetful)
     with pytest.raises(ValueError, match="lacks what it names: reacts"):

@@ -6,7 +6,7 @@ that meets the same hop of the same action meets the same latency.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -48,14 +48,45 @@ class Scheduled(msgspec.Struct, frozen=True, gc=False):
 
 Decide = Callable[[State, Any], tuple[Event, ...]]
 React = Callable[[State, Any, int], tuple[Scheduled, ...]]
-Decides = dict[type[Command], Decide]
-Reacts = dict[type[Event], React]
 Actor = Callable[[State, Any], Robot | None]
 """The robot that carries out a command, as things stand when it is due.
 
 None is an actor that is never off: the world, a service, the coordinator, a human.
 """
-Actors = dict[type[Command], Actor]
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+class Handlers:
+    """The decisions and reactions of one module, which registers them with these decorators.
+
+    `decides`: the handler of each command type; `actors`: who carries it out, for all but public commands; `reacts`:
+    the reaction to each event type.
+    """
+
+    def __init__(self) -> None:
+        self.decides: dict[type[Command], Decide] = {}
+        self.actors: dict[type[Command], Actor] = {}
+        self.reacts: dict[type[Event], React] = {}
+
+    def decide(self, command: type[Command], actor: Actor | None = None) -> Callable[[_Function], _Function]:
+        """Register the decorated function as the handler of this command, which `actor` carries out."""
+
+        def register(function: _Function) -> _Function:
+            self.decides[command] = function
+            if actor is not None:
+                self.actors[command] = actor
+            return function
+
+        return register
+
+    def react(self, *events: type[Event]) -> Callable[[_Function], _Function]:
+        """Register the decorated function as the reaction to events of these types."""
+
+        def register(function: _Function) -> _Function:
+            self.reacts.update(dict.fromkeys(events, function))
+            return function
+
+        return register
 
 
 def message(sender: str | None, key: str, hop: int | str) -> Ask:

@@ -13,7 +13,7 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.runtime.architectures.cfc import coordinator, execution, request
-from fsar_ledger.runtime.architectures.cfc.recovery import REACTS, GoOnWithoutHelp, go_on_without_help
+from fsar_ledger.runtime.architectures.cfc.recovery import HANDLERS, GoOnWithoutHelp, go_on_without_help
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import parties
@@ -76,12 +76,12 @@ def _end_own_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
 def _on_own_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
     if _may_try(state.budget, state.fleet, state.recovery[event.subject.action_id], 0, now_us):
         return (Scheduled(RetryAlone(event.subject.action_id)),)
-    return REACTS[ExecutionFailed](state, event, now_us)
+    return HANDLERS.reacts[ExecutionFailed](state, event, now_us)
 
 
 def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tuple[Scheduled, ...]:
     if event.principals.decided_by == COORDINATOR:  # it orders one where the robot may not try at all
-        return REACTS[RecoveryAttempted](state, event, now_us)
+        return HANDLERS.reacts[RecoveryAttempted](state, event, now_us)
     return (end_of_attempt(state.fleet, event),)
 
 
@@ -90,15 +90,15 @@ def _on_own_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: i
     failure = open_failure(state.execution, state.recovery, event.subject.action_id)
     if failure is not None and _may_try(state.budget, state.fleet, failure[1], event.number, now_us):
         return ()
-    return REACTS[RecoveryAttemptFailed](state, event, now_us)
+    return HANDLERS.reacts[RecoveryAttemptFailed](state, event, now_us)
 
 
 def _recovering_alone(table: HandlerTable) -> HandlerTable:
     """Let robots make their own attempts before the coordinator hears of a failure."""
     instead: dict[React, React] = {
-        REACTS[ExecutionFailed]: _on_own_failure,
-        REACTS[RecoveryAttempted]: _on_own_attempt,
-        REACTS[RecoveryAttemptFailed]: _on_own_attempt_failed,
+        HANDLERS.reacts[ExecutionFailed]: _on_own_failure,
+        HANDLERS.reacts[RecoveryAttempted]: _on_own_attempt,
+        HANDLERS.reacts[RecoveryAttemptFailed]: _on_own_attempt_failed,
     }
     reacts = {event: tuple(instead.get(react, react) for react in several) for event, several in table.reacts.items()}
     return HandlerTable(

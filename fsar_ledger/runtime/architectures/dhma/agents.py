@@ -17,8 +17,10 @@ from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import is_injected
 from fsar_ledger.runtime.handlers.authority import close_execution
-from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Handlers, Scheduled
 from fsar_ledger.runtime.handlers.execution import pause_running
+
+HANDLERS = Handlers()
 
 
 class TakeSnapshot(Command):
@@ -43,11 +45,13 @@ def snapshot(knowledge: Knowledge, robot: Robot) -> PolicyOutcome:
     return knowledge.snapshot.get(robot, "allow")
 
 
+@HANDLERS.decide(TakeSnapshot, named)
 def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
     """Refresh the planner's snapshot with the policy as it is now."""
     return (SnapshotTaken(command.robot, in_force(state.world.local, command.robot)),)
 
 
+@HANDLERS.decide(EngagePlanner, named)
 def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
     """Make every agent that is party to an open action of the robot claim override until the action ends."""
     robot = command.robot
@@ -94,6 +98,7 @@ def claims(
     ]
 
 
+@HANDLERS.react(SnapshotPhaseSet)
 def _first_snapshot(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:
     return (
         Scheduled(
@@ -102,6 +107,7 @@ def _first_snapshot(state: State, event: SnapshotPhaseSet, _now_us: int) -> tupl
     )
 
 
+@HANDLERS.react(SnapshotTaken)
 def _next_snapshot(state: State, event: SnapshotTaken, now_us: int) -> tuple[Scheduled, ...]:
     structure = state.fleet.structure
     if now_us > structure.watch_us and not state.task:
@@ -109,14 +115,9 @@ def _next_snapshot(state: State, event: SnapshotTaken, now_us: int) -> tuple[Sch
     return (Scheduled(TakeSnapshot(event.robot), structure.snapshot_period_us),)
 
 
+@HANDLERS.react(ContextChanged)
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
     return (*pause_running(state, event, now_us), Scheduled(EngagePlanner(event.robot)))
 
 
-DECIDES: Decides = {TakeSnapshot: take_snapshot, EngagePlanner: engage_planner, CloseExecution: close_execution}
-ACTORS: Actors = {
-    TakeSnapshot: named,
-    EngagePlanner: named,
-    CloseExecution: nobody,
-}
-REACTS: Reacts = {SnapshotPhaseSet: _first_snapshot, SnapshotTaken: _next_snapshot, ContextChanged: _on_context}
+HANDLERS.decide(CloseExecution, nobody)(close_execution)

@@ -14,9 +14,11 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.actors import body, target
 from fsar_ledger.runtime.handlers.authority import release
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message
 
 from .talk import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION, TO_PLANNING, Said, path, talk
+
+HANDLERS = Handlers()
 
 
 class PassExecution(Command):
@@ -56,6 +58,7 @@ def _under_contract(execution: Execution, requests: Requests, action_id: str, co
     return action
 
 
+@HANDLERS.decide(PassExecution, body)
 def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
     """Let the receiver claim execution as well."""
     action = _under_contract(state.execution, state.request, command.action_id, command.round)
@@ -65,6 +68,7 @@ def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
     return (AuthorityClaimed(action.subject, "execution", receiver, command.receiver),)
 
 
+@HANDLERS.decide(AcknowledgeExecution, body)
 def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[Event, ...]:
     """Release the sender's claim on execution."""
     action = _under_contract(state.execution, state.request, command.action_id, command.round)
@@ -78,11 +82,13 @@ def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[
     )
 
 
+@HANDLERS.decide(SettleBooking, body)
 def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
     """Resolve the double booking."""
     return release(state.authority, command.action_id, "double booking")
 
 
+@HANDLERS.decide(RunOutsider, target)
 def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
     """Run the request unchecked, without an executor or a supervisor on record."""
     request = state.request.open.get(command.action_id)
@@ -108,6 +114,7 @@ def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.react(AuthorityClaimed)
 def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple[Scheduled, ...]:
     """Pass execution from communication to planning to the execution agent.
 
@@ -158,21 +165,7 @@ def _heard(said: Said, command: Command) -> tuple[Scheduled, ...]:
     return (Scheduled(command, 0, lengths), record)
 
 
+@HANDLERS.react(OutsiderRequestInjected)
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
     said, record = talk(state.fleet, event.robot, CALL, event.task_id, "query")
     return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.robot, event.task_id, 0))), record)
-
-
-DECIDES: Decides = {
-    PassExecution: pass_execution,
-    AcknowledgeExecution: acknowledge_execution,
-    SettleBooking: settle_booking,
-    RunOutsider: run_outsider,
-}
-ACTORS: Actors = {
-    PassExecution: body,
-    AcknowledgeExecution: body,
-    SettleBooking: body,
-    RunOutsider: target,
-}
-REACTS: Reacts = {AuthorityClaimed: _on_acceptance, OutsiderRequestInjected: _on_outsider}

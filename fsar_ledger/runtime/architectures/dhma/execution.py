@@ -15,16 +15,14 @@ from fsar_ledger.events.request import ContractVoided, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.handlers.actors import requester
+from fsar_ledger.runtime.handlers.actors import body, named, requester
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
     BeginStep,
     Command,
     DecideRoutine,
-    Decides,
-    Reacts,
+    Handlers,
     ResumeAction,
     Scheduled,
     StartAction,
@@ -36,6 +34,8 @@ from fsar_ledger.runtime.handlers.execution import approach, queued, started, wa
 
 from .agents import snapshot
 from .talk import OWN_STEP, RENEGOTIATION, REPLANNING, path, talk
+
+HANDLERS = Handlers()
 
 
 class PlanOwnStep(Command):
@@ -50,6 +50,7 @@ class QueueOwnStep(Command):
     action_id: str
 
 
+@HANDLERS.decide(PlanOwnStep, requester)
 def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     """Decide to do the step, unless the planner's snapshot forbids it for now."""
     request = state.request.open.get(command.action_id)
@@ -66,6 +67,7 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     return (OwnStepDecided(request.subject, principals, request.capability),)
 
 
+@HANDLERS.decide(QueueOwnStep, requester)
 def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     """Queue the step for the robot."""
     request = state.request.open.get(command.action_id)
@@ -76,6 +78,7 @@ def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     return (queued(request, parties, robot),)
 
 
+@HANDLERS.decide(StartAction, body)
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the execution, or void the contract if a party's context has changed since the award."""
     action = waiting(state.execution, command.action_id)
@@ -91,6 +94,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     return (started(state.fleet, state.world, action, command),)
 
 
+@HANDLERS.decide(DecideRoutine, named)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation: sensing by one agent, a motion by the planner.
 
@@ -109,16 +113,19 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.react(StepBegan)
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(PlanOwnStep(event.subject.action_id)),) if event.target_role is None else ()
 
 
+@HANDLERS.react(RequestDenied)
 def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
     if event.reason != "own step" or event.subject.task_id is None or event.subject.action_id is None:
         return ()
     return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
 
 
+@HANDLERS.react(SupervisorResponded)
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.open.get(event.subject.action_id)
     if event.purpose != "review" or request is None or request.is_delegated:
@@ -126,6 +133,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     return (Scheduled(PlanOwnStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
 
 
+@HANDLERS.react(OwnStepDecided)
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     said, record = talk(
@@ -138,6 +146,7 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
     return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said), record)
 
 
+@HANDLERS.react(ExecutionPaused)
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
     """Replan through the robot's agents; a delegated action also needs the other robot's agents."""
     structure = state.fleet.structure
@@ -161,21 +170,4 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     )
 
 
-DECIDES: Decides = {
-    PlanOwnStep: plan_own_step,
-    QueueOwnStep: queue_own_step,
-    TakeTurn: approach,
-    StartAction: start,
-    DecideRoutine: decide_routine,
-}
-ACTORS: Actors = {
-    PlanOwnStep: requester,
-    QueueOwnStep: requester,
-}
-REACTS: Reacts = {
-    StepBegan: _on_step,
-    RequestDenied: _on_denial,
-    SupervisorResponded: _on_response,
-    OwnStepDecided: _on_own_step,
-    ExecutionPaused: _on_pause,
-}
+HANDLERS.decide(TakeTurn, body)(approach)

@@ -27,17 +27,13 @@ from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.world import World, is_linked
 from fsar_ledger.runtime.handlers.actors import named, requester, target
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, pending_of_other_task, recorded_by
-from fsar_ledger.runtime.handlers.commands import (
-    Actors,
-    CloseRequest,
-    Command,
-    Decides,
-    Reacts,
-)
+from fsar_ledger.runtime.handlers.commands import CloseRequest, Command, Handlers
 from fsar_ledger.runtime.handlers.execution import queued
 
 from .agents import snapshot
 from .talk import CALL, EVALUATION, path
+
+HANDLERS = Handlers()
 
 
 class DetectGap(Command):
@@ -106,6 +102,7 @@ def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
     return None
 
 
+@HANDLERS.decide(DetectGap, requester)
 def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     """Record the planner's finding that the step needs another robot."""
     request = state.request.open.get(command.action_id)
@@ -115,6 +112,7 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     return (GapDetected(request.subject, parties, request.capability),)
 
 
+@HANDLERS.decide(CallForProposals, requester)
 def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
     """Call every capable robot."""
     request = state.request.open.get(command.action_id)
@@ -135,6 +133,7 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
     )
 
 
+@HANDLERS.decide(EvaluateBid, named)
 def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
     request = state.request.open.get(command.action_id)
@@ -151,6 +150,7 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     return (decided, BidSubmitted(request.task_id, parties, robot, outcome))
 
 
+@HANDLERS.decide(ReceiveBid, requester)
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
     """Record the bid at the requester's planner."""
     request = state.request.open.get(command.action_id)
@@ -161,6 +161,7 @@ def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(Award, requester)
 def award(state: State, command: Award) -> tuple[Event, ...]:
     """Award the contract, or put the best bid before H_F."""
     request = state.request.open.get(command.action_id)
@@ -178,6 +179,7 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
     return (AwardMade(request.task_id, parties, best[0]),)
 
 
+@HANDLERS.decide(CloseBidding, requester)
 def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
     """Count robots that the call did not reach in time as refusals, and award to the best of the others.
 
@@ -208,6 +210,7 @@ def _may_answer(world: World, request: Request) -> bool:
     )
 
 
+@HANDLERS.decide(GoOnWithout, requester)
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     """Void an award that was not accepted in time; the step is tried again later. Reading: R44."""
     request = state.request.open.get(command.action_id)
@@ -222,6 +225,7 @@ def _unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | 
     return RequestUnanswered(request.subject, principals, request.capability)
 
 
+@HANDLERS.decide(AcceptAward, target)
 def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
     """Commit the executor; its communication agent claims execution until the planner acknowledges."""
     request = state.request.open.get(command.action_id)
@@ -250,6 +254,7 @@ def _parties(fleet: Fleet, world: World, request: Request, near: Robot, executor
     return recorded_by(fleet, world, near, requested_by=request.requester, executed_by=executor)
 
 
+@HANDLERS.decide(CloseRequest, requester)
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     """Close the request at the requester's communication agent."""
     request = state.request.open.get(command.action_id)
@@ -258,28 +263,3 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     parties = _parties(state.fleet, state.world, request, request.target, request.target)
     principals = parties.decided(*path(request.requester, ("communication",)))
     return (RequestClosed(request.request_subject, principals),)
-
-
-DECIDES: Decides = {
-    DetectGap: detect_gap,
-    CallForProposals: call_for_proposals,
-    EvaluateBid: evaluate_bid,
-    ReceiveBid: receive_bid,
-    Award: award,
-    CloseBidding: close_bidding,
-    GoOnWithout: go_on_without,
-    AcceptAward: accept_award,
-    CloseRequest: close_request,
-}
-ACTORS: Actors = {
-    DetectGap: requester,
-    CallForProposals: requester,
-    EvaluateBid: named,
-    ReceiveBid: requester,
-    Award: requester,
-    CloseBidding: requester,
-    GoOnWithout: requester,
-    AcceptAward: target,
-    CloseRequest: requester,
-}
-REACTS: Reacts = {}

@@ -18,13 +18,11 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
     BeginStep,
     CloseExecution,
     CloseRequest,
     CompleteStep,
-    Decides,
-    Reacts,
+    Handlers,
     Scheduled,
     at_once,
     message,
@@ -46,6 +44,8 @@ from .talk import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, talk
 
 LONGEST = 3  # a call that is delivered within the answer time, and two hops, are over after so many of them
 
+HANDLERS = Handlers()
+
 
 def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] = ()) -> tuple[Scheduled, ...]:
     """Deliver the call to the candidate, whose agents work out a bid. The waits `before` come first."""
@@ -54,10 +54,12 @@ def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] =
     return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
 
 
+@HANDLERS.react(StepBegan)
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(DetectGap(event.subject.action_id)),) if event.target_role is not None else ()
 
 
+@HANDLERS.react(GapDetected)
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     said, record = talk(
@@ -66,6 +68,7 @@ def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, 
     return (Scheduled(CallForProposals(event.subject.action_id), 0, said), record)
 
 
+@HANDLERS.react(RegistryQueried)
 def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     request = state.request.open[event.subject.action_id]
@@ -87,6 +90,7 @@ def _closing(fleet: Fleet, request: Request, waits: tuple[Ask, ...]) -> tuple[Sc
     )
 
 
+@HANDLERS.react(BidSubmitted)
 def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.open.get(state.task[event.task_id].action_id) if event.task_id in state.task else None
     if request is None:
@@ -97,6 +101,7 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
     return (Scheduled(received, 0, said), record)
 
 
+@HANDLERS.react(BidReceived)
 def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.open[event.subject.action_id]
     if len(request.bids) < len(request.candidates):  # it may have been the last one that was waited for
@@ -108,6 +113,7 @@ def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Sc
     return (Scheduled(Award(event.subject.action_id)),)
 
 
+@HANDLERS.react(SupervisorResponded)
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.open.get(event.subject.action_id)
     if event.purpose != "review" or request is None or not request.is_delegated:
@@ -115,6 +121,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     return (Scheduled(Award(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
 
 
+@HANDLERS.react(AwardMade)
 def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
     task = state.task.get(event.task_id)
     if task is None:  # given up meanwhile
@@ -129,10 +136,12 @@ def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, 
     )
 
 
+@HANDLERS.react(RequestUnanswered)
 def _on_unanswered(state: State, event: RequestUnanswered, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
 
 
+@HANDLERS.react(ContractVoided)
 def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
     """Let both sides' agents agree that the contract is void, and negotiate again under the same action."""
     request = state.request.open[event.subject.action_id]
@@ -145,6 +154,7 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
     return (*calls, record, other, *_closing(state.fleet, request, agreed))
 
 
+@HANDLERS.react(ExecutionFinished)
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.open.get(event.subject.action_id)
     close = Scheduled(CloseExecution(event.subject.action_id))
@@ -162,22 +172,6 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     )
 
 
+@HANDLERS.react(RequestClosed)
 def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(CompleteStep(event.subject.action_id)),)
-
-
-DECIDES: Decides = {}
-ACTORS: Actors = {}
-REACTS: Reacts = {
-    StepBegan: _on_step,
-    GapDetected: _on_gap,
-    RegistryQueried: _on_call,
-    BidSubmitted: _on_bid,
-    BidReceived: _on_bid_received,
-    SupervisorResponded: _on_response,
-    AwardMade: _on_award,
-    RequestUnanswered: _on_unanswered,
-    ContractVoided: _on_void,
-    ExecutionFinished: _on_finish,
-    RequestClosed: _on_close,
-}

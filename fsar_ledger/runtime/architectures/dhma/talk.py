@@ -14,7 +14,7 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.actors import named
 from fsar_ledger.runtime.handlers.attribution import recorded_by
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, hop, hops
+from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, hop, hops
 from fsar_ledger.runtime.ports import Ask
 
 Talk = tuple[AgentKind, ...]
@@ -51,6 +51,8 @@ RENEGOTIATION: Talk = (
     "communication",
 )  # the other robot agrees to it
 
+HANDLERS = Handlers()
+
 
 class HandOver(Command):
     """Record a talk between the agents of a robot."""
@@ -59,6 +61,7 @@ class HandOver(Command):
     agents: Talk
 
 
+@HANDLERS.decide(HandOver, named)
 def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Record each hop, without a requester: no message between agents names one."""
     names = path(command.robot, command.agents)
@@ -89,8 +92,3 @@ def talk(
 def path(robot: Robot, agents: Talk) -> tuple[Agent, ...]:
     """Return the path of a decision that went through these agents of the robot, decider last."""
     return tuple(agent(robot, kind) for kind in agents)
-
-
-DECIDES: Decides = {HandOver: hand_over}
-ACTORS: Actors = {HandOver: named}
-REACTS: Reacts = {}

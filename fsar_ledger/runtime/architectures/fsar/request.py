@@ -28,17 +28,10 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.task import Tasks
 from fsar_ledger.projections.world import World, stricter
-from fsar_ledger.runtime.handlers.actors import asked, nobody, relay, requester
+from fsar_ledger.runtime.handlers.actors import asked, body, nobody, relay, requester
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
 from fsar_ledger.runtime.handlers.attribution import recorded_by
-from fsar_ledger.runtime.handlers.commands import (
-    Actors,
-    CloseRequest,
-    Command,
-    Decides,
-    Reacts,
-    TakeTurn,
-)
+from fsar_ledger.runtime.handlers.commands import CloseRequest, Command, Handlers, TakeTurn
 from fsar_ledger.runtime.handlers.execution import holds_robot, queued
 from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
@@ -47,6 +40,8 @@ from fsar_ledger.runtime.handlers.trust import trusts
 from .availability import ReportBack, found_silent, report_back
 from .contention import put_in_order
 from .discovery import unanswered
+
+HANDLERS = Handlers()
 
 
 class IssueRequest(Command):
@@ -84,6 +79,7 @@ class AdmitReviewed(Command):
     approves: bool = True
 
 
+@HANDLERS.decide(IssueRequest, requester)
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     """Send the request with the requester's own policy; back off without a candidate."""
     request = state.request.open.get(command.action_id)
@@ -104,6 +100,7 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(RelayRequest, relay)
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     """Pass the request on with the relay's policy added, or let the relay deny it. Paper: eq:nontransitive."""
     request = state.request.open.get(command.action_id)
@@ -124,6 +121,7 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     return (RequestRelayed(subject, principals, carried),)
 
 
+@HANDLERS.decide(EvaluateRequest, asked)
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
     """Admit, counter or deny the request at the executor, or ask H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.open.get(command.action_id)
@@ -138,6 +136,7 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
     return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
 
 
+@HANDLERS.decide(AdmitReviewed, asked)
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
     """Admit the approved request if all but policy still holds, or deny one that was not approved."""
     request = state.request.open.get(command.action_id)
@@ -151,6 +150,7 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
     return _judged(state, request, found, command.now_us, is_reviewed=True)
 
 
+@HANDLERS.decide(GoOnWithout, requester)
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     """Record that the request was not delivered in time, and tell the registry who was silent.
 
@@ -237,6 +237,7 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
     return (admitted, ExecutionPreempted(interrupted.subject, executor, request.action_id, remaining_us), waiting)
 
 
+@HANDLERS.decide(TakeTurn, body)
 def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
     """Accept the request, claim execution and override, and approach.
 
@@ -261,6 +262,7 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(CloseRequest, nobody)
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     """Close the request at the coordination engine. Paper: sec:architecture:fleet."""
     request = state.request.open.get(command.action_id)
@@ -270,23 +272,3 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
         state.fleet, state.world, request.requester, requested_by=request.requester, executed_by=request.target
     )
     return (RequestClosed(request.request_subject, parties.decided(COORDINATION), request.result or "success"),)
-
-
-DECIDES: Decides = {
-    IssueRequest: issue_request,
-    RelayRequest: relay_request,
-    EvaluateRequest: evaluate_request,
-    GoOnWithout: go_on_without,
-    AdmitReviewed: admit_reviewed,
-    TakeTurn: take_turn,
-    CloseRequest: close_request,
-}
-ACTORS: Actors = {
-    IssueRequest: requester,
-    RelayRequest: relay,
-    EvaluateRequest: asked,
-    GoOnWithout: requester,
-    AdmitReviewed: asked,
-    CloseRequest: nobody,
-}
-REACTS: Reacts = {}

@@ -19,13 +19,11 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import Tasks
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
     BeginStep,
     CloseRequest,
     Command,
     CompleteStep,
-    Decides,
-    Reacts,
+    Handlers,
     Scheduled,
     at_once,
     message,
@@ -34,12 +32,15 @@ from fsar_ledger.runtime.handlers.commands import (
 from .contention import held_up, in_order
 from .request import AdmitReviewed, EvaluateRequest, GoOnWithout, IssueRequest, RelayRequest
 
+HANDLERS = Handlers()
+
 
 def _is_step(tasks: Tasks, request: Request | None) -> bool:
     """Tell whether the request is a step of an open task, not an outsider's or a robot's own."""
     return request is not None and not request.is_adhoc and request.task_id in tasks
 
 
+@HANDLERS.react(RegistryQueried)
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     if (
         event.subject.task_id not in state.task or event.subject.action_id in state.recovery
@@ -51,6 +52,7 @@ def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Sche
     return (Scheduled(IssueRequest(event.subject.action_id), 0, (message(REGISTRY, event.subject.action_id, 1),)),)
 
 
+@HANDLERS.react(RequestIssued)
 def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     request = state.request.open.get(event.subject.action_id)
@@ -66,6 +68,7 @@ def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Sched
     )
 
 
+@HANDLERS.react(RequestRelayed)
 def _on_relay(state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
     asked = Scheduled(
         EvaluateRequest(event.subject.action_id), 0, (message(event.principals.decided_by, event.subject.action_id, 3),)
@@ -74,10 +77,12 @@ def _on_relay(state: State, event: RequestRelayed, _now_us: int) -> tuple[Schedu
     return (asked, Scheduled(late, state.fleet.answer_us, (at_once(event.principals.requested_by),)))
 
 
+@HANDLERS.react(RequestDenied)
 def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Scheduled, ...]:
     return (*_again(state, event.subject.action_id), *_let_pass(state, event, now_us))
 
 
+@HANDLERS.react(RequestAdmitted, RequestCountered)
 def _let_pass(
     state: State, event: RequestAdmitted | RequestCountered | RequestDenied, _now_us: int
 ) -> tuple[Scheduled, ...]:
@@ -90,6 +95,7 @@ def _let_pass(
     )
 
 
+@HANDLERS.react(OfferAnswered)
 def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Scheduled, ...]:
     """Evaluate the changed request again, or retry a step whose requester let go."""
     assert event.subject.action_id is not None
@@ -111,10 +117,12 @@ def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
     return (Scheduled(BeginStep(request.task_id, request.action_id), state.fleet.structure.back_off_us),)
 
 
+@HANDLERS.react(RequestUnanswered, PeerSought)
 def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
 
 
+@HANDLERS.react(SupervisorResponded)
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "ordering":
         waiting = in_order(state.contention, event.subject.action_id, event.preferred)
@@ -126,6 +134,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     )
 
 
+@HANDLERS.react(ExecutionFinished)
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.open.get(event.subject.action_id)
     if request is None or not (request.is_adhoc or _is_step(state.task, request)):
@@ -141,27 +150,10 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     )
 
 
+@HANDLERS.react(RequestClosed)
 def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
     """Complete the step, or retry later a step that did not succeed."""
     if not _is_step(state.task, state.request.open.get(event.subject.action_id)):
         return ()
     done = Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),))
     return (done,) if event.result == "success" else _again(state, event.subject.action_id)
-
-
-DECIDES: Decides = {}
-ACTORS: Actors = {}
-REACTS: Reacts = {
-    RegistryQueried: _on_answer,
-    RequestIssued: _on_request,
-    RequestRelayed: _on_relay,
-    RequestAdmitted: _let_pass,
-    RequestCountered: _let_pass,
-    RequestDenied: _on_denial,
-    OfferAnswered: _on_offer,
-    RequestUnanswered: _on_unanswered,
-    PeerSought: _on_unanswered,
-    SupervisorResponded: _on_response,
-    ExecutionFinished: _on_finish,
-    RequestClosed: _on_close,
-}
