@@ -11,10 +11,19 @@ from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.change_texts import fact_of, fact_text
+from fsar_ledger.runtime.changeable import (
+    CALL,
+    KINDS,
+    RESPONSE,
+    Asked,
+    Happenings,
+    answer_of,
+    happenings,
+    meant,
+    numbers_of_calls,
+)
 from fsar_ledger.runtime.changes import Add, Answer, AnyChange, Changes, Commanded, Drop, Move, Set, seconds_text
 from fsar_ledger.runtime.forks import Forked, edited_environment, fork, made_again, parts_at
-from fsar_ledger.runtime.happenings import Happenings, happenings, meant
-from fsar_ledger.runtime.questions import CALL, KINDS, RESPONSE, Asked, answer_of, numbers_of_calls
 from fsar_ledger.runtime.recipes import Recipe, Unmade, recorded_recipe
 from fsar_ledger.runtime.simulation import founding_of
 

@@ -19,15 +19,14 @@ import msgspec
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.garbage import without_collection
+from fsar_ledger.runtime.changeable import ATTEMPT, CALL, happenings, name_of
 from fsar_ledger.runtime.forks import kernel_of
-from fsar_ledger.runtime.happenings import happenings
 from fsar_ledger.runtime.ports import Ask, Fact
-from fsar_ledger.runtime.questions import ATTEMPT, CALL, name_of
 from fsar_ledger.runtime.simulation import environment_of
 
 from .bases import Repeated
 from .outcomes import Outcome
-from .words import lines_of
+from .records import lines_of
 
 Progress = Callable[[int], None]
 USUAL = {ATTEMPT: 1, CALL: 0}

@@ -14,9 +14,8 @@ from .names import Place, Run
 from .verbs import argument, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.consequences import Consequences
-    from fsar_ledger.analysis.difference import Difference
-    from fsar_ledger.analysis.words import Line
+    from fsar_ledger.analysis.difference import Consequences, Difference
+    from fsar_ledger.analysis.records import Line
     from fsar_ledger.events import Event
     from fsar_ledger.ledger.rows.codec import LedgerRun
 
@@ -148,9 +147,8 @@ def diff(
 
 def difference_of(first: "LedgerRun", second: "LedgerRun", provenances: "tuple[Provenance, ...]") -> Diff:
     """Return the differences of two records. Raises: as `Database.rows`."""
-    from fsar_ledger.analysis.consequences import FIRST, SECOND, consequences
-    from fsar_ledger.analysis.difference import KINDS, align, chain
-    from fsar_ledger.analysis.words import lines_from
+    from fsar_ledger.analysis.difference import FIRST, KINDS, SECOND, align, chain, consequences
+    from fsar_ledger.analysis.records import lines_from
     from fsar_ledger.ledger.rows.codec import encode_coded
     from fsar_ledger.metrics.database import from_table
 
@@ -204,7 +202,7 @@ def _changed(
 
 
 def _told(one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "dict[tuple[str, int], Line]") -> Told:
-    from fsar_ledger.analysis.consequences import FIRST, SECOND
+    from fsar_ledger.analysis.difference import FIRST, SECOND
 
     words = [
         lines[place].text

@@ -56,7 +56,7 @@ def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
     the ledger's plans: `reproduce --runs` was one of these, or not given.
     """
     from fsar_ledger.runtime.experiments import NAMES, SEED, named
-    from fsar_ledger.runtime.plan import plan_id
+    from fsar_ledger.runtime.simulation import plan_id
 
     path = ledger.path if ledger.path.name else ledger.path.resolve()
     name = next((one for one in NAMES if one == path.name), NAMES[0])
@@ -99,7 +99,7 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> s
 
     None has it where the model, the constants or the names differ.
     """
-    from fsar_ledger.runtime.plan import plan_id
+    from fsar_ledger.runtime.simulation import plan_id
 
     asked = _asked(plan, parameters)
     try:

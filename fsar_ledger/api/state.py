@@ -95,9 +95,9 @@ def state(
         UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
     """
     from fsar_ledger.analysis.beliefs import beliefs
-    from fsar_ledger.analysis.moments import Timeline
     from fsar_ledger.analysis.records import commits_of, record_of
     from fsar_ledger.analysis.standing import standing
+    from fsar_ledger.analysis.timeline import Timeline
 
     from .lookup import about_run, present, robot_of, time_of
     from .provenance import of_run

@@ -15,8 +15,8 @@ from .names import Place, Run
 from .verbs import SvgOption, argument, declare, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.analysis.records import Line
     from fsar_ledger.analysis.why import Made, Read
-    from fsar_ledger.analysis.words import Line
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.metrics.database import Database
 
@@ -234,8 +234,8 @@ def why_of(record: "LedgerRun", provenance: "Provenance", seq: int, depth: int |
     Raises:
         UsageError: There is no such event, the depth is not positive, or the run cannot be made again as recorded.
     """
+    from fsar_ledger.analysis.records import lines_of
     from fsar_ledger.analysis.why import reasons
-    from fsar_ledger.analysis.words import lines_of
 
     if depth is not None and depth < 1:
         raise UsageError(f"{option('depth', depth)}: expected 1 or more")

@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from typing import get_args
 
 from .authority import AuthorityEvent
-from .command import CommandEvent
+from .command import CommandRejected
 from .concerns import BESIDE, CONCERNS
 from .envelope import Event
 from .execution import ExecutionEvent
-from .experiment import ExperimentEvent, ExperimentPlanned
-from .fleet import FleetEvent
+from .fleet import ExperimentPlanned, FleetEvent
 from .knowledge import KnowledgeEvent
 from .policy import PolicyEvent
 from .recovery import RecoveryEvent
@@ -39,8 +38,8 @@ AnyEvent = (
     | RecoveryEvent
     | SupervisionEvent
     | KnowledgeEvent
-    | CommandEvent
-    | ExperimentEvent
+    | CommandRejected
+    | ExperimentPlanned
 )
 
 EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)

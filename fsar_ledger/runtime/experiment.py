@@ -13,18 +13,17 @@ from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.designs import Fleet, Scenario, Workflow, registered
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, Configuration, is_known, lacks, rank
-from fsar_ledger.events.experiment import ExperimentPlanned
+from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.record import CHAINED
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.writing import open_writer, version_for
-from fsar_ledger.runtime.plan import plan_record
-from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started
 
 from .architectures import REGISTERED
 from .capacity import Cell, Expected, expected, fits, largest_fleet
+from .simulation import MODEL_VERSION, RunSpec, plan_record, run_id, run_started
 from .staging import COMMIT_EVENTS, Batch, Staging
 from .world.checks import problems_of_design, problems_of_fleet
 from .world.founding import team_size

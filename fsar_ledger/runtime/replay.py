@@ -45,12 +45,10 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.workers import WorkerPool
 
 from .forks import command, edited_environment, last_shared, play
-from .handler_tables import handler_table_of
 from .handlers.commands import Command, Decide
-from .plan import misnamed
 from .recipes import Recipe, Unmade, recorded_recipe, started_of
 from .recorded import FACTS, Recorded, RecordedKernel, recorded
-from .simulation import founding_of, run_id
+from .simulation import founding_of, handler_table_of, misnamed, run_id
 from .world.founding import founding
 from .world.schedule import schedule
 from .worlds import Played, played, remarks_on
@@ -218,7 +216,9 @@ def _replay_plan(record: LedgerRun) -> Difference | None:
     What was planned is taken as recorded; the plan's name is a digest of it.
     """
     found = misnamed(record)
-    return None if found is None else Difference(record.run_id, 0, found[0], "plan.plan_record", found[2], found[1])
+    return (
+        None if found is None else Difference(record.run_id, 0, found[0], "simulation.plan_record", found[2], found[1])
+    )
 
 
 def replay_run(record: LedgerRun, is_recorded: bool = False) -> Difference | None:

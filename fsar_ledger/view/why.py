@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fsar_ledger import printable
+from fsar_ledger.analysis.records import Line
 from fsar_ledger.analysis.why import Made
-from fsar_ledger.analysis.words import Line
 from fsar_ledger.report import figures
 
 FONT = 7.5  # points

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 
-from fsar_ledger.analysis.decisions import decisions, first_of
 from fsar_ledger.analysis.reads import ABSENT, Path, Reads, Step, value_at, written
+from fsar_ledger.analysis.why import decisions, first_of
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RunStarted
@@ -18,10 +18,9 @@ from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.maps import Large
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import Command, Decide, Scheduled
 from fsar_ledger.runtime.knockouts import KNOCKOUTS
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, handler_table_of, simulate_run
 from tests.analysis.conftest import OUTAGES
 from tests.analysis.emptied import emptied
 

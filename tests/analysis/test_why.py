@@ -8,8 +8,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.analysis.bases import base_of_record, repeated
-from fsar_ledger.analysis.decisions import decisions, first_of
-from fsar_ledger.analysis.why import Made, Read, reasons
+from fsar_ledger.analysis.why import Made, Read, decisions, first_of, reasons
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events import Event
@@ -22,7 +21,7 @@ from fsar_ledger.events.world import LinkCameUp, PolicyWindowOpened, RobotCameBa
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.change_texts import parsed
-from fsar_ledger.runtime.handler_tables import handler_table_of
+from fsar_ledger.runtime.simulation import handler_table_of
 from tests.analysis.conftest import simulated
 
 

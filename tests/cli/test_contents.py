@@ -24,8 +24,7 @@ from fsar_ledger.ledger.writing import open_writer
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate
 from fsar_ledger.runtime.experiments import named
-from fsar_ledger.runtime.plan import plan_record
-from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, plan_record, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
 

@@ -9,10 +9,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from fsar_ledger import Ledger
-from fsar_ledger.analysis.decisions import decisions, first_of
-from fsar_ledger.analysis.records import record_of
-from fsar_ledger.analysis.why import Made, Read, reasons
-from fsar_ledger.analysis.words import Line
+from fsar_ledger.analysis.records import Line, record_of
+from fsar_ledger.analysis.why import Made, Read, decisions, first_of, reasons
 from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.why import JUDGES, Tree, kinds, why_of
 from fsar_ledger.errors import UsageError

@@ -27,8 +27,7 @@ from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
 from fsar_ledger.report.mechanisms import carried, mechanisms_of
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.experiments import named
-from fsar_ledger.runtime.knockouts import KNOCKOUTS
-from fsar_ledger.runtime.knockouts.knockout import Knockout
+from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.recycled import from_table
 

@@ -8,10 +8,9 @@ from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started
-from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.world.draws import Draws, Simulated, run_key
 from fsar_ledger.runtime.world.founding import founding
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 
 H_F = Supervisor("supervisor/fleet")
 

@@ -8,8 +8,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.world.draws import Draws, run_key
-from fsar_ledger.runtime.world.simulated import Simulated
+from fsar_ledger.runtime.world.draws import Draws, Simulated, run_key
 from tests.runtime.histories import started
 
 

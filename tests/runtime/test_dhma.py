@@ -9,12 +9,7 @@ from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import AwardMade
 from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.runtime.architectures.dhma.agents import (
-    EngagePlanner,
-    TakeSnapshot,
-    engage_planner,
-    take_snapshot,
-)
+from fsar_ledger.runtime.architectures.dhma.agents import EngagePlanner, TakeSnapshot, engage_planner, take_snapshot
 from fsar_ledger.runtime.architectures.dhma.authority import (
     AcknowledgeExecution,
     PassExecution,

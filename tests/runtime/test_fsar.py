@@ -7,30 +7,25 @@ from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import (
-    SupervisorLeft,
-)
+from fsar_ledger.events.world import SupervisorLeft
 from fsar_ledger.projections.fold import apply
-from fsar_ledger.runtime.architectures.fsar.authority import (
-    Revoke,
-    revoke,
-)
+from fsar_ledger.runtime.architectures.fsar.authority import Revoke, revoke
 from fsar_ledger.runtime.architectures.fsar.discovery import DetectGap, QueryRegistry, detect_gap, query_registry
-from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, decide_routine, start
+from fsar_ledger.runtime.architectures.fsar.execution import (
+    DecideOwnStep,
+    decide_own_step,
+    decide_routine,
+    start,
+    take_turn,
+)
 from fsar_ledger.runtime.architectures.fsar.request import (
     EvaluateRequest,
     IssueRequest,
     evaluate_request,
     issue_request,
-    take_turn,
 )
 from fsar_ledger.runtime.handlers.authority import close_execution
-from fsar_ledger.runtime.handlers.commands import (
-    CloseExecution,
-    DecideRoutine,
-    StartAction,
-    TakeTurn,
-)
+from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, StartAction, TakeTurn
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")

@@ -9,17 +9,9 @@ from fsar_ledger.events.execution import ApproachStarted, ExecutionStarted
 from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import (
-    ObstructionAppeared,
-    ObstructionCleared,
-    OutsiderRequestInjected,
-    TaskArrived,
-)
+from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected, TaskArrived
 from fsar_ledger.projections.fold import apply, fold
-from fsar_ledger.runtime.architectures.fsar.authority import (
-    AnswerOutsider,
-    answer_outsider,
-)
+from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, answer_outsider
 from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
 from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start
 from fsar_ledger.runtime.architectures.fsar.recovery import (
@@ -31,11 +23,7 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
     end_attempt,
     start_recovery,
 )
-from fsar_ledger.runtime.handlers.commands import (
-    DetectObstruction,
-    EndAttempt,
-    StartAction,
-)
+from fsar_ledger.runtime.handlers.commands import DetectObstruction, EndAttempt, StartAction
 from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
 from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world.founding import founding

@@ -18,20 +18,11 @@ from fsar_ledger.constants import (
     write_constants,
 )
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.events.world import (
-    ContextChanged,
-    ObstructionAppeared,
-    PolicyWindowOpened,
-    RoutineDue,
-)
+from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, PolicyWindowOpened, RoutineDue
 from fsar_ledger.metrics.constant_names import default_of, unlike_ours
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.replay import replay_run
-from fsar_ledger.runtime.simulation import (
-    RunSpec,
-    run_started,
-    simulate_run,
-)
+from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
 from fsar_ledger.runtime.world.schedule import arrivals_expected, schedule
 from fsar_ledger.runtime.worlds import played, remarks_on
 from tests.runtime.forgeries import changed, renamed

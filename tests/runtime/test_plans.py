@@ -10,7 +10,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.events.experiment import ExperimentPlanned
+from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
@@ -21,8 +21,8 @@ from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, carry_out, simulate
-from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.replay import replay, replay_run
+from fsar_ledger.runtime.simulation import plan_record
 
 BOTH: tuple[Architecture, ...] = ("fsar", "cfc")
 SMALL = Experiment(BOTH, ("door-relay",), 2, 3)

@@ -20,8 +20,8 @@ from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.projections.policy import INITIAL, evolve, ruled
 from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request, take_turn
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start, take_turn
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.policy import (
     SetPolicyRule,

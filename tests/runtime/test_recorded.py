@@ -17,7 +17,6 @@ from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, workflow_experiment
 from fsar_ledger.runtime.forks import fork, parts_at, record_of
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.recipes import Recipe
 from fsar_ledger.runtime.recorded import RecordedKernel, recorded
@@ -28,6 +27,7 @@ from fsar_ledger.runtime.simulation import (
     RunSpec,
     environment_of,
     founding_of,
+    handler_table_of,
     run_id,
     simulate_run,
 )

@@ -24,11 +24,7 @@ from fsar_ledger.events.registry import (
     CapabilityWithdrawn,
     RegistryQueried,
 )
-from fsar_ledger.events.request import (
-    RequestAdmitted,
-    RequestDenied,
-    RequestIssued,
-)
+from fsar_ledger.events.request import RequestAdmitted, RequestDenied, RequestIssued
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.task import StepBegan, TaskCompleted
 from fsar_ledger.events.trust import TrustSet

@@ -21,14 +21,12 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.architectures import REGISTERED
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, kernel, simulate_run
+from fsar_ledger.runtime.world.draws import Draws, Simulated, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 from tests.recycled import from_table
 from tests.runtime.histories import finished
 

@@ -26,13 +26,11 @@ from fsar_ledger.events.world import (
     RobotWentOff,
     TaskArrived,
 )
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of
-from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, handler_table_of
+from fsar_ledger.runtime.world.draws import Draws, Simulated, run_key
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 from tests.runtime.physics import EVERY, LAWLESS, OURS, QUIET
 
 S = 1_000_000

@@ -6,7 +6,27 @@ from typing import NamedTuple
 import msgspec
 
 from fsar_ledger.events import Event
+from fsar_ledger.runtime.handlers import (
+    advertising,
+    authority,
+    execution,
+    fleet,
+    policy,
+    recovery,
+    registry,
+    request,
+    supervision,
+    task,
+    trust,
+    withdrawal,
+)
 from fsar_ledger.runtime.handlers.commands import Actor, Command, Decide, Handlers, PublicCommand, React
+
+COMMON = (task, execution, supervision, withdrawal)
+"""What every architecture has: tasks, bodies, supervisors, and what becomes of a task that is given up."""
+
+PUBLIC = (fleet, registry, advertising, request, authority, trust, policy, recovery)
+"""Commands from outside that need the registry, trust, policy and rights of FSAR."""
 
 
 class HandlerTable(msgspec.Struct, frozen=True, eq=False):

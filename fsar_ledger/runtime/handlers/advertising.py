@@ -8,14 +8,7 @@ from collections.abc import Iterable
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import (
-    Availability,
-    OverrideLevel,
-    Robot,
-    Supervisor,
-    TrustScope,
-    Visibility,
-)
+from fsar_ledger.events.envelope import Availability, OverrideLevel, Robot, Supervisor, TrustScope, Visibility
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
     CapabilityAdvertised,
@@ -34,8 +27,7 @@ from fsar_ledger.projections.registry import (
     surface,
 )
 
-from .actors import named
-from .commands import Command, Handlers, PublicCommand, Scheduled
+from .commands import Command, Handlers, PublicCommand, Scheduled, named
 from .fleet import in_use, not_possessed
 from .matching import contradiction, version_of, weaker
 from .rejection import rejected, unknown_robot

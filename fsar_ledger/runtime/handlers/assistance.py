@@ -10,8 +10,7 @@ from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import Ask
 
-from .actors import helping
-from .commands import EndAssistance, Handlers, Scheduled, StopAssistance, holds
+from .commands import EndAssistance, Handlers, Scheduled, StopAssistance, helping, holds
 from .execution import next_turn
 from .recovery import actuator_holds, open_failure
 

@@ -15,15 +15,7 @@ from fsar_ledger.events.authority import (
     AuthorityRevoked,
     RevocationReason,
 )
-from fsar_ledger.events.envelope import (
-    FLEET_SUPERVISOR,
-    TRUST,
-    Dimension,
-    OverrideLevel,
-    Principal,
-    Robot,
-    Supervisor,
-)
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel, Principal, Robot, Supervisor
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections.authority import LEVELS, Authority, Right
@@ -33,8 +25,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.trust import is_about
 
-from .actors import named, nobody
-from .commands import CloseExecution, Command, Handlers, PublicCommand, Scheduled
+from .commands import CloseExecution, Command, Handlers, PublicCommand, Scheduled, named, nobody
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_supervisor, unknown_word
 from .trust import trusts
 

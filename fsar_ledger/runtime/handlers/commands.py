@@ -1,4 +1,4 @@
-"""Commands, and how a reaction schedules one.
+"""Commands, who carries them out, and how a reaction schedules one.
 
 A reaction cannot know how long a message takes: it asks at the ports (`ports.py`), and the kernel has the environment
 answer. A question is named by what it is about and by what it serves (action, failure, hop), so that every architecture
@@ -6,14 +6,15 @@ that meets the same hop of the same action meets the same latency.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Operation, Robot
+from fsar_ledger.events.envelope import Operation, Robot, robot_named
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.task import Task
 from fsar_ledger.runtime.ports import Ask
 
 
@@ -123,13 +124,18 @@ def holds(key: str) -> Ask:
 
 
 class BeginStep(Command):
-    """Turn to the task's next step, or to the same one after the attempt `after` has come to nothing.
+    """Turn to the task's next step, or to the same one after the attempt `after` failed.
 
     An empty `after`: no attempt of this step was made.
     """
 
     task_id: str
     after: str = ""
+
+
+def begin_again(fleet: Fleet, task_id: str, action_id: str) -> Scheduled:
+    """Schedule the step again, after this attempt failed and the back-off has passed."""
+    return Scheduled(BeginStep(task_id, action_id), fleet.structure.back_off_us)
 
 
 class ExpireTask(Command):
@@ -235,3 +241,73 @@ class DecideRoutine(Command):
 
     robot: Robot
     operation: Operation
+
+
+class _OfAction(Protocol):
+    @property
+    def action_id(self) -> str: ...
+
+
+class _OfRobot(Protocol):
+    @property
+    def robot(self) -> Robot: ...
+
+
+class _OfHelper(Protocol):
+    @property
+    def helper(self) -> Robot: ...
+
+
+def nobody(_state: State, _command: Command) -> None:
+    """Return None: a world, service, coordinator or human command has no actor that could be off."""
+
+
+def named(_state: State, command: _OfRobot) -> Robot:
+    """Return the robot that the command names."""
+    return command.robot
+
+
+def helping(_state: State, command: _OfHelper) -> Robot:
+    """Return the robot that helps."""
+    return command.helper
+
+
+def body(state: State, command: _OfAction) -> Robot | None:
+    """Return the robot that has the action."""
+    action = state.execution.actions.get(command.action_id)
+    return None if action is None else action.robot
+
+
+def requester(state: State, command: _OfAction) -> Robot | None:
+    """Return the robot whose step it is."""
+    request = state.request.open.get(command.action_id)
+    return None if request is None else request.requester
+
+
+def target(state: State, command: _OfAction) -> Robot | None:
+    """Return the robot picked to execute; for a step of its own, the robot whose step it is."""
+    request = state.request.open.get(command.action_id)
+    return None if request is None else request.target or request.requester
+
+
+def asked(state: State, command: _OfAction) -> Robot | None:
+    """Return the robot that the request goes to."""
+    request = state.request.open.get(command.action_id)
+    return request.candidates[0] if request is not None and request.candidates else None
+
+
+def relay(state: State, command: _OfAction) -> Robot | None:
+    """Return the peer that passes the request on."""
+    request = state.request.open.get(command.action_id)
+    return None if request is None else request.relay
+
+
+def next_in_task(state: State, command: BeginStep) -> Robot | None:
+    """Return the robot that acts in the next step of the task, if there is one left."""
+    task = state.task.get(command.task_id)
+    return None if task is None or task.step == len(task.steps) else acting(task, task.step)
+
+
+def acting(task: Task, step: int) -> Robot:
+    """Return the robot that acts in the step, counted from 0."""
+    return robot_named(task.steps[step].partition(" ")[0], task.team)

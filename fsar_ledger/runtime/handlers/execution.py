@@ -23,7 +23,6 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import Ask
 
-from .actors import body, nobody
 from .attribution import is_injected, parties
 from .commands import (
     Command,
@@ -37,8 +36,10 @@ from .commands import (
     Scheduled,
     StartAction,
     TakeTurn,
+    body,
     holds,
     lasts,
+    nobody,
 )
 from .recovery import actuator_holds, failed
 

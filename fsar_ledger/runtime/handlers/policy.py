@@ -3,15 +3,7 @@
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import (
-    POLICY,
-    PolicyOutcome,
-    PolicyScope,
-    Principals,
-    Robot,
-    Subject,
-    Supervisor,
-)
+from fsar_ledger.events.envelope import POLICY, PolicyOutcome, PolicyScope, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State

@@ -10,8 +10,19 @@ from fsar_ledger.projections.registry import possesses
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.projections.task import Tasks, given_up_us
 
-from .actors import acting, next_in_task, nobody, requester
-from .commands import BeginStep, CompleteStep, ExpireTask, Handlers, PublicCommand, Scheduled, at_once
+from .commands import (
+    BeginStep,
+    CompleteStep,
+    ExpireTask,
+    Handlers,
+    PublicCommand,
+    Scheduled,
+    acting,
+    at_once,
+    next_in_task,
+    nobody,
+    requester,
+)
 from .rejection import rejected, unknown_capability, unknown_robot
 
 HANDLERS = Handlers()

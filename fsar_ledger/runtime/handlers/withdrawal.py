@@ -16,9 +16,8 @@ from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Requests
 
-from .actors import named, nobody
 from .authority import released
-from .commands import Command, Handlers, Scheduled, message
+from .commands import Command, Handlers, Scheduled, message, named, nobody
 from .execution import holds_robot
 
 WAITING = ("queued", "approaching", "held", "polling")

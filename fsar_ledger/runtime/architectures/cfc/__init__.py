@@ -1,8 +1,7 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
-from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
+from fsar_ledger.runtime.architectures.handler_table import COMMON, Growth, HandlerTable
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers.shared import COMMON
 
 from . import coordinator, execution, recovery, request
 

@@ -27,9 +27,8 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers import supervision
-from fsar_ledger.runtime.handlers.actors import nobody
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
-from fsar_ledger.runtime.handlers.commands import Command, Decide, Handlers, React, Respond, Scheduled
+from fsar_ledger.runtime.handlers.commands import Command, Decide, Handlers, React, Respond, Scheduled, nobody
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.ports import Ask
 

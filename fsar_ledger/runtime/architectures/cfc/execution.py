@@ -20,7 +20,6 @@ from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed
 from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Requests
-from fsar_ledger.runtime.handlers.actors import body, named, nobody
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.authority import made_for, released
 from fsar_ledger.runtime.handlers.commands import (
@@ -32,7 +31,10 @@ from fsar_ledger.runtime.handlers.commands import (
     StartAction,
     TakeTurn,
     at_once,
+    body,
     message,
+    named,
+    nobody,
 )
 from fsar_ledger.runtime.handlers.execution import approach, pause_running, started, waiting
 

@@ -22,7 +22,6 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers.actors import body, helping, nobody
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
 from fsar_ledger.runtime.handlers.commands import (
     Command,
@@ -30,9 +29,12 @@ from fsar_ledger.runtime.handlers.commands import (
     EndAttempt,
     Handlers,
     Scheduled,
+    body,
+    helping,
     holds,
     lasts,
     message,
+    nobody,
 )
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 

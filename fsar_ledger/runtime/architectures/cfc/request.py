@@ -29,7 +29,6 @@ from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request, Requests
 from fsar_ledger.projections.world import in_force, stricter
-from fsar_ledger.runtime.handlers.actors import named, nobody, target
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
 from fsar_ledger.runtime.handlers.authority import made_for, release, released
 from fsar_ledger.runtime.handlers.commands import (
@@ -40,6 +39,9 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     at_once,
     message,
+    named,
+    nobody,
+    target,
 )
 from fsar_ledger.runtime.handlers.execution import queued
 

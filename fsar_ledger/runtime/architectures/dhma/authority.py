@@ -12,11 +12,10 @@ from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Requests
-from fsar_ledger.runtime.handlers.actors import body, target
 from fsar_ledger.runtime.handlers.authority import release
-from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, body, message, target
 
-from .talk import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION, TO_PLANNING, Said, path, talk
+from .agents import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION, TO_PLANNING, Said, path, talk
 
 HANDLERS = Handlers()
 

@@ -15,11 +15,9 @@ from fsar_ledger.events.request import ContractVoided, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.handlers.actors import body, named, requester
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
-    BeginStep,
     Command,
     DecideRoutine,
     Handlers,
@@ -28,12 +26,15 @@ from fsar_ledger.runtime.handlers.commands import (
     StartAction,
     TakeTurn,
     at_once,
+    begin_again,
+    body,
     message,
+    named,
+    requester,
 )
 from fsar_ledger.runtime.handlers.execution import approach, queued, started, waiting
 
-from .agents import snapshot
-from .talk import OWN_STEP, RENEGOTIATION, REPLANNING, path, talk
+from .agents import OWN_STEP, RENEGOTIATION, REPLANNING, path, snapshot, talk
 
 HANDLERS = Handlers()
 
@@ -122,7 +123,7 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
     if event.reason != "own step" or event.subject.task_id is None or event.subject.action_id is None:
         return ()
-    return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
+    return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
 
 
 @HANDLERS.react(SupervisorResponded)

@@ -15,14 +15,12 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import parties
 from fsar_ledger.runtime.handlers.authority import release
-from fsar_ledger.runtime.handlers.commands import Command, EndAttempt, Handlers, Scheduled, holds, lasts
+from fsar_ledger.runtime.handlers.commands import Command, EndAttempt, Handlers, Scheduled, body, holds, lasts
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted, open_failure
 
-from .agents import claims, planner
-from .talk import RECOVERY, Talk, path, talk
+from .agents import RECOVERY, Talk, claims, path, planner, talk
 
 DISPUTE = "dispute"
 

@@ -11,11 +11,10 @@ from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, Pe
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.world import is_linked
-from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.candidates import Query, rejecting_filter
-from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Handlers, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Handlers, Scheduled, message, named, nobody
 
 HANDLERS = Handlers()
 

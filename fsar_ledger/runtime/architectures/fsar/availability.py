@@ -19,8 +19,7 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import NO_ANSWER, Registry, surface
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handlers.actors import nobody
-from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message, nobody
 
 HANDLERS = Handlers()
 

@@ -13,10 +13,9 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry, advertisement, offers
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handlers.actors import nobody, requester
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, recorded_by
 from fsar_ledger.runtime.handlers.candidates import Answer, Query, candidates, rejecting_filter
-from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message, nobody, requester
 from fsar_ledger.runtime.handlers.registry import queried
 from fsar_ledger.runtime.handlers.trust import trusts
 

@@ -1,8 +1,10 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY, PolicyOutcome, Principal, Principals, Robot
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import POLICY, PolicyOutcome, Principal, Principals, RequestSubject, Robot
 from fsar_ledger.events.execution import (
+    ApproachStarted,
     ExecutionHeld,
     ExecutionPaused,
     OwnStepDecided,
@@ -11,13 +13,13 @@ from fsar_ledger.events.execution import (
 )
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
+from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.execution import Action, Execution, in_hand
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, in_force
-from fsar_ledger.runtime.handlers.actors import body, named, requester
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
@@ -27,7 +29,11 @@ from fsar_ledger.runtime.handlers.commands import (
     ResumeAction,
     Scheduled,
     StartAction,
+    TakeTurn,
+    body,
     message,
+    named,
+    requester,
 )
 from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, queued, start_action, started
 from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_policy
@@ -72,6 +78,31 @@ def ready(execution: Execution, action_id: str) -> Action | None:
     ):
         return None
     return action
+
+
+@HANDLERS.decide(TakeTurn, body)
+def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
+    """Accept the request, claim execution and override, and approach.
+
+    A request that was preempted comes back as accepted. Paper: eq:auth.
+    """
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state.execution, action):
+        return ()
+    robot = action.robot
+    approach = ApproachStarted(action.subject, robot)
+    if any(
+        claim.claimant == robot and claim.dimension == "execution"
+        for claim in state.authority.claims.get(action.action_id, ())
+    ):
+        return (approach,)
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=action.requested_by, executed_by=robot)
+    return (
+        RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
+        AuthorityClaimed(action.subject, "execution", robot, "acceptance"),
+        AuthorityClaimed(action.subject, "override", robot, "acceptance"),
+        approach,
+    )
 
 
 @HANDLERS.decide(StartAction, body)

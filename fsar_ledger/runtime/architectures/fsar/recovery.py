@@ -24,7 +24,6 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.task import checkpoint
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers.actors import body, helping, nobody
 from fsar_ledger.runtime.handlers.attribution import is_cross_robot, parties, recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
@@ -34,7 +33,10 @@ from fsar_ledger.runtime.handlers.commands import (
     Handlers,
     Scheduled,
     at_once,
+    body,
+    helping,
     message,
+    nobody,
 )
 from fsar_ledger.runtime.handlers.recovery import (
     attempt_failed,
