@@ -3,8 +3,8 @@
 One file per concept, earlier versions in `retired.py`; imports msgspec only.
 """
 
-from collections.abc import Mapping
-from typing import get_args
+from collections.abc import Callable, Mapping
+from typing import Any, get_args
 
 from .authority import AuthorityEvent
 from .command import CommandRejected
@@ -17,11 +17,10 @@ from .policy import PolicyEvent
 from .recovery import RecoveryEvent
 from .registry import RegistryEvent
 from .request import RequestEvent
-from .retired import RETIRED_TYPES, UPCASTERS
+from .retired import RETIRED_TYPES, UPCASTERS, Addition, additions, upcasters_of
 from .supervision import SupervisionEvent
 from .task import TaskEvent
 from .trust import TrustEvent
-from .upcasting import Addition, Chains, additions, chains
 from .world import WorldEvent
 
 # See docs/decisions/verdicts-are-not-logged.md.
@@ -44,10 +43,14 @@ AnyEvent = (
 
 EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)
 
-UPCASTS: Chains = chains(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
+_STEPS = upcasters_of(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
+
+UPCASTS: Mapping[type[Event], tuple[Callable[[Any], Event], ...]] = {
+    cls: tuple(step.change for step in steps) for cls, steps in _STEPS.items()
+}
 """The changes that turn an event of each retired type into a current one, built and checked at import."""
 
-ADDITIONS: Mapping[type[Event], Addition] = additions(RETIRED_TYPES, UPCASTERS)
+ADDITIONS: Mapping[type[Event], Addition] = additions(_STEPS)
 """The retired types that become current by adding fields alone, which SQL does in place."""
 
 ALONE: frozenset[type[Event]] = frozenset({ExperimentPlanned})

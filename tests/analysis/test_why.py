@@ -101,7 +101,7 @@ def test_what_is_not_there_is_read_as_absent_and_was_written_by_nobody(denied: L
 def test_an_event_has_the_trigger_on_record_and_its_chain_ends_at_a_fact_of_the_world(denied: LedgerRun) -> None:
     answer = reasons(denied, OWN_WINDOW, 1)
     assert answer.made[0].triggered_by == denied.caused_by[OWN_WINDOW] == answer.triggers[0]
-    assert answer.made[0].scheduled_by == "architectures.fsar.request_reactions._on_request"
+    assert answer.made[0].scheduled_by == "architectures.fsar.request._on_request"
     for effect, cause in pairwise(answer.triggers):
         assert denied.caused_by[first_of(denied, effect)] == cause
     (last,) = reasons(denied, answer.triggers[-1], 1).made
