@@ -19,12 +19,12 @@ import msgspec
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.garbage import without_collection
-from fsar_ledger.runtime.changeable import ATTEMPT, CALL, happenings, name_of
+from fsar_ledger.runtime.changeable import ATTEMPT, CALL, facts_by_name, name_of
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.simulation import environment_of
 
-from .bases import Repeated
+from .fork_base import Rerun
 from .outcomes import Outcome
 from .records import lines_of
 
@@ -66,7 +66,7 @@ class Cause(msgspec.Struct, frozen=True):
     forks: int
 
 
-class _Left(NamedTuple):
+class _ReducedEnvironment(NamedTuple):
     """An environment in which some facts do not happen and some answers are as usual."""
 
     facts: Sequence[Fact]
@@ -78,7 +78,7 @@ class Search:
     """The forks of one run in which some of what it took from outside is taken away, with their outcomes."""
 
     def __init__(
-        self, repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None
+        self, repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None
     ) -> None:
         """Find out what the run took from outside.
 
@@ -92,7 +92,7 @@ class Search:
         self._recipe = repeated.base.recipe
         self._world = environment_of(self._recipe.spec, self._recipe.constants)
         self._facts = tuple(self._world.facts)
-        self._places = happenings(self._facts)
+        self._places = facts_by_name(self._facts)
         self._lengths = lengths
         self._outcome = outcome
         self._progress = progress
@@ -138,7 +138,7 @@ class Search:
                 return USUAL[kind]
             return self._world.middle(ask) if self._lengths else drawn
 
-        kernel = kernel_of(self._recipe, _Left(facts, self._world.latest_us, answer))
+        kernel = kernel_of(self._recipe, _ReducedEnvironment(facts, self._world.latest_us, answer))
         kernel.run()
         return kernel.times_us, kernel.caused_by, kernel.events
 
@@ -189,7 +189,7 @@ def _chunks(names: list[str], count: int) -> list[list[str]]:
     return [names[begin:end] for begin, end in pairwise(bounds)]
 
 
-def cause(repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None) -> Cause:
+def cause(repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None) -> Cause:
     """Return a smallest cause of the outcome of a run.
 
     Raises:
@@ -225,7 +225,7 @@ def cause(repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progre
     )
 
 
-def _seq(repeated: Repeated, begins_s: float) -> int:
+def _seq(repeated: Rerun, begins_s: float) -> int:
     """Return the event of a fact; no two facts share an instant, and none is caused by anything."""
     record = repeated.base.record
     time_us = round(begins_s * 1_000_000)

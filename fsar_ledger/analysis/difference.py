@@ -261,7 +261,7 @@ VERDICTS = """
 """
 
 
-class Value(msgspec.Struct, frozen=True):
+class MetricPair(msgspec.Struct, frozen=True):
     """A metric of both runs, in its unit; None: undefined."""
 
     metric: str
@@ -293,24 +293,24 @@ class Verdict(msgspec.Struct, frozen=True):
     what: str
 
 
-class Consequences(msgspec.Struct, frozen=True):
+class OutcomesDiff(msgspec.Struct, frozen=True):
     """What the runs came to. `verdicts` are those that only one of them has. Units: ends in seconds of run time."""
 
-    metrics: list[Value]
+    metrics: list[MetricPair]
     tasks: list[TaskPair]
     verdicts: list[Verdict]
     first_ends_s: float
     second_ends_s: float
 
 
-def consequences(database: Database, first: LedgerRun, second: LedgerRun, pairs: dict[int, int]) -> Consequences:
+def outcomes_diff(database: Database, first: LedgerRun, second: LedgerRun, pairs: dict[int, int]) -> OutcomesDiff:
     """Return what the two runs, held as `first` and `second`, came to; `pairs` are the events that are the same.
 
     Raises: as `Database.rows`.
     """
     found = typed(database.rows(VERDICTS), Verdict)
-    return Consequences(
-        typed(database.rows(METRICS), Value),
+    return OutcomesDiff(
+        typed(database.rows(METRICS), MetricPair),
         _tasks(first, second),
         _alone(found, pairs),
         first.times_us[-1] / 1e6,

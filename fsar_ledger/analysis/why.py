@@ -15,17 +15,17 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.changeable import Asked, name_of
-from fsar_ledger.runtime.forks import command, edited_environment, parts_at, play, record_of
+from fsar_ledger.runtime.changeable import Question, name_of
+from fsar_ledger.runtime.forks import command, edited_environment, parts_at, record_of, run_to_end
 from fsar_ledger.runtime.handlers.commands import Command, Decide, React, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Environment
-from fsar_ledger.runtime.recipes import Recipe, Unmade, recorded_recipe, started_of
+from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recorded_recipe, started_of
 from fsar_ledger.runtime.simulation import founding_of, handler_table_of
 
-from .reads import ABSENT, Path, Reads, Written, written
+from .reads import ABSENT, LastWrite, Path, Reads, last_writes
 
-Values = dict[Path, object]
+ReadValues = dict[Path, object]
 """What was read: each path, in order, with the value found there."""
 
 
@@ -33,7 +33,7 @@ class Reaction(NamedTuple):
     """What scheduled a decision: the function, what it read, and the questions that it asked at ports, answered."""
 
     handler: str
-    reads: Values
+    reads: ReadValues
     answers: tuple[tuple[Ask, int], ...]
 
 
@@ -46,7 +46,7 @@ class Decision(NamedTuple):
 
     handler: str
     command: Command
-    reads: Values
+    reads: ReadValues
     reaction: Reaction | None
     waited_for: tuple[int, ...] = ()
 
@@ -69,11 +69,11 @@ def decisions(record: LedgerRun, seqs: Collection[int]) -> dict[int, Decision]:
         raise UsageError(f"{run}: found a plan, expected a run; nothing happens in a plan")
     try:
         recipe = recorded_recipe(started, len(record.events))
-    except Unmade as found:
+    except CannotReplay as found:
         raise UsageError(f"run {run}: {found}; only a run that can be made again shows what was read") from found
     try:
-        watched = _Watched(record, started, recipe, seqs)
-        play(watched, watched.edited, recipe)
+        watched = _ObservedKernel(record, started, recipe, seqs)
+        run_to_end(watched, watched.edited, recipe)
     except (LookupError, ValueError, RuntimeError, TypeError) as error:
         raise UsageError(
             f"run {run}: it cannot be made again ({error!s:.300}); run `fsar-ledger verify --replay`"
@@ -87,7 +87,7 @@ def decisions(record: LedgerRun, seqs: Collection[int]) -> dict[int, Decision]:
     return watched.made
 
 
-class _Watched(Kernel):
+class _ObservedKernel(Kernel):
     """A run in progress in which some decisions, and the reactions that schedule them, are observed."""
 
     def __init__(self, record: LedgerRun, started: RunStarted, recipe: Recipe, seqs: Collection[int]) -> None:
@@ -95,7 +95,7 @@ class _Watched(Kernel):
         self.edited = edited_environment(recipe)
         self._seqs = frozenset(seqs)
         self._causes = frozenset(record.caused_by[seq] for seq in seqs)
-        self._scheduled: dict[int, tuple[Scheduled, str, Values]] = {}
+        self._scheduled: dict[int, tuple[Scheduled, str, ReadValues]] = {}
         self._answers: dict[int, tuple[Ask, int]] = {}
         self._released: dict[int, tuple[Command, list[int]]] = {}
         events, founded = founding_of(recipe.spec, recipe.constants)
@@ -104,13 +104,13 @@ class _Watched(Kernel):
             handler_table_of(recipe.spec.architecture, recipe.spec.configuration), self.edited, founding, founded
         )
         command(self, recipe)
-        self.answered_by(self.edited)
+        self.set_environment(self.edited)
         self._decides = {kind: self._decided(decide) for kind, decide in self._decides.items()}
         self._plan = {
             kind: (routes, tuple(map(self._reacted, reacts))) for kind, (routes, reacts) in self._plan.items()
         }
 
-    def answered_by(self, environment: Environment) -> None:
+    def set_environment(self, environment: Environment) -> None:
         """From now on, let this environment answer, and note its answers."""
 
         def answer(ask: Ask) -> int:
@@ -121,9 +121,9 @@ class _Watched(Kernel):
         self._answer = answer
 
     def _release(self, now_us: int) -> None:
-        kept = [scheduled.command for *_, scheduled in self._kept]
+        kept = [scheduled.command for *_, scheduled in self._held_back]
         super()._release(now_us)
-        still = {id(scheduled.command) for *_, scheduled in self._kept}
+        still = {id(scheduled.command) for *_, scheduled in self._held_back}
         for one in kept:
             if id(one) not in still:
                 self._released.setdefault(id(one), (one, []))[1].append(len(self.events) - 1)
@@ -195,7 +195,7 @@ class Read(msgspec.Struct, frozen=True):
     elements: tuple[int, ...]
 
 
-class Answered(msgspec.Struct, frozen=True):
+class PortAnswer(msgspec.Struct, frozen=True):
     """A question that was asked at a port, and the answer, both as `whatif --change 'answer ...'` takes them."""
 
     port: str
@@ -203,7 +203,7 @@ class Answered(msgspec.Struct, frozen=True):
     answer: str
 
 
-class Made(msgspec.Struct, frozen=True, kw_only=True):
+class DecisionTrace(msgspec.Struct, frozen=True, kw_only=True):
     """How a batch of events came about, which one command made at one time.
 
     Attributes:
@@ -228,7 +228,7 @@ class Made(msgspec.Struct, frozen=True, kw_only=True):
     command: str | None = None
     triggered_by: int | None = None
     scheduled_by: str | None = None
-    answers: tuple[Answered, ...] = ()
+    answers: tuple[PortAnswer, ...] = ()
     waited_for: tuple[int, ...] = ()
     scheduled_reads: tuple[Read, ...] = ()
     reads: tuple[Read, ...] = ()
@@ -260,7 +260,7 @@ class Reasons(msgspec.Struct, frozen=True):
     run: str
     seq: int
     triggers: tuple[int, ...]
-    made: tuple[Made, ...]
+    made: tuple[DecisionTrace, ...]
 
     @property
     def seqs(self) -> list[int]:
@@ -282,7 +282,7 @@ def reasons(record: LedgerRun, seq: int, depth: int | None = DEPTH) -> Reasons:
     Raises:
         UsageError: The run cannot be made again, or not as recorded.
     """
-    made: dict[int, Made] = {}
+    made: dict[int, DecisionTrace] = {}
     next_ones = [first_of(record, seq)]
     while next_ones and (depth is None or depth > 0):
         for one in _made(record, next_ones):
@@ -300,7 +300,7 @@ def _triggers(record: LedgerRun, seq: int) -> Iterator[int]:
         seq = cause
 
 
-def _made(record: LedgerRun, firsts: list[int]) -> Iterator[Made]:
+def _made(record: LedgerRun, firsts: list[int]) -> Iterator[DecisionTrace]:
     """Yield how the batches that begin at these seqs came about."""
     found = decisions(record, firsts)
     asked: list[tuple[Path, int]] = []
@@ -308,13 +308,13 @@ def _made(record: LedgerRun, firsts: list[int]) -> Iterator[Made]:
         asked += [(path, seq) for path in decision.reads]
         if decision.reaction is not None:
             asked += [(path, _trigger(record, seq) + 1) for path in decision.reaction.reads]
-    writers = written(record.events, asked)
+    writers = last_writes(record.events, asked)
     for seq in firsts:
         count = _count(record, seq)
         if seq in found:
             yield _decided(record, seq, count, found[seq], writers)
         else:
-            yield Made(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else "world")
+            yield DecisionTrace(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else "world")
 
 
 def _trigger(record: LedgerRun, first: int) -> int:
@@ -325,14 +325,16 @@ def _trigger(record: LedgerRun, first: int) -> int:
 
 
 def _decided(
-    record: LedgerRun, seq: int, count: int, decision: Decision, writers: Mapping[tuple[Path, int], Written]
-) -> Made:
+    record: LedgerRun, seq: int, count: int, decision: Decision, writers: Mapping[tuple[Path, int], LastWrite]
+) -> DecisionTrace:
     reads = tuple(_reads(decision.reads, seq, writers))
     command = type(decision.command).__name__
     if decision.reaction is None:
-        return Made(seq=seq, count=count, origin="command", handler=decision.handler, command=command, reads=reads)
+        return DecisionTrace(
+            seq=seq, count=count, origin="command", handler=decision.handler, command=command, reads=reads
+        )
     cause = _trigger(record, seq)
-    return Made(
+    return DecisionTrace(
         seq=seq,
         count=count,
         origin="decision",
@@ -355,15 +357,15 @@ def _count(record: LedgerRun, first: int) -> int:
     return end - first
 
 
-def _answered(answers: Iterable[tuple[Ask, int]]) -> Iterator[Answered]:
+def _answered(answers: Iterable[tuple[Ask, int]]) -> Iterator[PortAnswer]:
     """Yield the questions that have a name; the others take no time."""
     for ask, answer in answers:
         name = name_of(ask)
         if name is not None:
-            yield Answered(ask.port, name, Asked(name, answer).text)
+            yield PortAnswer(ask.port, name, Question(name, answer).text)
 
 
-def _reads(values: Values, before: int, writers: Mapping[tuple[Path, int], Written]) -> Iterator[Read]:
+def _reads(values: ReadValues, before: int, writers: Mapping[tuple[Path, int], LastWrite]) -> Iterator[Read]:
     """Yield what was read just before the event with this seq."""
     for path, value in values.items():
         place, name = _words(path)

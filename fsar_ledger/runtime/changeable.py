@@ -47,7 +47,7 @@ from fsar_ledger.runtime.changes import NEVER, seconds_text
 from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Environment, Fact
 from fsar_ledger.runtime.world.draws import FOREVER_US
 
-Happenings = dict[str, tuple[int, ...]]
+FactPositions = dict[str, tuple[int, ...]]
 """By name, the places of its facts among all facts of the run: one, or a beginning and an end."""
 
 
@@ -85,7 +85,7 @@ _ENDS: dict[type[Event], Callable[[Any], str]] = {
 
 
 @lru_cache(maxsize=64)
-def happenings(facts: tuple[Fact, ...]) -> Happenings:
+def facts_by_name(facts: tuple[Fact, ...]) -> FactPositions:
     """Return the places of the facts by name."""
     found: dict[str, tuple[int, ...]] = {}
     counts: Counter[str] = Counter()
@@ -104,7 +104,7 @@ def happenings(facts: tuple[Fact, ...]) -> Happenings:
     return found
 
 
-def meant(pattern: str, names: Sequence[str] | Happenings) -> list[str]:
+def matching_names(pattern: str, names: Sequence[str] | FactPositions) -> list[str]:
     """Return the names that a pattern with `*` means, in their order; the name alone where it has none."""
     if "*" not in pattern:
         return [pattern] if pattern in names else []
@@ -124,7 +124,7 @@ WORDS: dict[str, dict[str, int]] = {
 """By kind of question, the words that answer it; all others are answered by a length."""
 
 
-class Asked(NamedTuple):
+class Question(NamedTuple):
     """A question that a run asked, by name, with the environment's answer; lengths in microseconds."""
 
     name: str
@@ -166,13 +166,13 @@ def answer_of(kind: str, text: str) -> int | None:
     return round(float(number) * 1_000_000) if text.endswith("s") and number.replace(".", "", 1).isdigit() else None
 
 
-class Noting:
+class QuestionRecorder:
     """An environment that notes what is asked and answered, in order."""
 
     def __init__(self, environment: Environment) -> None:
         self.facts: tuple[Fact, ...] = tuple(environment.facts)
         self.latest_us = environment.latest_us
-        self.asked: list[Asked] = []
+        self.asked: list[Question] = []
         self._answer = environment.answer
 
     def answer(self, ask: Ask) -> int:
@@ -180,11 +180,11 @@ class Noting:
         answer = self._answer(ask)
         name = name_of(ask)
         if name is not None:
-            self.asked.append(Asked(name, answer))
+            self.asked.append(Question(name, answer))
         return answer
 
 
-def numbers_of_calls(asked: Sequence[Asked]) -> dict[str, int]:
+def numbers_of_calls(asked: Sequence[Question]) -> dict[str, int]:
     """Return the number of each call by its name, from 1: the call of that number is `call:1` for short."""
     names = [CALL + one.name.removeprefix(RESPONSE) for one in asked if one.kind == RESPONSE]
     return {name: number for number, name in reversed([*enumerate(names, start=1)])}

@@ -12,7 +12,15 @@ from fsar_ledger import printable
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.designs import Fleet, Scenario, Workflow, registered
 from fsar_ledger.errors import InvalidExperiment
-from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, Configuration, is_known, lacks, rank
+from fsar_ledger.events.configuration import (
+    EVERY_MECHANISM,
+    FULL,
+    MECHANISMS_OF,
+    Configuration,
+    is_known,
+    rank,
+    removed_mechanisms,
+)
 from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
@@ -140,7 +148,8 @@ class Experiment(msgspec.Struct, frozen=True):
         """Check that every architecture has the mechanisms that are taken out of it."""
         for architecture in self.architectures:
             for name in sorted(
-                frozenset().union(*map(lacks, self.configurations)) - set(MECHANISMS_OF.get(architecture, ()))
+                frozenset().union(*map(removed_mechanisms, self.configurations))
+                - set(MECHANISMS_OF.get(architecture, ()))
             ):
                 [whose] = [one for one, names in MECHANISMS_OF.items() if name in names]
                 raise InvalidExperiment(
@@ -294,8 +303,8 @@ def workflow_experiment(
     return Experiment(("fsar",), workflows, runs, seed)
 
 
-class Made(msgspec.Struct, frozen=True):
-    """The head of the ledger after `carry_out`, and counts of runs.
+class SimulationResult(msgspec.Struct, frozen=True):
+    """The head of the ledger after `run_experiment`, and counts of runs.
 
     `asked` is the number asked for and `made` how many of those were missing and are made now; `held` is the number in
     the ledger now, including those of other experiments.
@@ -307,7 +316,7 @@ class Made(msgspec.Struct, frozen=True):
     held: int
 
 
-def carry_out(
+def run_experiment(
     out: Path,
     experiment: Experiment,
     workers: int,
@@ -317,7 +326,7 @@ def carry_out(
     *,
     adopts: bool = False,
     version: int | None = None,
-) -> Made:
+) -> SimulationResult:
     """Commit the experiment's plan and the runs that the ledger lacks.
 
     If all runs are there, nothing is done. Otherwise the plan is committed first, unless it is on record; a larger plan
@@ -362,19 +371,19 @@ def carry_out(
             done += 1
             if progress is not None:
                 progress(done, batches)
-        return Made(writer.head, experiment.size, made, len(held) + made)
+        return SimulationResult(writer.head, experiment.size, made, len(held) + made)
 
 
 def _is_there(constants: Constants, held: frozenset[str], spec: RunSpec) -> bool:
     return run_id(run_started(spec, constants)) in held
 
 
-def _head_of(function: Callable[_P, Made]) -> Callable[_P, Head]:
+def _head_of(function: Callable[_P, SimulationResult]) -> Callable[_P, Head]:
     def headed(*given: _P.args, **options: _P.kwargs) -> Head:
         return function(*given, **options).head
 
     return headed
 
 
-simulate = _head_of(carry_out)
-"""Does the same as `carry_out`, and returns the head of the ledger."""
+simulate = _head_of(run_experiment)
+"""Does the same as `run_experiment`, and returns the head of the ledger."""

@@ -15,7 +15,7 @@ import msgspec
 from fsar_ledger.constants import Structure
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.configuration import MECHANISMS_OF, Configuration, lacks, without
+from fsar_ledger.events.configuration import MECHANISMS_OF, Configuration, removed_mechanisms, without
 from fsar_ledger.events.envelope import COORDINATOR, Agent, Architecture, Robot, as_robot, flat, robot_of, with_columns
 from fsar_ledger.events.execution import ExecutionFailed, RoutinePerformed
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed
@@ -92,12 +92,12 @@ class Knockout(NamedTuple):
         return HandlerTable({**changed.decides, **self.decides}, changed.reacts, changed.actors)
 
 
-def nothing(_state: State, _command: Command) -> tuple[Event, ...]:
+def decide_nothing(_state: State, _command: Command) -> tuple[Event, ...]:
     """Decide nothing."""
     return ()
 
 
-def seeing(slot: str, seen: Callable[[State], Any], decide: Callable[..., Any]) -> Callable[..., Any]:
+def on_view(slot: str, seen: Callable[[State], Any], decide: Callable[..., Any]) -> Callable[..., Any]:
     """Return the same decision or reaction, made on a state that has `seen` in this slot."""
 
     @wraps(decide)
@@ -146,7 +146,7 @@ def decided_by(event: Event, robot: Robot | None) -> Event:
     return with_columns(event, decided_by=robot, path=() if robot is None else (robot,))
 
 
-def in_no_time(name: str) -> Callable[[State], Any]:
+def zeroed(name: str) -> Callable[[State], Any]:
     """Return a view of the fleet in which this duration of its structure is 0."""
     return lambda state: state.fleet.__replace__(structure=_zeroed(state.fleet.structure, name))
 
@@ -196,7 +196,7 @@ _OF_FSAR = (
     Knockout("layered-recovery", "fsar"),
     Knockout("shared-registry", "fsar"),
     Knockout("engine-closing", "fsar", {CloseRequest: _closed_by_requester}),
-    Knockout("boundary-revocation", "fsar", {fsar_authority.Revoke: nothing}),
+    Knockout("boundary-revocation", "fsar", {fsar_authority.Revoke: decide_nothing}),
     Knockout("start-recheck", "fsar", change=_starting_unchecked(is_delegated=True)),
     Knockout("own-work-check", "fsar", {DecideRoutine: _moved_unchecked}, _starting_unchecked(is_delegated=False)),
 )
@@ -298,11 +298,11 @@ def _decided_by_robots(state: State, event: Event) -> Event:
     return event if robot is None else decided_by(event, robot)
 
 
-_now = partial(seeing, "knowledge", _copy_of_now)
-_served_at_once = partial(seeing, "fleet", in_no_time("service_us"))
+_now = partial(on_view, "knowledge", _copy_of_now)
+_served_at_once = partial(on_view, "fleet", zeroed("service_us"))
 
 _OF_CFC = (
-    Knockout("safe-stop-claims", "cfc", {cfc_execution.SafeStop: nothing}),
+    Knockout("safe-stop-claims", "cfc", {cfc_execution.SafeStop: decide_nothing}),
     Knockout(
         "synced-copies",
         "cfc",
@@ -344,7 +344,7 @@ def _snapshots_of_now(state: State) -> Any:
 
 def _talking_in_no_time(table: HandlerTable) -> HandlerTable:
     """Let the agents of a robot hear each other at once; what they say is on record as before."""
-    quick = partial(seeing, "fleet", in_no_time("hop_ppm"))
+    quick = partial(on_view, "fleet", zeroed("hop_ppm"))
     return HandlerTable(
         table.decides, {event: tuple(map(quick, several)) for event, several in table.reacts.items()}, table.actors
     )
@@ -357,12 +357,12 @@ def _decided_as_one(_state: State, event: Event) -> Event:
     return decided_by(event, robot_of(agent))
 
 
-_policy_now = partial(seeing, "knowledge", _snapshots_of_now)
+_policy_now = partial(on_view, "knowledge", _snapshots_of_now)
 
 _OF_DHMA = (
     Knockout("acknowledged-handoffs", "dhma", {dhma_authority.PassExecution: _passed_at_once}),
     Knockout("planner-claims", "dhma", change=leaving_out(AuthorityClaimed, agents.EngagePlanner)),
-    Knockout("recovery-disputes", "dhma", {dhma_recovery.Dispute: nothing}),
+    Knockout("recovery-disputes", "dhma", {dhma_recovery.Dispute: decide_nothing}),
     Knockout("contract-questioning", "dhma", change=leaving_out(ContractQuestioned, agents.EngagePlanner)),
     Knockout(
         "policy-snapshots",
@@ -374,9 +374,9 @@ _OF_DHMA = (
         },
     ),
     Knockout("hop-latency", "dhma", change=_talking_in_no_time),
-    Knockout("handoff-records", "dhma", {agents.HandOver: nothing}),
+    Knockout("handoff-records", "dhma", {agents.HandOver: decide_nothing}),
     Knockout("agent-decisions", "dhma", change=in_every_decision(_decided_as_one)),
-    Knockout("nested-queries", "dhma", {dhma_authority.RunOutsider: nothing}),
+    Knockout("nested-queries", "dhma", {dhma_authority.RunOutsider: decide_nothing}),
 )
 
 
@@ -389,6 +389,6 @@ assert {(one.architecture, one.name) for one in KNOCKOUTS} == {
 def knock_out(table: HandlerTable, architecture: Architecture, configuration: Configuration) -> HandlerTable:
     """Return the architecture's table without what the configuration lacks, except what its handlers check."""
     for knockout in KNOCKOUTS:
-        if knockout.architecture == architecture and knockout.name in lacks(configuration):
+        if knockout.architecture == architecture and knockout.name in removed_mechanisms(configuration):
             table = knockout.taken_out_of(table)
     return table

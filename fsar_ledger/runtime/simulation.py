@@ -12,14 +12,14 @@ from fsar_ledger.designs import Fleet
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, lacks
+from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, removed_mechanisms
 from fsar_ledger.events.fleet import ExperimentPlanned, RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State, fold
 
 from .architectures.handler_table import HandlerTable
 from .kernel import Kernel
-from .world.draws import Draws, Simulated, run_key
+from .world.draws import Draws, SimulatedEnvironment, run_key
 from .world.founding import founding
 from .world.schedule import schedule
 
@@ -76,11 +76,11 @@ def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = Non
     return Kernel(table, environment_of(spec, constants), *founding_of(spec, constants))
 
 
-def environment_of(spec: RunSpec, constants: Constants) -> Simulated:
+def environment_of(spec: RunSpec, constants: Constants) -> SimulatedEnvironment:
     """Return the world of the run; the durations of an own fleet's capabilities are among its draws."""
     facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), _world(constants.world, constants.fleet))
-    return Simulated(facts, draws)
+    return SimulatedEnvironment(facts, draws)
 
 
 @lru_cache(maxsize=8)
@@ -133,7 +133,7 @@ def handler_table_of(architecture: str, configuration: Configuration = FULL) -> 
     """
     module = import_module(f".architectures.{architecture}", __package__)
     table: HandlerTable = getattr(module, architecture.upper())
-    return table if lacks(configuration) <= set(MECHANISMS) else _knocked_out(architecture, configuration)
+    return table if removed_mechanisms(configuration) <= set(MECHANISMS) else _knocked_out(architecture, configuration)
 
 
 @lru_cache(maxsize=32)
@@ -155,7 +155,7 @@ def plan_record(planned: ExperimentPlanned) -> LedgerRun:
     return LedgerRun(plan_id(planned), (0,), (None,), (planned,))
 
 
-def misnamed(record: LedgerRun) -> tuple[str, str, str] | None:
+def plan_mismatch(record: LedgerRun) -> tuple[str, str, str] | None:
     """Return the first field in which the record of a plan is wrong, with what was found and expected, or None."""
     planned = record.events[0]
     assert isinstance(planned, ExperimentPlanned)

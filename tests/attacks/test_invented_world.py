@@ -37,7 +37,7 @@ from fsar_ledger.runtime.simulation import (
     run_started,
     simulate_run,
 )
-from fsar_ledger.runtime.world.draws import Draws, Simulated, run_key
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.attacks.conftest import Attack
 
@@ -67,7 +67,7 @@ def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> LedgerRun:
     """Return the handlers' decisions where only these facts happen."""
     one = Kernel(
         handler_table_of(spec.architecture),
-        Simulated(facts, Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)),
+        SimulatedEnvironment(facts, Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)),
         *founding_of(spec, CONSTANTS),
     )
     one.run()

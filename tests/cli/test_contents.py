@@ -22,8 +22,8 @@ from fsar_ledger.ledger.store.keys import read_signer
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.writing import open_writer
 from fsar_ledger.runtime import experiment as module
-from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate
-from fsar_ledger.runtime.experiments import named
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, SimulationResult, simulate
+from fsar_ledger.runtime.paper import paper_ledger
 from fsar_ledger.runtime.simulation import RunSpec, plan_record, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
@@ -154,7 +154,7 @@ def test_a_ledger_that_reproduce_signed_under_a_name_of_its_own_goes_on_with_rep
     call: Call, tmp_path: Path, folder: str, is_reproduced: bool
 ) -> None:
     call("key", "new", tmp_path / "key", "--name", "example.org/fleet")
-    experiment, path = named("ablation", 42, 1), tmp_path / "paper" / folder
+    experiment, path = paper_ledger("ablation", 42, 1), tmp_path / "paper" / folder
     with pytest.raises(Stopped):
         simulate(path, experiment.parts[1], 1, stop_after(0), experiment.signer(read_signer(tmp_path / "key")))
     [plan] = info(call, path)["plans"]
@@ -170,7 +170,7 @@ def test_however_many_counts_of_runs_the_plans_of_a_ledger_name_only_the_largest
     tmp_path: Path,
 ) -> None:
     ablation = tmp_path / "ablation"
-    planned_only(ablation, named("ablation", 42, 1).parts[1], named("ablation", 42, 1).origin)
+    planned_only(ablation, paper_ledger("ablation", 42, 1).parts[1], paper_ledger("ablation", 42, 1).origin)
     calls = reproducing([*range(10_001), 5, 5], Shown(ablation, open_ledger(ablation)))
     tried = sorted({int(call.rpartition(" ")[2]) for call in calls.values() if "--runs" in call}, reverse=True)
     assert tried == list(range(MAX_RUNS, MAX_RUNS - MAX_COUNTS, -1))
@@ -328,13 +328,13 @@ def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call,
 
 
 def test_runs_beyond_the_papers_experiment_are_told() -> None:
-    made = Made(EMPTY_HEAD, asked=300, made=0, held=301)
+    made = SimulationResult(EMPTY_HEAD, asked=300, made=0, held=301)
     assert before(made) == ["nothing to do: the 300 runs asked for are there, and 1 more"]
     assert beyond(made) == [
         "the ledger holds 1 run beyond the 300 of the paper's experiment, and they are judged here, too"
     ]
-    assert before(Made(EMPTY_HEAD, 20, 20, 30)) == ["made 20 runs, beside 10 of other experiments"]
-    assert before(fresh := Made(EMPTY_HEAD, 20, 20, 20)) == beyond(fresh) == []
+    assert before(SimulationResult(EMPTY_HEAD, 20, 20, 30)) == ["made 20 runs, beside 10 of other experiments"]
+    assert before(fresh := SimulationResult(EMPTY_HEAD, 20, 20, 20)) == beyond(fresh) == []
 
 
 @pytest.mark.slow

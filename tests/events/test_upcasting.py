@@ -146,7 +146,11 @@ def test_a_step_that_adds_keeps_every_field_of_the_version_before() -> None:
 def test_what_is_added_on_the_way_adds_up_and_a_way_with_another_change_adds_nothing() -> None:
     second, third = adding(MovedV2, MovedV3, is_fast=False), adding(MovedV3, MovedV6, place=None)
     both = Addition(MovedV6, {"is_fast": False, "place": None})
-    ways = {MovedV1: (FIRST, second, third), MovedV2: (second, third), MovedV3: (third,)}
+    ways: dict[type[Event], tuple[Upcaster[Any, Any], ...]] = {
+        MovedV1: (FIRST, second, third),
+        MovedV2: (second, third),
+        MovedV3: (third,),
+    }
     assert additions(ways) == {MovedV2: both, MovedV3: Addition(MovedV6, {"place": None})}
 
 

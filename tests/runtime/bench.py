@@ -23,7 +23,7 @@ from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.world.draws import Draws, Simulated, run_key
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
 HELPER = Robot("robot/F1")
@@ -40,7 +40,7 @@ class Bench(Kernel):
     def __init__(self, founding: Sequence[Event]) -> None:
         self.now_us = 0
         self.rebuilt = State()
-        super().__init__(FSAR, Simulated((), Draws(run_key(0, "live", 0), WORLD)), founding)
+        super().__init__(FSAR, SimulatedEnvironment((), Draws(run_key(0, "live", 0), WORLD)), founding)
 
     def issue(self, command: Command) -> tuple[Event, ...]:
         """Somebody outside gives the command now; its events."""
@@ -58,7 +58,7 @@ class Bench(Kernel):
 
     def proceed(self) -> bool:
         """Decide the next pending command; return False when none is pending."""
-        if not self._pending.turn():
+        if not self._pending.advance():
             return False
         due_us, _, cause, scheduled = heappop(self._pending.soon)
         command, ask = scheduled.command, scheduled.ask

@@ -12,7 +12,7 @@ from fsar_ledger.errors import InvalidExperiment, NotALedger
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.ledger.writing import VERSIONS
-from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, carry_out, simulate
+from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, run_experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started
 
 SMALL = Experiment(ARCHITECTURES, SCENARIOS[:2], runs=5, seed=3)
@@ -148,7 +148,7 @@ def test_another_experiment_can_join_a_ledger_if_it_shares_no_run(tmp_path: Path
 
 def test_runs_that_are_there_in_other_batches_are_not_made_again_and_nothing_changes(tmp_path: Path) -> None:
     head = simulate(tmp_path / "ledger", SMALL, 1)
-    made = carry_out(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=3), 1)
+    made = run_experiment(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=3), 1)
     assert (made.asked, made.made, made.held, made.head) == (2, 0, 30, head)
     assert open_ledger(tmp_path / "ledger").head == head
 

@@ -18,7 +18,7 @@ from fsar_ledger.runtime.architectures.dhma import agents
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel
-from fsar_ledger.runtime.world.draws import Draws, Simulated, run_key
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 
 HOP = re.compile(r"(.*)/hop(\D*)(\d*)$")
 PHASES = {
@@ -63,7 +63,7 @@ class Heard(Draws):
 def played(spec: RunSpec) -> tuple[Kernel, set[str]]:
     """A whole run and the internal hops that were drawn in it."""
     one, heard = kernel(spec, Constants()), Heard(spec)
-    one._answer = Simulated((), heard).answer
+    one._answer = SimulatedEnvironment((), heard).answer
     one.run()
     return one, heard.hops
 

@@ -42,7 +42,7 @@ from fsar_ledger.runtime.simulation import (
     run_started,
     simulate_run,
 )
-from fsar_ledger.runtime.world.draws import Draws, Simulated, run_key
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.runtime.forgeries import changed, dropped
 
@@ -72,7 +72,9 @@ def world_of(spec: RunSpec) -> tuple[Fact, ...]:
 def simulated_in(facts: Sequence[Fact], spec: RunSpec) -> LedgerRun:
     """The run that the real handlers make in a world of these facts, under the name of the honest one."""
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)
-    one = Kernel(handler_table_of(spec.architecture), Simulated(facts, draws), *founding_of(spec, constants_of(spec)))
+    one = Kernel(
+        handler_table_of(spec.architecture), SimulatedEnvironment(facts, draws), *founding_of(spec, constants_of(spec))
+    )
     one.run()
     return LedgerRun(run_id(run_started(spec, constants_of(spec))), one.times_us, one.caused_by, one.events)
 

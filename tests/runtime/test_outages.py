@@ -42,7 +42,7 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, Simulated, Stream, run_key
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.runtime.histories import started
 
@@ -91,7 +91,7 @@ def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
     """The run of these facts and no others."""
     one = Kernel(
         handler_table_of(architecture),
-        Simulated(facts, Draws(run_key(1, "door-relay", 0), WorldConstants())),
+        SimulatedEnvironment(facts, Draws(run_key(1, "door-relay", 0), WorldConstants())),
         started(architecture),
     )
     one.run()

@@ -268,7 +268,7 @@ def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path
     program = (
         "from pathlib import Path\n"
         "from fsar_ledger.runtime.experiment import Experiment, simulate\n"
-        "from fsar_ledger.runtime.experiments import NAMES, named\n"
+        "from fsar_ledger.runtime.paper import NAMES, named\n"
         "from fsar_ledger.runtime.replay import replay\n"
         "import fsar_ledger; assert fsar_ledger.__file__.startswith(str(Path.cwd())), fsar_ledger.__file__\n"
         "simulate(Path('ledger'), Experiment(('mine', 'fsar'), ('sixth', 'door-relay'), 1), 1)\n"

@@ -20,7 +20,7 @@ from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.runtime import experiment as module
-from fsar_ledger.runtime.experiment import ORIGIN, Experiment, carry_out, simulate
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment, simulate
 from fsar_ledger.runtime.replay import replay, replay_run
 from fsar_ledger.runtime.simulation import plan_record
 
@@ -103,7 +103,7 @@ def test_who_goes_on_adds_no_second_plan(tmp_path: Path) -> None:
     interrupted(tmp_path / "ledger", SMALL, 1)
     simulate(tmp_path / "ledger", SMALL, 1)
     assert plans(tmp_path / "ledger") == [2]
-    made = carry_out(tmp_path / "ledger", SMALL, 1)
+    made = run_experiment(tmp_path / "ledger", SMALL, 1)
     assert (made.asked, made.made, made.held, plans(tmp_path / "ledger")) == (4, 0, 4, [2])
 
 
@@ -164,8 +164,8 @@ def test_the_number_of_workers_changes_no_byte_of_an_enlargement(tmp_path: Path,
 def test_what_is_there_is_not_made_again_whatever_else_is_asked_for(
     tmp_path: Path, first: Experiment, then: Experiment, made: int
 ) -> None:
-    before = carry_out(tmp_path / "ledger", first, 1).head
-    after = carry_out(tmp_path / "ledger", then, 1)
+    before = run_experiment(tmp_path / "ledger", first, 1).head
+    after = run_experiment(tmp_path / "ledger", then, 1)
     assert (after.asked, after.made) == (then.size, made)
     assert len(plans(tmp_path / "ledger")) == 2
     assert len(runs(tmp_path / "ledger")) == after.held == first.size + made
@@ -175,7 +175,7 @@ def test_what_is_there_is_not_made_again_whatever_else_is_asked_for(
 
 def test_fewer_runs_than_there_are_change_nothing(enlarged: tuple[Path, Head]) -> None:
     path, head = enlarged
-    made = carry_out(path, Experiment(BOTH, ("door-relay",), 4, 3), 1)
+    made = run_experiment(path, Experiment(BOTH, ("door-relay",), 4, 3), 1)
     assert (made.asked, made.made, made.held, made.head) == (8, 0, 10, head)
 
 

@@ -25,7 +25,7 @@ from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, kernel, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, Simulated, Stream, run_key
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.recycled import from_table
 from tests.runtime.histories import finished
@@ -99,7 +99,7 @@ def asked_by(architecture: Architecture, draws: type[RecordingDraws]) -> dict[tu
     spec = RunSpec(3, architecture, "full", "collaborative-delivery", 4, 1)
     recording = draws(run_key(3, "collaborative-delivery", 1), WorldConstants())
     run = kernel(spec, Constants())
-    run._answer = Simulated((), recording).answer
+    run._answer = SimulatedEnvironment((), recording).answer
     run.run()
     return recording.asked
 

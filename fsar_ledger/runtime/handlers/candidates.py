@@ -14,7 +14,7 @@ from fsar_ledger.projections.execution import Execution
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.maps import among
 from fsar_ledger.projections.policy import ruled
-from fsar_ledger.projections.registry import Advertisement, Offered, Offers, enclosing, offered_in, offers
+from fsar_ledger.projections.registry import Advertisement, CapabilityOffers, Offers, enclosing, offered_in, offers
 from fsar_ledger.projections.trust import covers, scope_of
 
 from .attribution import is_idle, nearest_first
@@ -185,7 +185,9 @@ class _Search:
 
 
 # See docs/decisions/registry-judges-like-robots-once.md.
-def alike(state: State, offered: Offered, requester: Robot) -> Iterator[tuple[Advertisement, tuple[Robot, ...]]]:
+def alike(
+    state: State, offered: CapabilityOffers, requester: Robot
+) -> Iterator[tuple[Advertisement, tuple[Robot, ...]]]:
     """Yield robots, other than the requester, that every filter treats alike, and the record of one of them.
 
     Those that a rule, or trust in the requester, names are by themselves.

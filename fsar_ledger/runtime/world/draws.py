@@ -97,7 +97,7 @@ class Draws:
         return round(min(low_us + scale / (2 * _SHARE), FOREVER_US)) * ask.share_ppm // 1_000_000
 
 
-class Simulated:
+class SimulatedEnvironment:
     """A world in which these facts happen and these draws answer."""
 
     __slots__ = ("answer", "facts", "latest_us", "middle")

@@ -40,7 +40,7 @@ from fsar_ledger.runtime.handlers.execution import pause_running
 from fsar_ledger.runtime.ports import Ask
 
 Talk = tuple[AgentKind, ...]
-Said = tuple[tuple[Ask, ...], Scheduled]
+TalkPlan = tuple[tuple[Ask, ...], Scheduled]
 
 CALL: Talk = ("planning", "communication")  # the planner wants another robot asked
 EVALUATION: Talk = (
@@ -100,7 +100,7 @@ def talk(
     name: int | str,
     before: tuple[Ask, ...] = (),
     after_us: int = 0,
-) -> Said:
+) -> TalkPlan:
     """Return how long these agents talk, and schedule the record of it.
 
     The talk begins after what comes `before` it, and after `after_us`.

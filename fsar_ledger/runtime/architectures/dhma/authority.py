@@ -15,7 +15,7 @@ from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, body, message, target
 
-from .agents import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION, TO_PLANNING, Said, path, talk
+from .agents import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION, TO_PLANNING, TalkPlan, path, talk
 
 HANDLERS = Handlers()
 
@@ -158,7 +158,7 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
             return ()
 
 
-def _heard(said: Said, command: Command) -> tuple[Scheduled, ...]:
+def _heard(said: TalkPlan, command: Command) -> tuple[Scheduled, ...]:
     """Schedule what follows once the agents have talked, and the record of their talk."""
     lengths, record = said
     return (Scheduled(command, 0, lengths), record)

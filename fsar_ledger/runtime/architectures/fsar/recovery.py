@@ -50,7 +50,7 @@ from fsar_ledger.runtime.handlers.supervision import supervisor_for
 from fsar_ledger.runtime.ports import Ask
 
 from .availability import found_silent
-from .helpers import Found, peer, peer_query, reassignee
+from .helpers import HelperChoice, peer, peer_query, reassignee
 
 EXHAUSTED = "budget exhausted"
 
@@ -233,7 +233,7 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
                 return _to_human(state, action, recovery, EXHAUSTED)
             resume_at = checkpoint(state.task, action.task_id, action.step)
             helper, reason, silent = (
-                reassignee(state, action) if resume_at is not None else Found(None, "no checkpoint")
+                reassignee(state, action) if resume_at is not None else HelperChoice(None, "no checkpoint")
             )
             if silent and not command.is_last:
                 return ()

@@ -23,7 +23,7 @@ KINDS = {
 World = tuple[int | None, str | None, int | None, int | None]  # seed, scenario, fleet size, run
 
 
-class Played(msgspec.Struct, frozen=True):
+class WorldConstantsUsed(msgspec.Struct, frozen=True):
     """The worlds that runs of one kind met under the same constants; `parameters` as `RunStarted` holds them."""
 
     parameters: str
@@ -32,7 +32,7 @@ class Played(msgspec.Struct, frozen=True):
     worlds: tuple[World, ...]
 
 
-def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
+def constants_used(starts: Iterable[RunStarted]) -> tuple[WorldConstantsUsed, ...]:
     """Return the worlds that these runs met, in the order in which they were first met."""
     groups: dict[tuple[str, str, str], list[World]] = {}
     for one in starts:
@@ -42,10 +42,10 @@ def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
             one.configuration or "",
         )  # none is missing in a replayed run
         groups.setdefault(kind, []).append((one.seed, one.scenario, one.fleet_size, one.run))
-    return tuple(Played(*kind, tuple(worlds)) for kind, worlds in groups.items())
+    return tuple(WorldConstantsUsed(*kind, tuple(worlds)) for kind, worlds in groups.items())
 
 
-def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
+def remarks_on(found: Iterable[WorldConstantsUsed]) -> tuple[str, ...]:
     """Return a line for each set of constants that is not this version's.
 
     A last line says if two architectures or configurations met a world under no set of constants in common.
