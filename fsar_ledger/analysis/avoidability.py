@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import msgspec
 
+from fsar_ledger.analysis.causes import Outcome
 from fsar_ledger.analysis.fork_base import Rerun
-from fsar_ledger.analysis.outcomes import Outcome
 from fsar_ledger.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
 from fsar_ledger.garbage import without_collection

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import msgspec
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun

@@ -24,11 +24,11 @@ class Timeline:
     def __init__(self, record: LedgerRun) -> None:
         self.record = record
         state = State()
-        self._kept = [_copy(state)]
+        self._kept = [state.copy()]
         for seq, event in enumerate(record.events, start=1):
             apply(state, event)
             if seq % EVERY == 0:
-                self._kept.append(_copy(state))
+                self._kept.append(state.copy())
 
     def seq_at(self, time_us: int) -> int:
         """Return the last event that has happened by then, which may be event 0."""
@@ -36,18 +36,10 @@ class Timeline:
 
     def after(self, seq: int) -> State:
         """Return the state after this event."""
-        state = _copy(self._kept[(seq + 1) // EVERY])
+        state = self._kept[(seq + 1) // EVERY].copy()
         for event in self.record.events[(seq + 1) // EVERY * EVERY : seq + 1]:
             apply(state, event)
         return state
-
-
-def _copy(state: State) -> State:
-    """Return a state of its own with the same values, which never change."""
-    copy = State.__new__(State)
-    for slot in State.__slots__:
-        setattr(copy, slot, getattr(state, slot))
-    return copy
 
 
 REFUSALS = (RequestDenied, RequestCountered, RequestUnanswered, AssistanceDeclined, CommandRejected)

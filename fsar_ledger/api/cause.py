@@ -141,8 +141,8 @@ def cause(
     """
     from fsar_ledger.analysis import causes
     from fsar_ledger.analysis.avoidability import MOMENTS, curve
+    from fsar_ledger.analysis.causes import outcome_of
     from fsar_ledger.analysis.fork_base import base_of_record, rerun
-    from fsar_ledger.analysis.outcomes import outcome_of
 
     from .lookup import present, recorded
 

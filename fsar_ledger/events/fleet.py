@@ -52,9 +52,6 @@ class RobotJoined(Event, frozen=True, kw_only=True):
     place: str | None = None
 
 
-FleetEvent = RunStarted | RobotJoined
-
-
 class ExperimentPlanned(Event, frozen=True, kw_only=True):
     """An experiment was planned: `run_count` simulated runs for each architecture, configuration and scenario.
 

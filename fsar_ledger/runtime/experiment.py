@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import filterfalse
 from pathlib import Path
-from typing import ParamSpec
 
 import msgspec
 
@@ -48,7 +47,6 @@ MAX_OWN = 60_000
 Without either, they have about 2,000.
 """
 
-_P = ParamSpec("_P")
 Progress = Callable[[int, int], None]
 
 
@@ -376,14 +374,3 @@ def run_experiment(
 
 def _is_there(constants: Constants, held: frozenset[str], spec: RunSpec) -> bool:
     return run_id(run_started(spec, constants)) in held
-
-
-def _head_of(function: Callable[_P, SimulationResult]) -> Callable[_P, Head]:
-    def headed(*given: _P.args, **options: _P.kwargs) -> Head:
-        return function(*given, **options).head
-
-    return headed
-
-
-simulate = _head_of(run_experiment)
-"""Does the same as `run_experiment`, and returns the head of the ledger."""

@@ -32,7 +32,7 @@ from fsar_ledger.projections.world import is_linked
 from .agenda import Agenda, Pending
 from .architectures.handler_table import HandlerTable
 from .handlers.commands import Command, React, Scheduled
-from .ports import Ask, Environment
+from .ports import Environment
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
 _TURNS = frozenset({RobotWentOff, RobotCameBack, LinkCameUp})
@@ -77,7 +77,6 @@ class Kernel:
         self._facts = environment.facts
         self._next_fact = 0
         self._answer = environment.answer
-        self._asks_once: bool = getattr(environment, "answers_alike", False)
         self._latest_us = NEVER_US if environment.latest_us is None else environment.latest_us
         begun = founding[0]
         self._pending = Agenda((isinstance(begun, RunStarted) and begun.fleet_size) or 1)
@@ -94,8 +93,7 @@ class Kernel:
         self.times_us += [0] * len(founding)
         self.caused_by += [None, *[0] * (len(founding) - 1)]
         self.events += founding
-        for slot in State.__slots__:
-            setattr(self.state, slot, getattr(founded, slot))
+        self.state = founded.copy()
         apply(self.state, founding[0])
 
     def decides(self, command: type[Command]) -> bool:
@@ -103,9 +101,8 @@ class Kernel:
         return command in self._decides
 
     def set_environment(self, environment: Environment) -> None:
-        """From now on, let this environment answer; what happens by itself stays that of the first one."""
+        """Replace the environment that answers questions; scheduled facts are unchanged."""
         self._answer = environment.answer
-        self._asks_once = getattr(environment, "answers_alike", False)
 
     def submit(self, time_us: int, command: Command) -> int:
         """Give the run a command from outside, and return when it is due: then, or as soon as no other is.
@@ -245,15 +242,11 @@ class Kernel:
         state, answer, world, pending = self.state, self._answer, self.state.world, self._pending
         is_whole = not world.off and not world.unlinked  # nothing can be kept
         taken: set[int] = set()  # an event may schedule thousands
-        asks_once, length_us = self._asks_once, 0
-        waits: tuple[Ask, ...] = ()  # of the command before
         for react in reacts:
             for scheduled in react(state, event, time_us):
-                if scheduled.waits is not waits or not asks_once:
-                    waits, length_us = scheduled.waits, 0
-                    for ask in waits:
-                        length_us += answer(ask)
-                due_us = time_us + scheduled.after_us + length_us
+                due_us = time_us + scheduled.after_us
+                for ask in scheduled.waits:
+                    due_us += answer(ask)
                 if due_us <= time_us:
                     due_us = time_us + 1
                 # See docs/decisions/cause-and-time-name-a-command.md.

@@ -31,7 +31,6 @@ from fsar_ledger.runtime.architectures.cfc import execution as cfc_execution
 from fsar_ledger.runtime.architectures.cfc import request as cfc_request
 from fsar_ledger.runtime.architectures.cfc.recovery import HANDLERS, GoOnWithoutHelp, go_on_without_help
 from fsar_ledger.runtime.architectures.dhma import agents
-from fsar_ledger.runtime.architectures.dhma import authority as dhma_authority
 from fsar_ledger.runtime.architectures.dhma import execution as dhma_execution
 from fsar_ledger.runtime.architectures.dhma import recovery as dhma_recovery
 from fsar_ledger.runtime.architectures.dhma import request as dhma_request
@@ -102,9 +101,7 @@ def on_view(slot: str, seen: Callable[[State], Any], decide: Callable[..., Any])
 
     @wraps(decide)
     def decide_on_it(state: State, *about: Any) -> Any:
-        other = State.__new__(State)
-        for name in State.__slots__:
-            setattr(other, name, getattr(state, name))
+        other = state.copy()
         setattr(other, slot, seen(state))
         return decide(other, *about)
 
@@ -326,11 +323,11 @@ _OF_CFC = (
 )
 
 
-def _passed_at_once(state: State, command: dhma_authority.PassExecution) -> tuple[Event, ...]:
+def _passed_at_once(state: State, command: dhma_execution.PassExecution) -> tuple[Event, ...]:
     """Let the sender release at the same instant at which the receiver claims."""
-    events = dhma_authority.pass_execution(state, command)
-    acknowledged = dhma_authority.acknowledge_execution(
-        state, dhma_authority.AcknowledgeExecution(command.action_id, command.round, command.sender)
+    events = dhma_execution.pass_execution(state, command)
+    acknowledged = dhma_execution.acknowledge_execution(
+        state, dhma_execution.AcknowledgeExecution(command.action_id, command.round, command.sender)
     )
     return (*acknowledged, *events)
 
@@ -360,7 +357,7 @@ def _decided_as_one(_state: State, event: Event) -> Event:
 _policy_now = partial(on_view, "knowledge", _snapshots_of_now)
 
 _OF_DHMA = (
-    Knockout("acknowledged-handoffs", "dhma", {dhma_authority.PassExecution: _passed_at_once}),
+    Knockout("acknowledged-handoffs", "dhma", {dhma_execution.PassExecution: _passed_at_once}),
     Knockout("planner-claims", "dhma", change=leaving_out(AuthorityClaimed, agents.EngagePlanner)),
     Knockout("recovery-disputes", "dhma", {dhma_recovery.Dispute: decide_nothing}),
     Knockout("contract-questioning", "dhma", change=leaving_out(ContractQuestioned, agents.EngagePlanner)),
@@ -376,7 +373,7 @@ _OF_DHMA = (
     Knockout("hop-latency", "dhma", change=_talking_in_no_time),
     Knockout("handoff-records", "dhma", {agents.HandOver: decide_nothing}),
     Knockout("agent-decisions", "dhma", change=in_every_decision(_decided_as_one)),
-    Knockout("nested-queries", "dhma", {dhma_authority.RunOutsider: decide_nothing}),
+    Knockout("nested-queries", "dhma", {dhma_execution.RunOutsider: decide_nothing}),
 )
 
 

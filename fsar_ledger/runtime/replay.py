@@ -46,9 +46,8 @@ from fsar_ledger.workers import WorkerPool
 
 from .forks import command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide
-from .recipes import CannotReplay, Recipe, recorded_recipe, started_of
+from .recipes import CannotReplay, Recipe, WorldConstantsUsed, constants_used, recorded_recipe, remarks_on, started_of
 from .recorded import FACTS, RecordedEnvironment, RecordedKernel, recorded_environment
-from .run_constants import WorldConstantsUsed, constants_used, remarks_on
 from .simulation import founding_of, handler_table_of, plan_mismatch, run_id
 from .world.founding import founding
 from .world.schedule import schedule

@@ -10,8 +10,7 @@ import msgspec
 from fsar_ledger.constants import Constants, Range, WorldConstants, write_constants
 from fsar_ledger.designs import Fleet
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
-from fsar_ledger.events import Event
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, removed_mechanisms
 from fsar_ledger.events.fleet import ExperimentPlanned, RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun

@@ -5,9 +5,8 @@ from random import Random
 import pytest
 
 from fsar_ledger.analysis.avoidability import curve
-from fsar_ledger.analysis.causes import Cause, Search, cause
+from fsar_ledger.analysis.causes import Cause, Outcome, Search, cause, outcome_of
 from fsar_ledger.analysis.fork_base import Rerun, base_of_record, rerun
-from fsar_ledger.analysis.outcomes import Outcome, outcome_of
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.errors import QueryFailed, UnknownQuery, UsageError
 from fsar_ledger.events.world import PolicyWindowOpened

@@ -5,15 +5,16 @@ events that went through their stored form, so that what is rebuilt can be compa
 """
 
 from collections.abc import Sequence
+from functools import reduce
 from heapq import heappop
+from operator import or_
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 from hypothesis import strategies as st
 
 from fsar_ledger.constants import DURATIONS, Constants, Range, WorldConstants
-from fsar_ledger.events import AnyEvent, Event
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS, EVENT_TYPES, Event
 from fsar_ledger.events.envelope import Robot, Supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
@@ -31,7 +32,7 @@ WORLD = WorldConstants(durations=(*DURATIONS, ("fly", Range(1.0, 2.0))))  # a ro
 PUBLIC: tuple[type[Command], ...] = tuple(
     sorted((kind for kind in FSAR.decides if issubclass(kind, PublicCommand)), key=lambda kind: kind.__name__)
 )
-_encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(AnyEvent)
+_encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(reduce(or_, EVENT_TYPES))
 
 
 class Bench(Kernel):

@@ -10,17 +10,20 @@ from fsar_ledger.events.request import AwardMade
 from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.dhma.agents import EngagePlanner, TakeSnapshot, engage_planner, take_snapshot
-from fsar_ledger.runtime.architectures.dhma.authority import (
+from fsar_ledger.runtime.architectures.dhma.execution import (
     AcknowledgeExecution,
     PassExecution,
+    PlanOwnStep,
     RunOutsider,
     SettleBooking,
     acknowledge_execution,
+    decide_routine,
     pass_execution,
+    plan_own_step,
     run_outsider,
     settle_booking,
+    start,
 )
-from fsar_ledger.runtime.architectures.dhma.execution import PlanOwnStep, decide_routine, plan_own_step, start
 from fsar_ledger.runtime.architectures.dhma.recovery import (
     Dispute,
     Escalate,

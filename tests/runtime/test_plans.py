@@ -20,7 +20,7 @@ from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.runtime import experiment as module
-from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment, simulate
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment
 from fsar_ledger.runtime.replay import replay, replay_run
 from fsar_ledger.runtime.simulation import plan_record
 
@@ -57,7 +57,7 @@ def stop_after(batches: int) -> Callable[[int, int], None]:
 def interrupted(path: Path, experiment: Experiment, batches: int, version: int | None = None) -> None:
     """Stop the experiment when so many batches are there."""
     with pytest.raises(Stopped):
-        simulate(path, experiment, 1, stop_after(batches), version=version)
+        run_experiment(path, experiment, 1, stop_after(batches), version=version)
 
 
 def runs(path: Path) -> dict[str, LedgerRun]:
@@ -77,7 +77,7 @@ def judged(path: Path) -> tuple[object, ...]:
 @pytest.fixture(scope="module")
 def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("fresh") / "ledger"
-    simulate(path, LARGE, 1)
+    run_experiment(path, LARGE, 1)
     return path
 
 
@@ -87,8 +87,8 @@ def enlarged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Head]:
     path = tmp_path_factory.mktemp("enlarged") / "ledger"
     with pytest.MonkeyPatch.context() as patch:
         small_batches(patch)
-        simulate(path, SMALL, 1)
-        return path, simulate(path, LARGE, 1)
+        run_experiment(path, SMALL, 1)
+        return path, run_experiment(path, LARGE, 1).head
 
 
 def test_the_plan_is_on_record_before_the_first_run(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_the_plan_is_on_record_before_the_first_run(tmp_path: Path) -> None:
 
 def test_who_goes_on_adds_no_second_plan(tmp_path: Path) -> None:
     interrupted(tmp_path / "ledger", SMALL, 1)
-    simulate(tmp_path / "ledger", SMALL, 1)
+    run_experiment(tmp_path / "ledger", SMALL, 1)
     assert plans(tmp_path / "ledger") == [2]
     made = run_experiment(tmp_path / "ledger", SMALL, 1)
     assert (made.asked, made.made, made.held, plans(tmp_path / "ledger")) == (4, 0, 4, [2])
@@ -134,19 +134,19 @@ def test_wherever_an_enlargement_is_interrupted_its_plans_decide_the_bytes(
     if of_small < 2:
         interrupted(tmp_path / "stopped", ONE, of_small, version)
     else:
-        simulate(tmp_path / "stopped", ONE, 1, version=version)
+        run_experiment(tmp_path / "stopped", ONE, 1, version=version)
     shutil.copytree(tmp_path / "stopped", tmp_path / "straight")
     interrupted(tmp_path / "stopped", MORE, of_large)
-    head = simulate(tmp_path / "straight", MORE, 1)
-    assert simulate(tmp_path / "stopped", MORE, 1) == head
+    head = run_experiment(tmp_path / "straight", MORE, 1).head
+    assert run_experiment(tmp_path / "stopped", MORE, 1).head == head
     assert (tmp_path / "stopped" / "checkpoint").read_bytes() == (tmp_path / "straight" / "checkpoint").read_bytes()
     assert plans(tmp_path / "stopped") == [4, 7]
 
 
 @pytest.mark.slow
 def test_the_number_of_workers_changes_no_byte_of_an_enlargement(tmp_path: Path, enlarged: tuple[Path, Head]) -> None:
-    simulate(tmp_path / "ledger", SMALL, 1)
-    assert simulate(tmp_path / "ledger", LARGE, 2) == enlarged[1]
+    run_experiment(tmp_path / "ledger", SMALL, 1)
+    assert run_experiment(tmp_path / "ledger", LARGE, 2).head == enlarged[1]
 
 
 @pytest.mark.parametrize(
@@ -183,9 +183,9 @@ def test_fewer_runs_than_there_are_change_nothing(enlarged: tuple[Path, Head]) -
 def test_a_small_plan_that_a_larger_one_overtook_is_not_made_again(tmp_path: Path) -> None:
     interrupted(tmp_path / "ledger", SMALL, 1)
     interrupted(tmp_path / "ledger", LARGE, 1)
-    simulate(tmp_path / "ledger", SMALL, 1)
+    run_experiment(tmp_path / "ledger", SMALL, 1)
     assert plans(tmp_path / "ledger") == [2, 5]
-    simulate(tmp_path / "ledger", LARGE, 1)
+    run_experiment(tmp_path / "ledger", LARGE, 1)
     assert len(runs(tmp_path / "ledger")) == 10
     assert verify(tmp_path / "ledger").ok
 

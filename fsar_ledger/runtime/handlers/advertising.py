@@ -27,10 +27,9 @@ from fsar_ledger.projections.registry import (
     surface,
 )
 
-from .commands import Command, Handlers, PublicCommand, Scheduled, named
+from .candidates import contradiction, version_of, weaker
+from .commands import Command, Handlers, PublicCommand, Scheduled, named, rejected, unknown_robot
 from .fleet import in_use, not_possessed
-from .matching import contradiction, version_of, weaker
-from .rejection import rejected, unknown_robot
 
 HANDLERS = Handlers()
 

@@ -25,8 +25,21 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.trust import is_about
 
-from .commands import CloseExecution, Command, Handlers, PublicCommand, Scheduled, named, nobody
-from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_supervisor, unknown_word
+from .commands import (
+    CloseExecution,
+    Command,
+    Handlers,
+    PublicCommand,
+    Scheduled,
+    expired_context,
+    named,
+    nobody,
+    rejected,
+    unknown_capability,
+    unknown_robot,
+    unknown_supervisor,
+    unknown_word,
+)
 from .trust import trusts
 
 HANDLERS = Handlers()

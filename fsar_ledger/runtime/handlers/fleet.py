@@ -16,9 +16,8 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, Registry, path_of, possesses, surface
 from fsar_ledger.projections.world import World
 
-from .commands import Handlers, PublicCommand
-from .matching import contradiction, version_of
-from .rejection import rejected, unknown_robot
+from .candidates import contradiction, version_of
+from .commands import Handlers, PublicCommand, rejected, unknown_robot
 
 ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
 

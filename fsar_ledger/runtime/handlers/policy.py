@@ -12,8 +12,16 @@ from fsar_ledger.projections.policy import Policy, ruled
 from fsar_ledger.projections.trust import is_within
 from fsar_ledger.projections.world import World, in_force, stricter
 
-from .commands import Handlers, PublicCommand
-from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot, unknown_word
+from .commands import (
+    Handlers,
+    PublicCommand,
+    expired_context,
+    not_in_charge,
+    rejected,
+    unknown_capability,
+    unknown_robot,
+    unknown_word,
+)
 from .supervision import supervisor_for
 
 HANDLERS = Handlers()

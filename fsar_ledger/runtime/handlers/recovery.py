@@ -17,8 +17,17 @@ from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.world import World
 
-from .commands import EndAttempt, Handlers, PublicCommand, Scheduled, holds, lasts
-from .rejection import not_in_charge, rejected, unknown_robot
+from .commands import (
+    EndAttempt,
+    Handlers,
+    PublicCommand,
+    Scheduled,
+    holds,
+    lasts,
+    not_in_charge,
+    rejected,
+    unknown_robot,
+)
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
 

@@ -14,10 +14,8 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World
 
 from .attribution import recorded_by
-from .candidates import Answer, Query, candidates
-from .commands import Handlers, PublicCommand
-from .matching import is_range
-from .rejection import rejected, unknown_robot
+from .candidates import Answer, Query, candidates, is_range
+from .commands import Handlers, PublicCommand, rejected, unknown_robot
 
 HANDLERS = Handlers()
 

@@ -17,9 +17,16 @@ from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.request import Request, Requests
 
 from .attribution import on_shift, parties, recorded_by
-from .commands import Handlers, PublicCommand
+from .commands import (
+    Handlers,
+    PublicCommand,
+    expired_context,
+    rejected,
+    unknown_capability,
+    unknown_robot,
+    unknown_word,
+)
 from .policy import own_policy
-from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_word
 
 HANDLERS = Handlers()
 

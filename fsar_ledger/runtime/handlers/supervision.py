@@ -21,8 +21,17 @@ from fsar_ledger.projections.supervision import Supervision, density
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import DISAPPROVES, PREFERS_OTHER, Ask
 
-from .commands import Handlers, PublicCommand, Respond, Scheduled, at_once, nobody
-from .rejection import not_in_charge, rejected, unknown_robot
+from .commands import (
+    Handlers,
+    PublicCommand,
+    Respond,
+    Scheduled,
+    at_once,
+    nobody,
+    not_in_charge,
+    rejected,
+    unknown_robot,
+)
 from .task import first_in_order
 
 HANDLERS = Handlers()

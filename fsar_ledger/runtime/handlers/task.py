@@ -21,9 +21,11 @@ from .commands import (
     at_once,
     next_in_task,
     nobody,
+    rejected,
     requester,
+    unknown_capability,
+    unknown_robot,
 )
-from .rejection import rejected, unknown_capability, unknown_robot
 
 HANDLERS = Handlers()
 

@@ -11,8 +11,20 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.trust import SCOPES, covers, follows_record, is_within, scope_of
 
-from .commands import Command, Handlers, PublicCommand, Scheduled, named, nobody
-from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot, unknown_word
+from .commands import (
+    Command,
+    Handlers,
+    PublicCommand,
+    Scheduled,
+    expired_context,
+    named,
+    nobody,
+    not_in_charge,
+    rejected,
+    unknown_capability,
+    unknown_robot,
+    unknown_word,
+)
 
 BROADEST_BY_RECORD: TrustScope = "session"  # persistent trust is for an operator to give
 

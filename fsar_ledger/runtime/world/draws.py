@@ -101,7 +101,6 @@ class SimulatedEnvironment:
     """A world in which these facts happen and these draws answer."""
 
     __slots__ = ("answer", "facts", "latest_us", "middle")
-    answers_alike = True
 
     def __init__(self, facts: Sequence[Fact], draws: Draws) -> None:
         self.facts = facts
