@@ -71,12 +71,13 @@ def test_with_a_cause_alone_the_forked_run_has_the_outcome() -> None:
     assert metric(base.fork(others).record, "policy_violations") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("architecture", "number", "text", "kinds"),
     [
         ("fsar", 4, "coordination_success < 1", ["window"]),
-        pytest.param("cfc", 1, "recovery_containment < 1", [], marks=pytest.mark.slow),
-        pytest.param("dhma", 3, "reassignment_latency_s > 0", [], marks=pytest.mark.slow),
+        ("cfc", 1, "recovery_containment < 1", []),
+        ("dhma", 3, "reassignment_latency_s > 0", []),
     ],
 )
 def test_what_only_makes_the_outcome_defined_is_no_cause_of_it(

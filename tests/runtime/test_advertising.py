@@ -36,7 +36,7 @@ from fsar_ledger.runtime.handlers.advertising import (
     withdraw_capability,
 )
 from fsar_ledger.runtime.handlers.commands import Command
-from tests.runtime.histories import given, types
+from tests.runtime.histories import given, happen, types
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
@@ -270,8 +270,7 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
 
 def test_a_roll_out_of_what_was_withdrawn_meanwhile_shows_nothing() -> None:
     state = given("fsar")
-    for event in (*upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")), WITHDRAWN):
-        apply(state, event)
+    happen(state, *upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")), WITHDRAWN)
     assert finish_roll_out(state, FinishRollOut(*DOOR)) == ()
 
 
@@ -314,8 +313,7 @@ def test_a_new_version_is_as_available_as_the_robot_has_said(
 ) -> None:
     state = given("fsar", *([before] if before else []))
     command = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
-    for event in [meanwhile] if meanwhile else []:
-        apply(state, event)
+    happen(state, *[meanwhile] if meanwhile else [])
     [advertised] = finish_roll_out(state, command)
     assert isinstance(advertised, CapabilityAdvertised)
     assert (advertised.version, advertised.availability) == ("2.0.0", shown)
@@ -365,8 +363,7 @@ def test_whatever_is_commanded_the_surface_is_part_of_what_is_possessed(commands
     for command in commands:
         before = state.registry
         events = HANDLERS.decides[type(command)](state, command)
-        for event in events:
-            apply(state, event)
+        happen(state, *events)
         if types(events) == ["CommandRejected"]:
             assert state.registry is before
         for record in surface(state.registry, B):

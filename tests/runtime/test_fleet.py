@@ -20,7 +20,7 @@ from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.fleet import HANDLERS, InstallCapability, JoinFleet, RemoveCapability, execution_state
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from tests.runtime.histories import given, types
+from tests.runtime.histories import given, happen, types
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
@@ -203,8 +203,7 @@ def test_a_failure_of_the_actuator_is_reported_and_an_obstruction_is_not() -> No
 
 def test_what_was_reported_is_not_reported_again_and_a_serviced_robot_is_ready() -> None:
     state = given("fsar", ActuatorDegraded(B))
-    for event in report_actuator(state, ReportActuator(B, True)):
-        apply(state, event)
+    happen(state, *report_actuator(state, ReportActuator(B, True)))
     assert report_actuator(state, ReportActuator(B, True)) == ()
     assert report_actuator(state, ReportActuator(B, False)) == (), "it is not in order yet"
     serviced = ActuatorServiced(B)

@@ -17,7 +17,7 @@ from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult
-from tests.runtime.histories import ARRIVED, types
+from tests.runtime.histories import ARRIVED, happen, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import ASK, DOOR, A, B, D, asked, offered, served
 
@@ -70,8 +70,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
         )
         state = served(state, AnswerOffer(A, "q1", False, "hard-preempt"))
         events = evaluate_request(state, EvaluateRequest("q1"))
-        for event in events:
-            apply(state, event)
+        happen(state, *events)
     [denied] = events
     assert isinstance(denied, RequestDenied)
     assert denied.reason == "negotiation"
