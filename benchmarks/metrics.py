@@ -24,7 +24,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows
-from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, run_id, run_started
 
 TOLERANCE = 1e-9
@@ -43,12 +43,12 @@ Numbers = dict[tuple[str | None, str | None, int | None, str], float]
 def ledger_of(events: int, cache: Path, workers: int) -> Path:
     """Return a ledger with about this many events: five scenarios, three architectures, as many runs as needed."""
     with tempfile.TemporaryDirectory() as probe:
-        per_run = simulate(Path(probe) / "probe", experiment(4), workers, None).size / (15 * 4)
+        per_run = run_experiment(Path(probe) / "probe", experiment(4), workers, None).head.size / (15 * 4)
     runs = max(4, round(events / per_run / 15))
     model = run_id(run_started(next(experiment(1).specs()), Constants()))[-12:]  # a changed model gets its own cache
     ledger = cache / f"runs-{runs}-{model}-format-2"
     print(f"ledger of {runs} runs per scenario and architecture: {ledger}", flush=True)
-    simulate(ledger, experiment(runs), workers, None, version=2)
+    run_experiment(ledger, experiment(runs), workers, None, version=2)
     return ledger
 
 

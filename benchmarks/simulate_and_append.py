@@ -29,7 +29,7 @@ from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.writing import open_writer
-from fsar_ledger.runtime.experiment import ORIGIN, Experiment, simulate
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, simulate_run
 
 RUNS_AT_ONCE = 30  # some 16,000 events, as in a commit of format 2
@@ -59,9 +59,11 @@ def encoded(runs: Iterator[LedgerRun]) -> Iterator[bytes]:
 def world_to_ledger(folder: Path, runs: int, workers: int, version: int) -> Measurement:
     """Measure from world to committed ledger; with two workers, the start of their processes is counted."""
     with tempfile.TemporaryDirectory(dir=folder) as warm:  # everything is imported now
-        simulate(Path(warm) / "ledger", experiment(1), 1, version=version)
+        run_experiment(Path(warm) / "ledger", experiment(1), 1, version=version)
     with tempfile.TemporaryDirectory(dir=folder) as place:
-        return measured(lambda: simulate(Path(place) / "ledger", experiment(runs), workers, version=version).size)
+        return measured(
+            lambda: run_experiment(Path(place) / "ledger", experiment(runs), workers, version=version).head.size
+        )
 
 
 def our_store(folder: Path, runs: int, version: int) -> Measurement:
@@ -144,7 +146,7 @@ def main() -> int:
             ):
                 found.setdefault(key, []).append(measurement)
             print(f"turn {turn + 1}: load {os.getloadavg()[0]:.1f}", flush=True)
-        simulate(folder / "ledger", experiment(runs), 1, version=version)
+        run_experiment(folder / "ledger", experiment(runs), 1, version=version)
         view = open_ledger(folder / "ledger")
         segments = sum(path.stat().st_size for path in view.segments())
     print(f"events                                  {found['ours'][0].events:>11,}, format {version}")

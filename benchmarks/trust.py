@@ -26,7 +26,7 @@ from fsar_ledger.ledger.store import append
 from fsar_ledger.ledger.store.read import LedgerView, open_ledger
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
-from fsar_ledger.runtime.experiment import simulate
+from fsar_ledger.runtime.experiment import run_experiment
 
 
 def leaf_bytes(view: LedgerView) -> list[list[bytes]]:
@@ -101,7 +101,7 @@ def share_of_simulate(folder: Path, runs: int) -> float:
         clock.wrap(append, "write_derived"),
     ]
     began = time.perf_counter()
-    simulate(folder, experiment(runs), 1, None)
+    run_experiment(folder, experiment(runs), 1, None)
     seconds = time.perf_counter() - began
     for one in undo:
         one()
@@ -116,7 +116,7 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         ledger = Path(temporary) / "ledger"
-        simulate(ledger, experiment(arguments.runs), arguments.workers, None)
+        run_experiment(ledger, experiment(arguments.runs), arguments.workers, None)
         view = open_ledger(ledger)
         rows = leaf_bytes(view)
         print(f"{view.head.size:,} events in {view.head.commits} commits")

@@ -28,7 +28,7 @@ from fsar_ledger.ledger.rows.segment import read_table
 from fsar_ledger.ledger.store.walk import Names, check_manifest
 from fsar_ledger.ledger.verify.segment import examine, examine_some
 from fsar_ledger.metrics.second_reader import ReadAgain
-from fsar_ledger.runtime.experiment import carry_out
+from fsar_ledger.runtime.experiment import run_experiment
 
 from benchmarks.metrics import experiment  # isort: skip
 from benchmarks.table import note  # isort: skip
@@ -81,7 +81,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         ledger = options.ledger or Path(temporary) / "ledger"
         if options.ledger is None:
-            carry_out(ledger, experiment(RUNS), 1, version=2)
+            run_experiment(ledger, experiment(RUNS), 1, version=2)
         events, plain_s, one_s, both_s = measure(ledger, options.segments)
     print(f"events {events:,}, load {os.getloadavg()[0]:.1f}; rows are joined in C: {joining.IS_COMPILED}")
     for name, seconds in (

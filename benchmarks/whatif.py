@@ -17,7 +17,7 @@ from fsar_ledger.api.whatif import fork_pairs, runs_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.store import read
 from fsar_ledger.runtime.change_texts import parsed
-from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.own import with_values
 from fsar_ledger.runtime.simulation import SCENARIOS
 
@@ -37,7 +37,7 @@ def timed(name: str, work: Callable[[], object]) -> float:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         ledger, other = Path(folder) / "ledger", Path(folder) / "other"
-        simulate(ledger, Experiment(("fsar",), SCENARIOS, RUNS, 42), 1)
+        run_experiment(ledger, Experiment(("fsar",), SCENARIOS, RUNS, 42), 1)
         view = read.open_ledger(ledger)
         runs = runs_of(view, ())
         changes = parsed([f"set {CHANGE[0]}={CHANGE[1]}"])
@@ -49,7 +49,7 @@ def main() -> None:
 
         def simulate_and_compare() -> None:
             constants = with_values(Constants(), dict([CHANGE]))
-            simulate(other, Experiment(("fsar",), SCENARIOS, RUNS, 42, constants=constants), 1)
+            run_experiment(other, Experiment(("fsar",), SCENARIOS, RUNS, 42, constants=constants), 1)
             assert open_ledger(other).compare(other=open_ledger(ledger)).rows
 
         forked = timed(f"forks of {len(runs)} runs, played and judged", fork_and_judge)

@@ -15,7 +15,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.projections.world import in_force
 
-from .standing import Seen
+from .situation import Coverage
 
 
 class Belief(msgspec.Struct, frozen=True):
@@ -94,7 +94,7 @@ class _Last:
 
     def __init__(self, record: LedgerRun, seq: int) -> None:
         self._record, self._seq = record, seq
-        self._seen = Seen(record)
+        self._seen = Coverage(record)
         self.now_us = record.times_us[seq]
 
     def time_us(self, kind: type[Event], robot: str | None = None) -> int | None:

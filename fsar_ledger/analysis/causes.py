@@ -1,5 +1,10 @@
 """Causes: the smallest set of facts and answers with which an outcome still comes about, found over forks.
 
+An outcome is a condition over a run, judged by SQL for many runs at once. `policy_violations > 0` compares a metric of
+the run, `i3 > 0` how many events violate an invariant; a SELECT gives the `run_id` of each run that has the outcome. A
+run in which a metric has no value neither has the outcome nor lacks it: without a task, nothing succeeded and nothing
+failed.
+
 All that a run takes from outside is its world's facts and the answers at its ports. Without a fact, it does not happen;
 without an answer, an attempt holds, a supervisor answers as usual, and with `lengths`, what lasts takes the middle of
 its law. A set suffices if the outcome stands with it alone, and is 1-minimal if the outcome falls without any one of
@@ -10,6 +15,7 @@ Zeller, Hildebrandt: Simplifying and Isolating Failure-Inducing Input (2002), wh
 forks judged by one query.
 """
 
+import re
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -17,17 +23,94 @@ from typing import NamedTuple
 
 import msgspec
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger import printable
+from fsar_ledger.errors import QueryFailed, UsageError
 from fsar_ledger.garbage import without_collection
+from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
+from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.definitions import metrics
+from fsar_ledger.metrics.invariants import invariants
+from fsar_ledger.runtime.changeable import ATTEMPT, CALL, facts_by_name, name_of
 from fsar_ledger.runtime.forks import kernel_of
-from fsar_ledger.runtime.happenings import happenings
 from fsar_ledger.runtime.ports import Ask, Fact
-from fsar_ledger.runtime.questions import ATTEMPT, CALL, name_of
 from fsar_ledger.runtime.simulation import environment_of
 
-from .bases import Repeated
-from .outcomes import Outcome
-from .words import lines_of
+from .fork_base import Rerun
+from .records import lines_of
+
+_COMPARISON = re.compile(r"\s*([A-Za-z_0-9/]+)\s*(>=|<=|!=|<>|=|==|>|<)\s*(-?[0-9]+(?:\.[0-9]+)?)\s*")
+_SELECT = re.compile(r"\s*(SELECT|WITH|FROM)\b", re.IGNORECASE)
+_OPERATORS = {"==": "=", "!=": "<>"}
+SECONDS, MEMORY_BYTES = 60, 1 << 32
+"""The limits of a SELECT of one's own."""
+
+
+class Outcome(NamedTuple):
+    """A condition as it was given, and the SELECT of the runs that meet it; `is_own` if people wrote that SELECT.
+
+    `defined` is the SELECT of the runs in which there is a value to compare; empty: in all of them.
+    """
+
+    text: str
+    sql: str
+    is_own: bool = False
+    defined: str = ""
+
+    def of(self, runs: Sequence[Sequence[object]]) -> list[bool | None]:
+        """Return for each run, as (times, causes, events), whether it has the outcome; None where that is undefined.
+
+        Raises:
+            QueryFailed: The SELECT fails, or has no column `run_id`.
+        """
+        records = [
+            LedgerRun(f"{number}", run[0], run[1], run[2])  # type: ignore[arg-type]
+            for number, run in enumerate(runs)
+        ]
+        with from_table(encode_coded(records)) as database:
+            if self.is_own:
+                database.check_one_select(self.sql)
+                database.prepare(self.sql)
+                database.lock(SECONDS, MEMORY_BYTES)
+            found = database.table(self.sql)
+            valued = {row["run_id"] for row in database.rows(self.defined)} if self.defined else None
+        if "run_id" not in found.column_names:
+            named = printable.some(map(printable.value, found.column_names))
+            raise QueryFailed(f"outcome: found the columns {named}, expected run_id of each run with the outcome")
+        held = set(found.column("run_id").to_pylist())
+        names = [one.run_id for one in records]
+        return [None if valued is not None and name not in valued else name in held for name in names]
+
+
+def outcome_of(text: str) -> Outcome:
+    """Return the outcome that a text gives. Raises: UsageError for an unknown name or form."""
+    if _SELECT.match(text):
+        return Outcome(text, text, is_own=True)
+    match = _COMPARISON.fullmatch(text)
+    if match is None:
+        raise UsageError(
+            f"outcome {printable.value(text)}: expected a metric or an invariant and a number, as `policy_violations > "
+            "0` or `i3 > 0`, or a SELECT of run_id"
+        )
+    name, operator, number = match[1], _OPERATORS.get(match[2], match[2]), match[3]
+    if name in (one.name for one in metrics()):
+        defined = f"SELECT run_id FROM {name} WHERE value IS NOT NULL"
+        return Outcome(text, f"SELECT run_id FROM {name} WHERE value {operator} {number}", defined=defined)
+    aliases = {alias: query.relation for query in invariants() for alias in (query.relation, query.relation[:2])}
+    relation = aliases.get(name.lower())
+    if relation is None:
+        names = [one.name for one in metrics()] + sorted(aliases)
+        hint = printable.did_you_mean(name, names) or ";"
+        raise UsageError(
+            f"outcome {printable.value(text)}: there is no metric or invariant {printable.value(name)}{hint} expected "
+            f"one of {', '.join(one.name for one in metrics())}, or an invariant, i1 to i5 and a1 to a5"
+        )
+    counted = f"SELECT run_id, count(DISTINCT seq) AS events FROM {relation} GROUP BY run_id"
+    return Outcome(
+        text,
+        f"SELECT runs.run_id FROM runs LEFT JOIN ({counted}) AS found ON runs.run_id = found.run_id "
+        f"WHERE coalesce(found.events, 0) {operator} {number}",
+    )
+
 
 Progress = Callable[[int], None]
 USUAL = {ATTEMPT: 1, CALL: 0}
@@ -67,7 +150,7 @@ class Cause(msgspec.Struct, frozen=True):
     forks: int
 
 
-class _Left(NamedTuple):
+class _ReducedEnvironment(NamedTuple):
     """An environment in which some facts do not happen and some answers are as usual."""
 
     facts: Sequence[Fact]
@@ -79,7 +162,7 @@ class Search:
     """The forks of one run in which some of what it took from outside is taken away, with their outcomes."""
 
     def __init__(
-        self, repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None
+        self, repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None
     ) -> None:
         """Find out what the run took from outside.
 
@@ -93,7 +176,7 @@ class Search:
         self._recipe = repeated.base.recipe
         self._world = environment_of(self._recipe.spec, self._recipe.constants)
         self._facts = tuple(self._world.facts)
-        self._places = happenings(self._facts)
+        self._places = facts_by_name(self._facts)
         self._lengths = lengths
         self._outcome = outcome
         self._progress = progress
@@ -139,7 +222,7 @@ class Search:
                 return USUAL[kind]
             return self._world.middle(ask) if self._lengths else drawn
 
-        kernel = kernel_of(self._recipe, _Left(facts, self._world.latest_us, answer))
+        kernel = kernel_of(self._recipe, _ReducedEnvironment(facts, self._world.latest_us, answer))
         kernel.run()
         return kernel.times_us, kernel.caused_by, kernel.events
 
@@ -190,7 +273,7 @@ def _chunks(names: list[str], count: int) -> list[list[str]]:
     return [names[begin:end] for begin, end in pairwise(bounds)]
 
 
-def cause(repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None) -> Cause:
+def cause(repeated: Rerun, outcome: Outcome, *, lengths: bool = False, progress: Progress | None = None) -> Cause:
     """Return a smallest cause of the outcome of a run.
 
     Raises:
@@ -226,7 +309,7 @@ def cause(repeated: Repeated, outcome: Outcome, *, lengths: bool = False, progre
     )
 
 
-def _seq(repeated: Repeated, begins_s: float) -> int:
+def _seq(repeated: Rerun, begins_s: float) -> int:
     """Return the event of a fact; no two facts share an instant, and none is caused by anything."""
     record = repeated.base.record
     time_us = round(begins_s * 1_000_000)

@@ -17,7 +17,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.knowledge import CopySynced
 from fsar_ledger.projections import fold
 from fsar_ledger.projections.fold import ROUTES, State, apply
-from fsar_ledger.projections.maps import Large
+from fsar_ledger.projections.maps import SharedMap
 
 
 class Absent(Enum):
@@ -63,7 +63,7 @@ class Reads:
     def shown(self, value: Any, path: Path) -> Any:
         """Return the value as a decision sees it: what is read of it is noted, or itself if it has no parts."""
         match value:
-            case dict() | Large():
+            case dict() | SharedMap():
                 return _Mapping(self, value, path)
             case frozenset():
                 return _Set(self, value, path)
@@ -197,10 +197,10 @@ def _found(value: Any, step: Step) -> object:
         case Step("size"):
             return 0 if value is ABSENT else len(value)
         case _:
-            return () if value is ABSENT else tuple(value) if isinstance(value, dict | Large) else value
+            return () if value is ABSENT else tuple(value) if isinstance(value, dict | SharedMap) else value
 
 
-class Written(NamedTuple):
+class LastWrite(NamedTuple):
     """Since when a path has its value: the seq of the event that wrote it, and of those that wrote its elements.
 
     `by` is None for what is as it was before the first event. `elements` are the events since which each element of a
@@ -211,7 +211,7 @@ class Written(NamedTuple):
     elements: tuple[int, ...] = ()
 
 
-class _Watched:
+class _WatchedPath:
     """A place in the state, what is watched below it, and each change of its value where it is itself read.
 
     A change is the seq of an event, and since when each element of the new value has been there.
@@ -220,15 +220,15 @@ class _Watched:
     __slots__ = ("below", "changes", "since")
 
     def __init__(self) -> None:
-        self.below: dict[Step, _Watched] = {}
+        self.below: dict[Step, _WatchedPath] = {}
         self.changes: list[tuple[int, tuple[int, ...]]] | None = None
         self.since: dict[Any, int] = {}
 
-    def at(self, path: Path) -> "_Watched":
+    def at(self, path: Path) -> "_WatchedPath":
         """Return the place to which the path leads from here, and watch the way to it."""
         found = self
         for step in path:
-            found = found.below.setdefault(step, _Watched())
+            found = found.below.setdefault(step, _WatchedPath())
         return found
 
     def look(self, before: object, after: object, seq: int) -> None:
@@ -242,16 +242,16 @@ class _Watched:
         for step, below in self.below.items():
             below.look(_found(before, step), _found(after, step), seq)
 
-    def before(self, seq: int) -> Written:
+    def before(self, seq: int) -> LastWrite:
         """Return since when the value was what it was just before the event with this seq."""
         changes = [change for change in self.changes or () if change[0] < seq]
-        return Written(*changes[-1]) if changes else Written(None)
+        return LastWrite(*changes[-1]) if changes else LastWrite(None)
 
 
-def written(events: Sequence[Event], asked: Iterable[tuple[Path, int]]) -> dict[tuple[Path, int], Written]:
+def last_writes(events: Sequence[Event], asked: Iterable[tuple[Path, int]]) -> dict[tuple[Path, int], LastWrite]:
     """Return, for each path and seq, which events had written its value just before the event with that seq."""
     whole = list(asked)
-    root = _Watched()
+    root = _WatchedPath()
     for path, _ in whole:
         root.at(path).changes = []
     state = State()

@@ -18,9 +18,9 @@ from fsar_ledger.metrics.results import typed
 from fsar_ledger.metrics.sides import beside
 from fsar_ledger.runtime.changes import Changes
 from fsar_ledger.runtime.experiment import BATCH_RUNS, ORIGIN
-from fsar_ledger.runtime.forks import Forked
+from fsar_ledger.runtime.forks import Fork
 
-from .bases import Base, repeated
+from .fork_base import Base, rerun
 
 EVENTS_AT_ONCE = 200_000
 """Events of pairs that are judged together."""
@@ -66,10 +66,10 @@ class Pair(NamedTuple):
     """A base and its fork."""
 
     base: Base
-    fork: Forked
+    fork: Fork
 
 
-class Parted(msgspec.Struct, frozen=True):
+class Divergence(msgspec.Struct, frozen=True):
     """A base and its fork by name, and the first seq and time at which they part; None: they do the same.
 
     Units: seconds of run time.
@@ -115,17 +115,19 @@ class Effects(msgspec.Struct, frozen=True, kw_only=True):
     rows: list[Effect]
 
 
-def forked(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
+def forks_of(bases: Iterable[Base], changes: Changes) -> Iterator[Pair]:
     """Yield each base with its fork; what a name does not mean in a run changes nothing there.
 
     Raises:
         UsageError: A base cannot be made again, or a change is impossible there.
     """
     for base in bases:
-        yield Pair(base, repeated(base).fork(changes))
+        yield Pair(base, rerun(base).fork(changes))
 
 
-def effects(pairs: Iterable[Pair], progress: Callable[[int], None] | None = None) -> tuple[list[Parted], list[Effects]]:
+def effects(
+    pairs: Iterable[Pair], progress: Callable[[int], None] | None = None
+) -> tuple[list[Divergence], list[Effects]]:
     """Judge the pairs by every metric, for each architecture and configuration of the bases, in order.
 
     They are judged some at a time, so that many take no more memory than few. `progress` is called with the forks that
@@ -133,11 +135,11 @@ def effects(pairs: Iterable[Pair], progress: Callable[[int], None] | None = None
 
     Raises: as `Database.rows`, and as what yields the pairs.
     """
-    parted: list[Parted] = []
+    parted: list[Divergence] = []
     rows: list[pa.Table] = []
     with without_collection():
         for batch in _batches(pairs):
-            parted += map(_parted, batch)
+            parted += map(_divergence, batch)
             if progress is not None:
                 progress(len(parted))
             with from_table(
@@ -148,7 +150,7 @@ def effects(pairs: Iterable[Pair], progress: Callable[[int], None] | None = None
         return parted, []
     every = pa.concat_tables(rows)
     side_of = dict(zip(every.column("run_id").to_pylist(), every.column("side").to_pylist(), strict=True))
-    groups: dict[tuple[str, str], list[Parted]] = {}
+    groups: dict[tuple[str, str], list[Divergence]] = {}
     for one in parted:
         groups.setdefault((side_of[one.base], side_of[one.fork]), []).append(one)
     return parted, [_effects(every, base, fork, group) for (base, fork), group in groups.items()]
@@ -168,13 +170,13 @@ def _batches(pairs: Iterable[Pair]) -> Iterator[list[Pair]]:
         yield batch
 
 
-def _parted(pair: Pair) -> Parted:
+def _divergence(pair: Pair) -> Divergence:
     base, fork, at = pair.base.record, pair.fork.record, pair.fork.parts_at
     times = [] if at is None else [run.times_us[at] for run in (base, fork) if at < len(run.times_us)]
-    return Parted(base.run_id, fork.run_id, at, min(times) / 1e6 if times else None)
+    return Divergence(base.run_id, fork.run_id, at, min(times) / 1e6 if times else None)
 
 
-def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Parted]) -> Effects:
+def _effects(every: pa.Table, base: str, fork: str, group: Sequence[Divergence]) -> Effects:
     def of(side: str, runs: list[str]) -> pa.Table:
         is_its = pc.and_(pc.equal(every.column("side"), side), pc.is_in(every.column("run_id"), pa.array(runs)))
         return every.filter(is_its)
@@ -199,7 +201,7 @@ def _of_one(row: dict[str, Any]) -> dict[str, Any]:
     return {**row, "n": 1, "differing_pairs": int(differs)}
 
 
-def keep(out: Path, pairs: Iterable[Pair]) -> Head:
+def commit_pairs(out: Path, pairs: Iterable[Pair]) -> Head:
     """Commit each base and its fork to a ledger, which is created if there is none; return its head.
 
     What it holds already is left out.

@@ -1,16 +1,171 @@
-"""Why an event happened: what triggered it, what the decision read, who wrote that, and what was answered at ports."""
+"""Why an event happened: what triggered it, what the decision read, who wrote that, and what was answered at ports.
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Literal
+The run is made again under observation. Handlers are functions of the state and a command, or an event: the decisions
+that are asked for, and the reactions that scheduled them, get a state that notes what they read (`reads.py`).
+"""
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.events import Event
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.runtime.ports import Ask
-from fsar_ledger.runtime.questions import Asked, name_of
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.changeable import Question, name_of
+from fsar_ledger.runtime.forks import command, edited_environment, parts_at, record_of, run_to_end
+from fsar_ledger.runtime.handlers.commands import Command, Decide, React, Scheduled
+from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.ports import Ask, Environment
+from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recorded_recipe, started_of
+from fsar_ledger.runtime.simulation import founding_of, handler_table_of
 
-from .decisions import Decision, Values, decisions, first_of
-from .reads import ABSENT, Path, Written, written
+from .reads import ABSENT, LastWrite, Path, Reads, last_writes
+
+ReadValues = dict[Path, object]
+"""What was read: each path, in order, with the value found there."""
+
+
+class Reaction(NamedTuple):
+    """What scheduled a decision: the function, what it read, and the questions that it asked at ports, answered."""
+
+    handler: str
+    reads: ReadValues
+    answers: tuple[tuple[Ask, int], ...]
+
+
+class Decision(NamedTuple):
+    """How a batch of events was made: the function, its command, and what it read.
+
+    `reaction` is None for a command that came from outside. `waited_for` are the seqs of the facts that brought back a
+    robot or a link for which the command had been kept.
+    """
+
+    handler: str
+    command: Command
+    reads: ReadValues
+    reaction: Reaction | None
+    waited_for: tuple[int, ...] = ()
+
+
+def first_of(record: LedgerRun, seq: int) -> int:
+    """Return the seq of the first event that was made together with this one."""
+    cause = record.caused_by[seq]
+    return seq if cause is None or record.times_us[cause] != record.times_us[seq] else cause
+
+
+def decisions(record: LedgerRun, seqs: Collection[int]) -> dict[int, Decision]:
+    """Return how the batches that begin at these seqs were made; those of the world and the founding by nobody.
+
+    Raises:
+        UsageError: This version cannot make the run again, or makes another one than is recorded.
+    """
+    run = printable.value(record.run_id)
+    started = record.events[0]
+    if not isinstance(started, RunStarted):
+        raise UsageError(f"{run}: found a plan, expected a run; nothing happens in a plan")
+    try:
+        recipe = recorded_recipe(started, len(record.events))
+    except CannotReplay as found:
+        raise UsageError(f"run {run}: {found}; only a run that can be made again shows what was read") from found
+    try:
+        watched = _ObservedKernel(record, started, recipe, seqs)
+        run_to_end(watched, watched.edited, recipe)
+    except (LookupError, ValueError, RuntimeError, TypeError) as error:
+        raise UsageError(
+            f"run {run}: it cannot be made again ({error!s:.300}); run `fsar-ledger verify --replay`"
+        ) from error
+    at = 0 if watched.events[0] != started else parts_at(record, record_of(watched))
+    if at is not None:
+        raise UsageError(
+            f"run {run}, event {at}: the record is not what its world and its handlers make, so nothing shows why; run "
+            "`fsar-ledger verify --replay`, which says what differs"
+        )
+    return watched.made
+
+
+class _ObservedKernel(Kernel):
+    """A run in progress in which some decisions, and the reactions that schedule them, are observed."""
+
+    def __init__(self, record: LedgerRun, started: RunStarted, recipe: Recipe, seqs: Collection[int]) -> None:
+        self.made: dict[int, Decision] = {}
+        self.edited = edited_environment(recipe)
+        self._seqs = frozenset(seqs)
+        self._causes = frozenset(record.caused_by[seq] for seq in seqs)
+        self._scheduled: dict[int, tuple[Scheduled, str, ReadValues]] = {}
+        self._answers: dict[int, tuple[Ask, int]] = {}
+        self._released: dict[int, tuple[Command, list[int]]] = {}
+        events, founded = founding_of(recipe.spec, recipe.constants)
+        founding = (started_of(recipe, started), *events[1:])
+        super().__init__(
+            handler_table_of(recipe.spec.architecture, recipe.spec.configuration), self.edited, founding, founded
+        )
+        command(self, recipe)
+        self.set_environment(self.edited)
+        self._decides = {kind: self._decided(decide) for kind, decide in self._decides.items()}
+        self._plan = {
+            kind: (routes, tuple(map(self._reacted, reacts))) for kind, (routes, reacts) in self._plan.items()
+        }
+
+    def set_environment(self, environment: Environment) -> None:
+        """From now on, let this environment answer, and note its answers."""
+
+        def answer(ask: Ask) -> int:
+            found = environment.answer(ask)
+            self._answers[id(ask)] = ask, found
+            return found
+
+        self._answer = answer
+
+    def _release(self, now_us: int) -> None:
+        kept = [scheduled.command for *_, scheduled in self._held_back]
+        super()._release(now_us)
+        still = {id(scheduled.command) for *_, scheduled in self._held_back}
+        for one in kept:
+            if id(one) not in still:
+                self._released.setdefault(id(one), (one, []))[1].append(len(self.events) - 1)
+
+    def _decided(self, decide: Decide) -> Decide:
+        def decided(state: State, command: Command) -> tuple[Event, ...]:
+            seq = len(self.events)
+            if seq not in self._seqs:
+                return decide(state, command)
+            reads = Reads()
+            events = decide(reads.state(state), command)
+            if events:
+                reaction, (_, waited_for) = self._reaction(command), self._released.get(id(command), (command, []))
+                self.made[seq] = Decision(_name(decide), command, reads.values, reaction, tuple(waited_for))
+            return events
+
+        return decided
+
+    def _reacted(self, react: React) -> React:
+        def reacted(state: State, event: Any, now_us: int) -> tuple[Scheduled, ...]:
+            if len(self.events) - 1 not in self._causes:
+                return react(state, event, now_us)
+            reads = Reads()
+            found = react(reads.state(state), event, now_us)
+            for scheduled in found:
+                self._scheduled[id(scheduled.command)] = scheduled, _name(react), reads.values
+            return found
+
+        return reacted
+
+    def _reaction(self, command: Command) -> Reaction | None:
+        if id(command) not in self._scheduled:
+            return None
+        scheduled, handler, reads = self._scheduled[id(command)]
+        asked = scheduled.waits if scheduled.ask is None else (*scheduled.waits, scheduled.ask)
+        return Reaction(handler, reads, tuple(self._answers[id(ask)] for ask in asked))
+
+
+def _name(function: Callable[..., object]) -> str:
+    """Return the function by module and name, without what all handlers share."""
+    return f"{function.__module__}.{function.__qualname__}".removeprefix("fsar_ledger.runtime.")
+
 
 DEPTH = 2
 """How far a person looks unless told otherwise: the event, and the events that it rests on."""
@@ -40,7 +195,7 @@ class Read(msgspec.Struct, frozen=True):
     elements: tuple[int, ...]
 
 
-class Answered(msgspec.Struct, frozen=True):
+class PortAnswer(msgspec.Struct, frozen=True):
     """A question that was asked at a port, and the answer, both as `whatif --change 'answer ...'` takes them."""
 
     port: str
@@ -48,7 +203,7 @@ class Answered(msgspec.Struct, frozen=True):
     answer: str
 
 
-class Made(msgspec.Struct, frozen=True, kw_only=True):
+class DecisionTrace(msgspec.Struct, frozen=True, kw_only=True):
     """How a batch of events came about, which one command made at one time.
 
     Attributes:
@@ -73,7 +228,7 @@ class Made(msgspec.Struct, frozen=True, kw_only=True):
     command: str | None = None
     triggered_by: int | None = None
     scheduled_by: str | None = None
-    answers: tuple[Answered, ...] = ()
+    answers: tuple[PortAnswer, ...] = ()
     waited_for: tuple[int, ...] = ()
     scheduled_reads: tuple[Read, ...] = ()
     reads: tuple[Read, ...] = ()
@@ -105,7 +260,7 @@ class Reasons(msgspec.Struct, frozen=True):
     run: str
     seq: int
     triggers: tuple[int, ...]
-    made: tuple[Made, ...]
+    made: tuple[DecisionTrace, ...]
 
     @property
     def seqs(self) -> list[int]:
@@ -127,7 +282,7 @@ def reasons(record: LedgerRun, seq: int, depth: int | None = DEPTH) -> Reasons:
     Raises:
         UsageError: The run cannot be made again, or not as recorded.
     """
-    made: dict[int, Made] = {}
+    made: dict[int, DecisionTrace] = {}
     next_ones = [first_of(record, seq)]
     while next_ones and (depth is None or depth > 0):
         for one in _made(record, next_ones):
@@ -145,7 +300,7 @@ def _triggers(record: LedgerRun, seq: int) -> Iterator[int]:
         seq = cause
 
 
-def _made(record: LedgerRun, firsts: list[int]) -> Iterator[Made]:
+def _made(record: LedgerRun, firsts: list[int]) -> Iterator[DecisionTrace]:
     """Yield how the batches that begin at these seqs came about."""
     found = decisions(record, firsts)
     asked: list[tuple[Path, int]] = []
@@ -153,13 +308,13 @@ def _made(record: LedgerRun, firsts: list[int]) -> Iterator[Made]:
         asked += [(path, seq) for path in decision.reads]
         if decision.reaction is not None:
             asked += [(path, _trigger(record, seq) + 1) for path in decision.reaction.reads]
-    writers = written(record.events, asked)
+    writers = last_writes(record.events, asked)
     for seq in firsts:
         count = _count(record, seq)
         if seq in found:
             yield _decided(record, seq, count, found[seq], writers)
         else:
-            yield Made(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else "world")
+            yield DecisionTrace(seq=seq, count=count, origin="founding" if record.times_us[seq] == 0 else "world")
 
 
 def _trigger(record: LedgerRun, first: int) -> int:
@@ -170,14 +325,16 @@ def _trigger(record: LedgerRun, first: int) -> int:
 
 
 def _decided(
-    record: LedgerRun, seq: int, count: int, decision: Decision, writers: Mapping[tuple[Path, int], Written]
-) -> Made:
+    record: LedgerRun, seq: int, count: int, decision: Decision, writers: Mapping[tuple[Path, int], LastWrite]
+) -> DecisionTrace:
     reads = tuple(_reads(decision.reads, seq, writers))
     command = type(decision.command).__name__
     if decision.reaction is None:
-        return Made(seq=seq, count=count, origin="command", handler=decision.handler, command=command, reads=reads)
+        return DecisionTrace(
+            seq=seq, count=count, origin="command", handler=decision.handler, command=command, reads=reads
+        )
     cause = _trigger(record, seq)
-    return Made(
+    return DecisionTrace(
         seq=seq,
         count=count,
         origin="decision",
@@ -200,15 +357,15 @@ def _count(record: LedgerRun, first: int) -> int:
     return end - first
 
 
-def _answered(answers: Iterable[tuple[Ask, int]]) -> Iterator[Answered]:
+def _answered(answers: Iterable[tuple[Ask, int]]) -> Iterator[PortAnswer]:
     """Yield the questions that have a name; the others take no time."""
     for ask, answer in answers:
         name = name_of(ask)
         if name is not None:
-            yield Answered(ask.port, name, Asked(name, answer).text)
+            yield PortAnswer(ask.port, name, Question(name, answer).text)
 
 
-def _reads(values: Values, before: int, writers: Mapping[tuple[Path, int], Written]) -> Iterator[Read]:
+def _reads(values: ReadValues, before: int, writers: Mapping[tuple[Path, int], LastWrite]) -> Iterator[Read]:
     """Yield what was read just before the event with this seq."""
     for path, value in values.items():
         place, name = _words(path)

@@ -17,7 +17,7 @@ from .names import Names, names_of
 from .verbs import ArchitectureOption, FirstOption, OtherArgument, SecondOption, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.outcomes import Outcome
+    from fsar_ledger.analysis.causes import Outcome
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.sides import Side
 
@@ -136,7 +136,7 @@ def _sides(
     outcome: str,
 ) -> Bisected:
     """Compare two sides of one ledger, or of two, by an outcome."""
-    from fsar_ledger.analysis.outcomes import outcome_of
+    from fsar_ledger.analysis.causes import outcome_of
     from fsar_ledger.metrics.sides import chosen, sides
 
     from .diff import difference_of
@@ -164,7 +164,7 @@ def _sides(
 
 def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequence[str], outcome: str) -> Bisected:
     """Compare the runs of a ledger with their forks by an outcome."""
-    from fsar_ledger.analysis.outcomes import outcome_of
+    from fsar_ledger.analysis.causes import outcome_of
 
     from .diff import difference_of
     from .lookup import present

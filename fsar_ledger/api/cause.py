@@ -14,8 +14,8 @@ from .verbs import OneRunOption, Shows, declare, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
+    from fsar_ledger.analysis.avoidability import Chance
     from fsar_ledger.analysis.causes import Element
-    from fsar_ledger.analysis.futures import Chance
 
     from .ledger import Ledger
     from .provenance import Provenance
@@ -60,7 +60,7 @@ class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
 
     def curve(self) -> "Table":
         """Return a row for each moment."""
-        from fsar_ledger.analysis.futures import Chance
+        from fsar_ledger.analysis.avoidability import Chance
 
         from .table import Table, of_structs
 
@@ -140,9 +140,9 @@ def cause(
         QueryFailed: The SELECT fails.
     """
     from fsar_ledger.analysis import causes
-    from fsar_ledger.analysis.bases import base_of_record, repeated
-    from fsar_ledger.analysis.futures import MOMENTS, curve
-    from fsar_ledger.analysis.outcomes import outcome_of
+    from fsar_ledger.analysis.avoidability import MOMENTS, curve
+    from fsar_ledger.analysis.causes import outcome_of
+    from fsar_ledger.analysis.fork_base import base_of_record, rerun
 
     from .lookup import present, recorded
 
@@ -151,7 +151,7 @@ def cause(
     if not 0 <= futures <= MOST_FUTURES:
         raise UsageError(f"{option('futures', futures)}: expected 0 (no curve) to {MOST_FUTURES:,}")
     asked = outcome_of(outcome)
-    base = repeated(base_of_record(record, view.head.root))
+    base = rerun(base_of_record(record, view.head.root))
     played = None if progress is None else lambda done: progress(done, done)
     found = causes.cause(base, asked, lengths=lengths, progress=played)
     chances = None if not futures else curve(base, asked, futures, MOMENTS, progress)

@@ -14,9 +14,8 @@ from .names import Place, Run
 from .verbs import argument, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.consequences import Consequences
-    from fsar_ledger.analysis.difference import Difference
-    from fsar_ledger.analysis.words import Line
+    from fsar_ledger.analysis.difference import Difference, OutcomesDiff
+    from fsar_ledger.analysis.records import Line
     from fsar_ledger.events import Event
     from fsar_ledger.ledger.rows.codec import LedgerRun
 
@@ -73,7 +72,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """The differences of two runs.
 
     `same` events are the same at the same time; `counts` has the others by kind; `parameters` the fields of event 0
-    that differ. `parting`, `consequences`: None where nothing but event 0 differs.
+    that differ. `parting`, `outcomes_diff`: None where nothing but event 0 differs.
     """
 
     first: str
@@ -83,7 +82,7 @@ class Diff(Answer, msgspec.Struct, frozen=True, kw_only=True):
     counts: dict[str, int]
     differences: tuple[Told, ...]
     parting: Parting | None
-    consequences: "Consequences | None"
+    consequences: "OutcomesDiff | None"
     provenances: tuple["Provenance", ...]
 
     @property
@@ -148,9 +147,8 @@ def diff(
 
 def difference_of(first: "LedgerRun", second: "LedgerRun", provenances: "tuple[Provenance, ...]") -> Diff:
     """Return the differences of two records. Raises: as `Database.rows`."""
-    from fsar_ledger.analysis.consequences import FIRST, SECOND, consequences
-    from fsar_ledger.analysis.difference import KINDS, align, chain
-    from fsar_ledger.analysis.words import lines_from
+    from fsar_ledger.analysis.difference import FIRST, KINDS, SECOND, align, chain, outcomes_diff
+    from fsar_ledger.analysis.records import lines_from
     from fsar_ledger.ledger.rows.codec import encode_coded
     from fsar_ledger.metrics.database import from_table
 
@@ -168,7 +166,7 @@ def difference_of(first: "LedgerRun", second: "LedgerRun", provenances: "tuple[P
             places += [(SECOND, one.second_seq) for one in differing if one.second_seq is not None]
             places += [(name, seq) for name, seqs in zip((FIRST, SECOND), chains, strict=True) for seq in seqs]
             lines = lines_from(database, places)
-            after = consequences(database, first, second, found.pairs)
+            after = outcomes_diff(database, first, second, found.pairs)
         told = tuple(_told(one, first, second, lines) for one in differing)
         both = [tuple(lines[(name, seq)] for seq in seqs) for name, seqs in zip((FIRST, SECOND), chains, strict=True)]
         at_s = min(one.time_s for side in both for one in side[:1])
@@ -204,7 +202,7 @@ def _changed(
 
 
 def _told(one: "Difference", first: "LedgerRun", second: "LedgerRun", lines: "dict[tuple[str, int], Line]") -> Told:
-    from fsar_ledger.analysis.consequences import FIRST, SECOND
+    from fsar_ledger.analysis.difference import FIRST, SECOND
 
     words = [
         lines[place].text
@@ -293,7 +291,7 @@ def _shortened(lines: "Sequence[Line]") -> "list[Line | None]":
     return [*lines[: CHAIN - 1], None, lines[-1]]
 
 
-def _metrics(found: "Consequences", names: tuple[str, str], screen: Screen) -> Shown:
+def _metrics(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> Shown:
     rows = [
         {
             "metric": one.metric,
@@ -306,7 +304,7 @@ def _metrics(found: "Consequences", names: tuple[str, str], screen: Screen) -> S
     return screen.table(rows)
 
 
-def _tasks(found: "Consequences", names: tuple[str, str], screen: Screen) -> Shown:
+def _tasks(found: "OutcomesDiff", names: tuple[str, str], screen: Screen) -> Shown:
     """Return the tasks that did not end alike."""
     rows = [
         {
@@ -325,7 +323,7 @@ def _tasks(found: "Consequences", names: tuple[str, str], screen: Screen) -> Sho
     return printable.joined(printable.lines(""), screen.table(rows))
 
 
-def _verdicts(found: "Consequences", names: tuple[str, str]) -> Shown:
+def _verdicts(found: "OutcomesDiff", names: tuple[str, str]) -> Shown:
     told = {"first": names[0], "second": names[1]}
     lines = [
         f"only {told[one.run]}: {one.verdict} at {one.time_s:.3f} s, {printable.value(one.what)}"

@@ -48,7 +48,7 @@ def experiment_of(
 
     from fsar_ledger.constants import Constants, Load
     from fsar_ledger.designs import registered
-    from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, lacks
+    from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, removed_mechanisms
     from fsar_ledger.events.configuration import without as ablation
     from fsar_ledger.runtime.architectures import REGISTERED
     from fsar_ledger.runtime.experiment import Experiment
@@ -60,7 +60,9 @@ def experiment_of(
         dict.fromkeys(ablation(known("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ())
     )
     whose = tuple(
-        name for name in MECHANISMS_OF if any(lacks(one) & set(MECHANISMS_OF[name]) for one in configurations)
+        name
+        for name in MECHANISMS_OF
+        if any(removed_mechanisms(one) & set(MECHANISMS_OF[name]) for one in configurations)
     )
     known("scenario", [name for name in scenarios or () if not is_file(name)], registered.scenarios())
     constants, chosen = with_own(Constants(), tuple(dict.fromkeys(scenarios or ())), fleet, settings or ())

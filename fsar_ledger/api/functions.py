@@ -14,7 +14,7 @@ from .names import Names, Place, names_of
 from .workload import WORTH_ROBOTS, Progress, workers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.runtime.experiment import Made
+    from fsar_ledger.runtime.experiment import SimulationResult
 
     from .reproduce import Reproduced
 
@@ -23,7 +23,7 @@ class Simulated(msgspec.Struct, frozen=True):
     """The result of `simulate`; the ledger may also hold runs from before."""
 
     ledger: Ledger
-    made: "Made"
+    made: "SimulationResult"
 
 
 def simulate(
@@ -76,7 +76,7 @@ def simulate(
         UsageError: The arguments contradict each other.
         WriteFailed: A write failed; what is committed stays.
     """
-    from fsar_ledger.runtime.experiment import carry_out
+    from fsar_ledger.runtime.experiment import run_experiment
 
     scenarios, load = names_of(scenario), (teams_working, task_sets)
     experiment = experiment_of(
@@ -93,7 +93,7 @@ def simulate(
     )
     signer = signer_of(key, adopts=adopt)
     processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)
-    made = carry_out(
+    made = run_experiment(
         Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt, version=format
     )
     return Simulated(Ledger(out), made)

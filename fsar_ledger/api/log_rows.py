@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.chain.read import ChainView
 from fsar_ledger.ledger.opening import open_for_answers

@@ -55,8 +55,8 @@ def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
     `simulate` cannot continue such a ledger, because no key signs under its name. `counts` are the numbers of runs in
     the ledger's plans: `reproduce --runs` was one of these, or not given.
     """
-    from fsar_ledger.runtime.experiments import NAMES, SEED, named
-    from fsar_ledger.runtime.plan import plan_id
+    from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger
+    from fsar_ledger.runtime.simulation import plan_id
 
     path = ledger.path if ledger.path.name else ledger.path.resolve()
     name = next((one for one in NAMES if one == path.name), NAMES[0])
@@ -67,7 +67,7 @@ def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
     for many in (None, *possible[:MAX_COUNTS]):
         asked = ["--out", printable.word(path.parent), "--only", name, *([] if many is None else ["--runs", str(many)])]
         call = " ".join(("fsar-ledger reproduce", *asked, *(["--key KEY"] if _is_signed(ledger.view) else [])))
-        for part in named(name, SEED, many).parts:
+        for part in paper_ledger(name, SEED, many).parts:
             found.setdefault(plan_id(part.plan()), call)
     return found
 
@@ -99,7 +99,7 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> s
 
     None has it where the model, the constants or the names differ.
     """
-    from fsar_ledger.runtime.plan import plan_id
+    from fsar_ledger.runtime.simulation import plan_id
 
     asked = _asked(plan, parameters)
     try:

@@ -13,8 +13,8 @@ from fsar_ledger.metrics.progress import Showing
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.metrics.verified import required_look
 from fsar_ledger.report import write_report
-from fsar_ledger.runtime.experiment import Made, carry_out
-from fsar_ledger.runtime.experiments import NAMES, SEED, Name, Named, named
+from fsar_ledger.runtime.experiment import SimulationResult, run_experiment
+from fsar_ledger.runtime.paper import NAMES, SEED, Name, PaperLedger, paper_ledger
 
 from .fields import csv_text, plain
 from .files import write_text
@@ -28,7 +28,7 @@ class Reproduced(msgspec.Struct, frozen=True):
     """The result of `reproduce`: what was added to each ledger, by experiment, and the metrics of the results."""
 
     folder: Path
-    made: Mapping[Name, Made]
+    made: Mapping[Name, SimulationResult]
     metrics: Table
 
     @property
@@ -64,7 +64,7 @@ def reproduce_experiments(
     """
     require_outside(out, option("out", out))
     chosen = [name for name in NAMES if name == "results" or not only or name in known("experiment", only, NAMES)]
-    experiments = [named(name, SEED, runs) for name in chosen]
+    experiments = [paper_ledger(name, SEED, runs) for name in chosen]
     made = {
         one.name: _carried_out(out / one.name, one, workers, one.signer(signer), showing, adopts=adopts)
         for one in experiments
@@ -91,11 +91,11 @@ def reproduce_experiments(
 
 
 def _carried_out(
-    out: Path, experiment: Named, workers: int, signer: Signer | None, showing: Showing, *, adopts: bool
-) -> Made:
+    out: Path, experiment: PaperLedger, workers: int, signer: Signer | None, showing: Showing, *, adopts: bool
+) -> SimulationResult:
     """Append all parts of an experiment to its ledger, one after the other; return what the last added."""
     origin = experiment.origin if signer is None else None
     for part in experiment.parts:
         with showing(f"{experiment.name}: simulated", "batches") as progress:
-            made = carry_out(out, part, workers, progress, signer, origin, adopts=adopts)
+            made = run_experiment(out, part, workers, progress, signer, origin, adopts=adopts)
     return made

@@ -16,7 +16,7 @@ from .verbs import JSON, OneRunOption, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.beliefs import Belief
-    from fsar_ledger.analysis.standing import RobotNow, Standing
+    from fsar_ledger.analysis.situation import RobotNow, Situation
     from fsar_ledger.projections.fold import State
 
     from .ledger import Ledger
@@ -39,7 +39,7 @@ class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
     event_s: float
     ends_s: float
     commit: int
-    standing: "Standing"
+    standing: "Situation"
     beliefs: "list[Belief] | None"
     state: "State"
     provenance: "Provenance"
@@ -95,9 +95,9 @@ def state(
         UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
     """
     from fsar_ledger.analysis.beliefs import beliefs
-    from fsar_ledger.analysis.moments import Timeline
     from fsar_ledger.analysis.records import commits_of, record_of
-    from fsar_ledger.analysis.standing import standing
+    from fsar_ledger.analysis.situation import situation
+    from fsar_ledger.analysis.timeline import Timeline
 
     from .lookup import about_run, present, robot_of, time_of
     from .provenance import of_run
@@ -122,7 +122,7 @@ def state(
     seq = timeline.seq_at(at_us)
     after = timeline.after(seq)
     known = None if as_known_by is None else beliefs(timeline.record, seq, after, as_known_by)
-    stands = standing(timeline.record, seq, after, whose)
+    stands = situation(timeline.record, seq, after, whose)
     return Moment(
         run=name,
         at_s=at_us / 1e6,
@@ -137,7 +137,7 @@ def state(
     )
 
 
-def standing_lines(found: "Standing") -> Iterator[str]:
+def standing_lines(found: "Situation") -> Iterator[str]:
     """Yield how things stand: a paragraph for each robot, and one for each kind of what is open."""
     for robot in found.robots or ():
         yield ""
@@ -180,7 +180,7 @@ def _robot(one: "RobotNow") -> Iterator[str]:
             yield f"{BESIDE}offers as {availability}: {printable.some(map(printable.value, names))}"
 
 
-def _lists(found: "Standing") -> Iterator[tuple[str, list[str]]]:
+def _lists(found: "Situation") -> Iterator[tuple[str, list[str]]]:
     text = printable.value
     yield (
         "tasks",

@@ -203,8 +203,7 @@ def _write(out: Path, content: bytes) -> None:
 def _shown(ledger: "Ledger", asked: Run | None) -> "tuple[Shown, Provenance]":
     """Return a run with all that is drawn of it, and the provenance of that."""
     from fsar_ledger.analysis.records import record_of
-    from fsar_ledger.events import ALONE
-    from fsar_ledger.events.concerns import CONCERNS
+    from fsar_ledger.events import ALONE, CONCERNS
     from fsar_ledger.view.drawn import drawn, words_of
     from fsar_ledger.view.page import Shown
 

@@ -2,10 +2,9 @@
 
 from collections.abc import Iterator
 
-from fsar_ledger.analysis.moments import Timeline
-from fsar_ledger.analysis.standing import Seen, Standing, standing
-from fsar_ledger.analysis.walk import Walk
-from fsar_ledger.analysis.words import lines_of
+from fsar_ledger.analysis.records import lines_of
+from fsar_ledger.analysis.situation import Coverage, Situation, situation
+from fsar_ledger.analysis.timeline import Timeline, Walk
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -20,7 +19,7 @@ class Steps:
     def __init__(self, record: LedgerRun, provenance: Provenance, at_us: int | None) -> None:
         """Begin after the last event of that time; None: at event 0. Raises: as `Database.rows`."""
         self.run = record.run_id
-        self.provenance = of_run(provenance, Seen(record).lacking)
+        self.provenance = of_run(provenance, Coverage(record).lacking)
         self._record = record
         self._timeline = Timeline(record)
         found = lines_of([record], [(record.run_id, seq) for seq in range(len(record.events))])
@@ -42,7 +41,7 @@ class Steps:
         return self._record.times_us[seq] / 1e6
 
     def move(self, name: str, about: str = "") -> str | None:
-        """Make a move (`analysis/walk.py: MOVES`); return why it leads nowhere, or None.
+        """Make a move (`analysis/timeline.py: MOVES`); return why it leads nowhere, or None.
 
         Raises:
             UsageError: There is no such move, it lacks what it needs, or a time is none.
@@ -57,9 +56,9 @@ class Steps:
         yield "caused_by", self._record.caused_by[self.seq]
         yield from flat(event).items()
 
-    def standing(self, robot: str | None = None) -> Standing:
+    def standing(self, robot: str | None = None) -> Situation:
         """Return how things stand after the event at which the walk is."""
-        return standing(self._record, self.seq, self._timeline.after(self.seq), robot)
+        return situation(self._record, self.seq, self._timeline.after(self.seq), robot)
 
     def _seq_at(self, text: str) -> int:
         time_us = microseconds("go", text)

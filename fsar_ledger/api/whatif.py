@@ -17,7 +17,7 @@ from .verbs import ArchitectureOption, Shows, declare, verb
 from .workload import Progress
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.whatif import Effects, Pair, Parted
+    from fsar_ledger.analysis.whatif import Divergence, Effects, Pair
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.view import Head, View
     from fsar_ledger.runtime.changes import Changes
@@ -66,7 +66,7 @@ class WhatIf(Answer, msgspec.Struct, frozen=True):
     """
 
     changes: tuple[str, ...]
-    forks: tuple["Parted", ...]
+    forks: tuple["Divergence", ...]
     effects: list["Effects"]
     story: Diff | None
     provenance: "Provenance"
@@ -187,7 +187,7 @@ def whatif(
         WriteFailed: `out` cannot be written.
     """
     from fsar_ledger.analysis.records import record_of
-    from fsar_ledger.analysis.whatif import effects, keep
+    from fsar_ledger.analysis.whatif import commit_pairs, effects
     from fsar_ledger.ledger.store.paths import require_outside
 
     from .diff import difference_of
@@ -206,7 +206,7 @@ def whatif(
         pair = _one(view, record, meant)
         found, judged = effects([pair])
         story = difference_of(record, pair.fork.record, (provenance,))
-        kept = None if place is None else keep(place, [pair])
+        kept = None if place is None else commit_pairs(place, [pair])
         return WhatIf(texts, tuple(found), judged, story, provenance, kept, place)
     runs = runs_of(view, names_of(architecture) or ())
     played = None if progress is None else lambda done: progress(done, len(runs))
@@ -214,7 +214,7 @@ def whatif(
     if meant and not any(one.parts_at for one in found):
         _one(view, record_of(view, runs[0]), meant)  # says why it has no effect there
         raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
-    kept = None if place is None else keep(place, fork_pairs(view, runs, meant))
+    kept = None if place is None else commit_pairs(place, fork_pairs(view, runs, meant))
     return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
 
 
@@ -248,13 +248,13 @@ def changeable(ledger: "Ledger", run: Run) -> "Table":
     Raises:
         UsageError: There is no such run, or it cannot be made again.
     """
-    from fsar_ledger.analysis.bases import Changeable, base_of_record, repeated
+    from fsar_ledger.analysis.fork_base import Changeable, base_of_record, rerun
 
     from .lookup import present, recorded
     from .table import Table, of_structs
 
     view, provenance = present(ledger)
-    found = repeated(base_of_record(recorded(ledger, view, run), view.head.root)).changeable()
+    found = rerun(base_of_record(recorded(ledger, view, run), view.head.root)).changeable()
     return Table(of_structs(found, Changeable), provenance)
 
 
@@ -293,20 +293,20 @@ def runs_of(view: "View", architectures: Sequence[str]) -> list[str]:
 
 def fork_pairs(view: "View", runs: Sequence[str], changes: "Changes") -> "Iterator[Pair]":
     """Yield these runs of a ledger, each with its fork. Raises: UsageError if one cannot be made again."""
-    from fsar_ledger.analysis.bases import base_of_record
-    from fsar_ledger.analysis.whatif import forked
+    from fsar_ledger.analysis.fork_base import base_of_record
+    from fsar_ledger.analysis.whatif import forks_of
 
     asked = set(runs)
     records = (record for record in view.runs() if record.run_id in asked)
-    return forked((base_of_record(record, view.head.root) for record in records), changes)
+    return forks_of((base_of_record(record, view.head.root) for record in records), changes)
 
 
 def _one(view: "View", record: "LedgerRun", changes: "Changes") -> "Pair":
-    from fsar_ledger.analysis.bases import base_of_record, repeated
+    from fsar_ledger.analysis.fork_base import base_of_record, rerun
     from fsar_ledger.analysis.whatif import Pair
 
     base = base_of_record(record, view.head.root)
-    return Pair(base, repeated(base).fork_with_effect(changes))
+    return Pair(base, rerun(base).fork_with_effect(changes))
 
 
 def _effects(found: "Effects", screen: Screen) -> Iterator[Shown]:

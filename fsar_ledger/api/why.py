@@ -15,8 +15,8 @@ from .names import Place, Run
 from .verbs import SvgOption, argument, declare, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.analysis.why import Made, Read
-    from fsar_ledger.analysis.words import Line
+    from fsar_ledger.analysis.records import Line
+    from fsar_ledger.analysis.why import DecisionTrace, Read
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.metrics.database import Database
 
@@ -67,7 +67,7 @@ class Why(Drawable, msgspec.Struct, frozen=True, kw_only=True):
     run: str
     seq: int
     triggers: tuple[int, ...]
-    made: tuple["Made", ...]
+    made: tuple["DecisionTrace", ...]
     lines: dict[int, "Line"]
     provenance: "Provenance"
 
@@ -234,8 +234,8 @@ def why_of(record: "LedgerRun", provenance: "Provenance", seq: int, depth: int |
     Raises:
         UsageError: There is no such event, the depth is not positive, or the run cannot be made again as recorded.
     """
+    from fsar_ledger.analysis.records import lines_of
     from fsar_ledger.analysis.why import reasons
-    from fsar_ledger.analysis.words import lines_of
 
     if depth is not None and depth < 1:
         raise UsageError(f"{option('depth', depth)}: expected 1 or more")
@@ -315,7 +315,7 @@ class Tree:
         line = self._found.lines[seq]
         return f"{seq:>6} {line.time_s:>10.3f} s  {_words(line)}"
 
-    def _origin(self, one: "Made", indent: str) -> Iterator[str]:
+    def _origin(self, one: "DecisionTrace", indent: str) -> Iterator[str]:
         """Yield how a batch came about, and below it what it rests on."""
         self._told.add(one.seq)
         if one.count > 1 and one.origin != "founding":
@@ -341,7 +341,7 @@ class Tree:
             yield f"{indent}read, and nothing had written it"
             yield from (f"{indent}{INDENT}{read}" for read in unwritten)
 
-    def _below(self, above: "Made", seq: int, how: str, reads: Sequence[str], indent: str) -> Iterator[str]:
+    def _below(self, above: "DecisionTrace", seq: int, how: str, reads: Sequence[str], indent: str) -> Iterator[str]:
         """Yield an event that a batch rests on, what was read of it, and how it came about if its place is here."""
         line, deeper = self._found.lines[seq], indent + INDENT
         yield f"{indent}{how} {seq}  {line.time_s:.3f} s  {_words(line)}"

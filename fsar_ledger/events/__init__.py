@@ -3,58 +3,110 @@
 One file per concept, earlier versions in `retired.py`; imports msgspec only.
 """
 
-from collections.abc import Mapping
-from typing import get_args
+from collections.abc import Callable, Mapping
+from types import ModuleType
+from typing import Any
 
-from .authority import AuthorityEvent
-from .command import CommandEvent
-from .concerns import BESIDE, CONCERNS
+from . import (
+    authority,
+    command,
+    execution,
+    fleet,
+    knowledge,
+    policy,
+    recovery,
+    registry,
+    request,
+    supervision,
+    task,
+    trust,
+    world,
+)
 from .envelope import Event
-from .execution import ExecutionEvent
-from .experiment import ExperimentEvent, ExperimentPlanned
-from .fleet import FleetEvent
-from .knowledge import KnowledgeEvent
-from .policy import PolicyEvent
-from .recovery import RecoveryEvent
-from .registry import RegistryEvent
-from .request import RequestEvent
-from .retired import RETIRED_TYPES, UPCASTERS
-from .supervision import SupervisionEvent
-from .task import TaskEvent
-from .trust import TrustEvent
-from .upcasting import Addition, Chains, additions, chains
-from .world import WorldEvent
+from .retired import RETIRED_TYPES, UPCASTERS, Addition, additions, upcasters_of
 
-# See docs/decisions/verdicts-are-not-logged.md.
-AnyEvent = (
-    FleetEvent
-    | RegistryEvent
-    | TrustEvent
-    | PolicyEvent
-    | WorldEvent
-    | TaskEvent
-    | RequestEvent
-    | AuthorityEvent
-    | ExecutionEvent
-    | RecoveryEvent
-    | SupervisionEvent
-    | KnowledgeEvent
-    | CommandEvent
-    | ExperimentEvent
+_MODULES = (
+    fleet,
+    registry,
+    trust,
+    policy,
+    world,
+    task,
+    request,
+    authority,
+    execution,
+    recovery,
+    supervision,
+    knowledge,
+    command,
 )
 
-EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)
 
-UPCASTS: Chains = chains(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
+def _types_in(module: ModuleType) -> list[type[Event]]:
+    """Return the event types that the module defines, in its order."""
+    kinds = [kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Event)]
+    return [kind for kind in kinds if kind.__module__ == module.__name__]
+
+
+# See docs/decisions/verdicts-are-not-logged.md.
+EVENT_TYPES: tuple[type[Event], ...] = tuple(
+    sorted(
+        (kind for module in _MODULES for kind in _types_in(module)), key=lambda kind: kind is fleet.ExperimentPlanned
+    )
+)
+"""Every event type that the file of a concern defines; plans come last."""
+
+_STEPS = upcasters_of(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
+
+UPCASTS: Mapping[type[Event], tuple[Callable[[Any], Event], ...]] = {
+    cls: tuple(step.change for step in steps) for cls, steps in _STEPS.items()
+}
 """The changes that turn an event of each retired type into a current one, built and checked at import."""
 
-ADDITIONS: Mapping[type[Event], Addition] = additions(RETIRED_TYPES, UPCASTERS)
+ADDITIONS: Mapping[type[Event], Addition] = additions(_STEPS)
 """The retired types that become current by adding fields alone, which SQL does in place."""
 
-ALONE: frozenset[type[Event]] = frozenset({ExperimentPlanned})
+ALONE: frozenset[type[Event]] = frozenset({fleet.ExperimentPlanned})
 """The event types that are the only event of their run: they describe runs and happen in none.
 
 Event 0 of any other run is `RunStarted`.
+"""
+
+
+# See docs/decisions/unobserved-is-null.md.
+CONCERNS: tuple[str, ...] = (
+    "fleet",  # robots and their membership
+    "registry",  # capabilities, advertisements, availability, look-ups
+    "trust",
+    "policy",  # rules and windows, a robot's own and the fleet's
+    "task",
+    "request",  # requests between robots, from the gap to the end, and how they are decided
+    "authority",  # claims, grants, revocations
+    "execution",  # who does what, and routine
+    "recovery",  # failures and what is done about them
+    "supervision",  # supervisors: calls, answers, absences
+    "knowledge",  # what a decider has been told
+    "message",  # what the agents of one robot tell each other
+    "command",  # commands from outside that were rejected
+    "world",  # what happens to robots: obstructions, wear, outages, encounters, injected attempts
+)
+"""Every concern, in the order in which runs store them. Runs of our own handlers observe all of them."""
+
+BESIDE: Mapping[str, str | None] = {
+    "RunStarted": None,
+    "ExperimentPlanned": None,
+    "TaskArrived": "task",
+    "PolicyWindowOpened": "policy",
+    "PolicyWindowClosed": "policy",
+    "SupervisorLeft": "supervision",
+    "SupervisorReturned": "supervision",
+    "ExecutionFailed": "recovery",
+    "InternalHandoff": "message",
+    "RoutineReported": "message",
+}
+"""The types, whatever their version, whose concern is not their file, and those of which every version is retired.
+
+None: the type describes the run itself and belongs to no concern.
 """
 
 
@@ -65,7 +117,7 @@ def _concerns() -> dict[str, str]:
     if stray := sorted(name for name, concern in found.items() if concern not in (None, *CONCERNS)):
         raise TypeError(
             f"{', '.join(stray)}: found in a file not named after a concern, expected one of {', '.join(CONCERNS)}; "
-            "move it, or name its concern in fsar_ledger/events/concerns.py"
+            "move it, or name its concern in BESIDE, fsar_ledger/events/__init__.py"
         )
     return {name: concern for name, concern in found.items() if concern is not None}
 
@@ -76,4 +128,14 @@ CONCERN_OF: dict[str, str] = _concerns()
 A type that describes the run itself has none: every run has it, whatever it observes.
 """
 
-__all__ = ["ADDITIONS", "ALONE", "CONCERN_OF", "EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]
+__all__ = [
+    "ADDITIONS",
+    "ALONE",
+    "BESIDE",
+    "CONCERNS",
+    "CONCERN_OF",
+    "EVENT_TYPES",
+    "RETIRED_TYPES",
+    "UPCASTS",
+    "Event",
+]

@@ -51,6 +51,3 @@ class AuthorityRevoked(Event, frozen=True, kw_only=True):
     context: str | None
     reason: RevocationReason
     decided_by: Principal | None
-
-
-AuthorityEvent = AuthorityClaimed | AuthorityReleased | AuthorityGranted | AuthorityRevoked

@@ -15,6 +15,3 @@ class CommandRejected(Event, frozen=True, kw_only=True):
     subject: str
     reason: str
     issued_by: Principal | None = None
-
-
-CommandEvent = CommandRejected

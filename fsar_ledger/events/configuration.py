@@ -71,7 +71,7 @@ def without(mechanisms: Iterable[str]) -> Configuration:
     return _WITHOUT + "+".join(one for one in EVERY_MECHANISM if one in lacking) if lacking else FULL
 
 
-def lacks(configuration: str) -> frozenset[str]:
+def removed_mechanisms(configuration: str) -> frozenset[str]:
     """Return the mechanisms that the configuration of this name lacks; none for any other text."""
     return (
         frozenset(configuration.removeprefix(_WITHOUT).split("+"))
@@ -83,14 +83,14 @@ def lacks(configuration: str) -> frozenset[str]:
 def is_known(configuration: str) -> bool:
     """Return whether this names a configuration in which some architecture can be simulated."""
     return (
-        any(map(lacks(configuration).issubset, MECHANISMS_OF.values()))
-        and without(lacks(configuration)) == configuration
+        any(map(removed_mechanisms(configuration).issubset, MECHANISMS_OF.values()))
+        and without(removed_mechanisms(configuration)) == configuration
     )
 
 
 def rank(configuration: Configuration) -> tuple[int, tuple[int, ...]]:
     """Return the rank of a known configuration: full first, then those that lack one mechanism, then two."""
-    lacking = [EVERY_MECHANISM.index(one) for one in EVERY_MECHANISM if one in lacks(configuration)]
+    lacking = [EVERY_MECHANISM.index(one) for one in EVERY_MECHANISM if one in removed_mechanisms(configuration)]
     return len(lacking), tuple(lacking)
 
 

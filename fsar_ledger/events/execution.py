@@ -189,23 +189,3 @@ class RoutineReported(Event, frozen=True):
 
     principals: Parties
     robot: Robot
-
-
-ExecutionEvent = (
-    OwnStepDecided
-    | ExecutionQueued
-    | ApproachStarted
-    | ExecutionHeld
-    | ExecutionStarted
-    | ExecutionPaused
-    | ExecutionHalted
-    | ExecutionPreempted
-    | ReplanOrdered
-    | ExecutionResumed
-    | ExecutionFailed
-    | ExecutionFinished
-    | ExecutionWithdrawn
-    | RoutinePerformed
-    | RoutineWithheld
-    | RoutineReported
-)

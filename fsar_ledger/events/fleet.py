@@ -1,4 +1,4 @@
-"""Runs, robots and their membership (`eq:fleet`, `eq:runtime`)."""
+"""Plans of runs, runs, robots and their membership (`eq:fleet`, `eq:runtime`)."""
 
 from typing import Literal
 
@@ -52,4 +52,19 @@ class RobotJoined(Event, frozen=True, kw_only=True):
     place: str | None = None
 
 
-FleetEvent = RunStarted | RobotJoined
+class ExperimentPlanned(Event, frozen=True, kw_only=True):
+    """An experiment was planned: `run_count` simulated runs for each architecture, configuration and scenario.
+
+    The plan is the only event of a run of its own. The planned runs are numbered from 0 to `run_count` - 1; every other
+    field is as in the `RunStarted` of each of them. Repeating or continuing the experiment adds no second plan;
+    enlarging it adds the plan of the larger one.
+    """
+
+    architectures: tuple[str, ...]
+    configurations: tuple[str, ...]
+    scenarios: tuple[str, ...]
+    run_count: int
+    seed: int
+    fleet_size: int
+    model_version: str
+    parameters: str

@@ -64,8 +64,3 @@ class WorkQueued(Event, frozen=True):
     subject: Subject[TaskId, ActionId]
     item: str
     ready_us: int
-
-
-KnowledgeEvent = (
-    FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | BidReceived | PlannerEngaged | WorkQueued
-)

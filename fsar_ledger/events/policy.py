@@ -51,6 +51,3 @@ class PolicyConflictEscalated(Event, frozen=True):
     capability: str
     local: PolicyOutcome
     fleet: PolicyOutcome
-
-
-PolicyEvent = PolicyRuleSet | RolePolicyRuleSet | PolicyConflictEscalated

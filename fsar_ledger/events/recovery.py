@@ -169,19 +169,3 @@ class FailureResolved(Event, frozen=True):
     robot: Robot
     failure: int
     level: RecoveryLevel
-
-
-RecoveryEvent = (
-    RecoveryBudgetSet
-    | RecoveryAttempted
-    | RecoveryAttemptFailed
-    | RecoveryEscalated
-    | AssistanceRequested
-    | AssistanceAdmitted
-    | AssistanceDeclined
-    | AssistanceEnded
-    | AssistanceFailed
-    | ReassignmentDecided
-    | TaskStateTransferred
-    | FailureResolved
-)

@@ -140,16 +140,3 @@ class RegistryQueried(Event, frozen=True, kw_only=True):
     rejected_by: tuple[str, ...] = ()
     domain: str = ""
     as_of_us: int | None = None
-
-
-RegistryEvent = (
-    CapabilityInstalled
-    | CapabilityRemoved
-    | CapabilityAdvertised
-    | CapabilityWithdrawn
-    | AvailabilityChanged
-    | CapabilityDeprecated
-    | RegistryCached
-    | RegistryConsulted
-    | RegistryQueried
-)

@@ -210,26 +210,3 @@ class RequestClosed(Event, frozen=True):
     subject: RequestSubject[TaskId, ActionId, RequestId | None]
     principals: Principals
     result: Result = "success"
-
-
-RequestEvent = (
-    GapDetected
-    | RequestIssued
-    | RequestRelayed
-    | RequestUnanswered
-    | PeerSought
-    | CandidateMatched
-    | BidSubmitted
-    | AwardMade
-    | InternalHandoff
-    | RequestAdmitted
-    | RequestDenied
-    | RequestDeferred
-    | RequestCountered
-    | OfferAnswered
-    | CommandIssued
-    | RequestAccepted
-    | ContractQuestioned
-    | ContractVoided
-    | RequestClosed
-)

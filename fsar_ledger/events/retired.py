@@ -7,11 +7,165 @@ else a function from event to event. Rows stay stored, checked and hashed as the
 newest version.
 """
 
-from typing import Any, Literal
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar, Union, get_args, get_origin
+
+import msgspec
 
 from .envelope import Event
 from .fleet import RunStarted
-from .upcasting import Upcaster, adding
+
+_Before = TypeVar("_Before", bound=Event)
+_After = TypeVar("_After", bound=Event)
+
+Value: TypeAlias = str | int | bool | tuple[str, ...] | None
+
+_UNIONS = (Union, get_origin(int | None))
+
+
+class Upcaster(msgspec.Struct, Generic[_Before, _After], frozen=True):
+    """One step: `change` turns an event of the retired type `before` into one of the next version, `after`."""
+
+    before: type[_Before]
+    after: type[_After]
+    change: Callable[[_Before], _After]
+    added: Mapping[str, Value] | None = None
+    """The fields that `change` adds to every event, if it does nothing else (`adding`); None for any other change."""
+
+
+class Addition(NamedTuple):
+    """A whole chain of changes that only add fields: rows become rows of `after` by column, none of them read."""
+
+    after: type[Event]
+    added: Mapping[str, Value]
+
+
+def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcaster[_Before, _After]:
+    """Return the step to a next version that only adds these fields, with the same values in every event.
+
+    Every field of the version before is kept. A new field that is not named here gets its default, also in SQL.
+
+    Raises:
+        TypeError: `after` needs a field that neither the version before nor this step gives, lacks one of them, or
+            cannot hold a value.
+    """
+    fields = {field.name: field for field in msgspec.structs.fields(after)}
+    given = {*before.__struct_fields__, *added}
+    lacking = sorted({name for name, field in fields.items() if field.required} - given)
+    if lacking or not given <= fields.keys() or not added.keys().isdisjoint(before.__struct_fields__):
+        own = sorted(fields.keys() - set(before.__struct_fields__))
+        raise TypeError(
+            f"upcaster of {_tag(before)}: found that it adds {sorted(added)} and lacks {lacking}, "
+            f"expected of {own}; write a change instead"
+        )
+    added = {
+        name: field.default for name, field in fields.items() if name not in given and field.default is not None
+    } | added
+    for field in msgspec.structs.fields(before):
+        if not _takes(fields[field.name].type, field.type):
+            kinds = f"found {field.type} turned into {fields[field.name].type}"
+            raise TypeError(
+                f"upcaster of {_tag(before)}: field {field.name}: {kinds}, "
+                "expected a type that takes every value; write a change instead"
+            )
+    for name, value in added.items():
+        try:
+            msgspec.convert(value, fields[name].type)
+        except msgspec.ValidationError as error:
+            raise TypeError(f"upcaster of {_tag(before)}: field {name}: {error}") from error
+
+    def change(event: _Before) -> _After:
+        return after(**{name: getattr(event, name) for name in before.__struct_fields__}, **added)
+
+    return Upcaster(before, after, change, added)
+
+
+def _takes(kind: Any, before: Any) -> bool:
+    """Return whether a field of this type takes every value of the type before.
+
+    It does if it is the same type, has a wider choice of words, or takes None as well.
+    """
+    if kind == before:
+        return True
+    if get_origin(before) in _UNIONS:
+        return all(_takes(kind, one) for one in get_args(before))
+    if get_origin(kind) in _UNIONS:
+        return any(_takes(one, before) for one in get_args(kind))
+    if get_origin(before) is Literal:
+        words = get_args(before)
+        return (
+            set(words) <= set(get_args(kind))
+            if get_origin(kind) is Literal
+            else all(type(word) is kind for word in words)
+        )
+    return False
+
+
+def upcasters_of(
+    current: Iterable[type[Event]], retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]
+) -> Mapping[type[Event], tuple[Upcaster[Any, Any], ...]]:
+    """Return the steps from each retired type to a current one, one version of the same name a step.
+
+    Raises:
+        TypeError: A tag has no version or occurs twice; a name's versions do not go from 1 to the current one without
+            gaps; a retired type has no upcaster or several, or one that does not lead to its next version.
+    """
+    current, retired, steps = tuple(current), tuple(retired), tuple(upcasters)
+    by_tag = {_tag(cls): cls for cls in (*current, *retired)}
+    if len(by_tag) < len(current) + len(retired):
+        raise TypeError("event types: found two with one tag, expected one; give one of them the next version")
+    for cls in (*current, *retired):
+        name, number = _version(cls)
+        if number > 1 and by_tag.get(f"{name}.v{number - 1}") not in retired:
+            raise TypeError(
+                f"{_tag(cls)}: found no version {number - 1} in RETIRED_TYPES, expected all from 1; keep the old struct"
+            )
+        if cls in current and f"{name}.v{number + 1}" in by_tag:
+            raise TypeError(f"{_tag(cls)}: found it current, expected only the newest version of {name} to be current")
+    if sorted(_tag(step.before) for step in steps) != sorted(map(_tag, retired)):
+        raise TypeError(
+            f"upcasters: found some of {', '.join(_tag(step.before) for step in steps) or 'nothing'}, expected exactly "
+            f"one of each retired type: {', '.join(map(_tag, retired)) or 'none'}; see UPCASTERS"
+        )
+    for step in steps:
+        name, number = _version(step.before)
+        if by_tag.get(f"{name}.v{number + 1}") is not step.after:
+            raise TypeError(
+                f"upcaster of {_tag(step.before)}: found that it leads to {_tag(step.after)}, expected "
+                f"{name}.v{number + 1} as it is listed; change one version a step"
+            )
+    step_of = {step.before: step for step in steps}
+    ways: dict[type[Event], tuple[Upcaster[Any, Any], ...]] = {}
+    for cls in retired:
+        way = [step_of[cls]]
+        while way[-1].after in step_of:
+            way.append(step_of[way[-1].after])
+        ways[cls] = tuple(way)
+    return ways
+
+
+def additions(ways: Mapping[type[Event], tuple[Upcaster[Any, Any], ...]]) -> Mapping[type[Event], Addition]:
+    """Return each retired type whose steps all only add fields, with its current type and what is added."""
+    return {
+        cls: Addition(way[-1].after, {name: value for step in way for name, value in (step.added or {}).items()})
+        for cls, way in ways.items()
+        if all(step.added is not None for step in way)
+    }
+
+
+def _tag(cls: type[Event]) -> str:
+    """Return the stored type of this class."""
+    return str(cls.__struct_config__.tag)
+
+
+def _version(cls: type[Event]) -> tuple[str, int]:
+    """Return name and version number of an event type. Raises: TypeError for a tag that has none."""
+    name, _, number = _tag(cls).rpartition(".v")
+    if not name or not number.isdecimal() or number != str(int(number)) or number == "0":
+        raise TypeError(
+            f'{_tag(cls)}: found a tag without version, expected NAME.vN with N from 1; write tag="{cls.__name__}.v1"'
+        )
+    return name, int(number)
 
 
 # See docs/decisions/evidence-is-never-rewritten.md.

@@ -50,6 +50,3 @@ class ActuatorServiced(Event, frozen=True):
     """A supervisor has had the robot's actuator repaired."""
 
     robot: Robot
-
-
-SupervisionEvent = SupervisorCalled | SupervisorResponded | SupervisionDensitySet | ActuatorServiced

@@ -33,6 +33,3 @@ class TaskAbandoned(Event, frozen=True):
     """The task has taken twice its budget and is given up before its next step."""
 
     task_id: TaskId
-
-
-TaskEvent = StepBegan | StepCompleted | TaskCompleted | TaskAbandoned

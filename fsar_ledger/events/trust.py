@@ -49,6 +49,3 @@ class TrustThresholdsSet(Event, frozen=True):
     promote_after: int
     downgrade_after: int
     decided_by: Principal | None
-
-
-TrustEvent = TrustSet | RoleTrustSet | TrustThresholdsSet

@@ -14,7 +14,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.designs.files import Field, at_line, decoded
 from fsar_ledger.errors import UsageError
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 
 FILE = "reports/metrics.toml"
 

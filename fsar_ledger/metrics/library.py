@@ -23,8 +23,7 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import InvalidQuery, UnknownQuery
-from fsar_ledger.events import CONCERN_OF
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERN_OF, CONCERNS
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, StoredType
 

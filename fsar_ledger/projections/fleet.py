@@ -8,7 +8,7 @@ import msgspec
 
 from fsar_ledger.constants import Constants, Outages, Structure, read_constants
 from fsar_ledger.designs import registered
-from fsar_ledger.events.configuration import lacks
+from fsar_ledger.events.configuration import removed_mechanisms
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 
@@ -74,7 +74,10 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
         case RunStarted():
             made = _made(event.parameters)
             return msgspec.structs.replace(
-                made, without=lacks(event.configuration or ""), size=event.fleet_size or 0, robots=state.robots
+                made,
+                without=removed_mechanisms(event.configuration or ""),
+                size=event.fleet_size or 0,
+                robots=state.robots,
             )
         case RobotJoined():
             robot = Member(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)

@@ -27,27 +27,29 @@ from . import (
     world,
 )
 
+_PROJECTIONS = (
+    authority,
+    budget,
+    contention,
+    context,
+    execution,
+    fleet,
+    knowledge,
+    policy,
+    recovery,
+    registry,
+    request,
+    supervision,
+    task,
+    trust,
+    world,
+)
+
 
 class State:
-    """All projections of one run. The slots are replaced by `apply`; the values in them never change."""
+    """All projections of one run, each in a slot of its name. `apply` replaces them; the values never change."""
 
-    __slots__ = (
-        "authority",
-        "budget",
-        "contention",
-        "context",
-        "execution",
-        "fleet",
-        "knowledge",
-        "policy",
-        "recovery",
-        "registry",
-        "request",
-        "supervision",
-        "task",
-        "trust",
-        "world",
-    )
+    __slots__ = tuple(projection.__name__.rpartition(".")[2] for projection in _PROJECTIONS)
 
     def __init__(self) -> None:
         self.authority = authority.INITIAL
@@ -71,24 +73,14 @@ class State:
 
     __hash__ = None  # type: ignore[assignment]
 
+    def copy(self) -> "State":
+        """Return a state of its own with the same values."""
+        other = State.__new__(State)
+        for slot in self.__slots__:
+            setattr(other, slot, getattr(self, slot))
+        return other
 
-_PROJECTIONS = (
-    authority,
-    budget,
-    contention,
-    context,
-    execution,
-    fleet,
-    knowledge,
-    policy,
-    recovery,
-    registry,
-    request,
-    supervision,
-    task,
-    trust,
-    world,
-)
+
 _Evolve = Callable[[Any, Any], Any]
 
 

@@ -91,7 +91,7 @@ def _about(
             yield nearest, state.of_roles[nearest]
 
 
-class Standing(NamedTuple):
+class RuleInForce(NamedTuple):
     """A rule that holds for a robot; `capability`, `context` None: all of them."""
 
     robot: Robot
@@ -101,7 +101,7 @@ class Standing(NamedTuple):
     outcome: PolicyOutcome
 
 
-def standing(state: Policy) -> Iterator[Standing]:
+def rules_in_force(state: Policy) -> Iterator[RuleInForce]:
     """Yield each rule with each robot for which it holds, without those that another one replaces."""
     about = dict.fromkeys(
         (
@@ -112,7 +112,7 @@ def standing(state: Policy) -> Iterator[Standing]:
     for robot in dict.fromkeys((*state.members, *sorted(state.named))):
         for scope, capability, context in about:
             for _, outcome in _about(state, scope, robot, capability, context):
-                yield Standing(robot, scope, capability, context, outcome)
+                yield RuleInForce(robot, scope, capability, context, outcome)
 
 
 def evolve(state: Policy, event: HANDLES) -> Policy:

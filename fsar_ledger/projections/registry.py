@@ -72,7 +72,7 @@ class Advertisement(msgspec.Struct, frozen=True, gc=False):
     successor: str | None = None
 
 
-class Offered(msgspec.Struct, frozen=True, dict=True):
+class CapabilityOffers(msgspec.Struct, frozen=True, dict=True):
     """The records of one capability in a domain: `of`: robot -> record, in order of advertisement."""
 
     of: Mapping[Robot, Advertisement] = {}
@@ -98,7 +98,7 @@ class Offers(msgspec.Struct, frozen=True, gc=False):
     Paper: sec:discussion:heterogeneity.
     """
 
-    records: Mapping[str, Offered] = {}
+    records: Mapping[str, CapabilityOffers] = {}
     below: "Mapping[str, Offers]" = {}
     ways: Mapping[str, tuple[str, ...]] = {}
 
@@ -125,7 +125,7 @@ class Registry(msgspec.Struct, frozen=True, gc=False):
 
 
 INITIAL = Registry()
-NOTHING = Offered()
+NOTHING = CapabilityOffers()
 NO_ANSWER = "no answer"  # the reason in `AvailabilityChanged` when a robot did not answer
 
 
@@ -166,7 +166,7 @@ def offers(found: Offers, capability: str, but: str | None = None) -> Iterator[A
         yield from offered.of.values()
 
 
-def offered_in(found: Offers, capability: str, but: str | None = None) -> Iterator[Offered]:
+def offered_in(found: Offers, capability: str, but: str | None = None) -> Iterator[CapabilityOffers]:
     """Yield what each domain's own robots offer of the capability: the domain's, then those below it (except `but`)."""
     if capability in found.records:
         yield found.records[capability]
@@ -294,7 +294,7 @@ def _changed(
         return Offers(found.records, put(found.below, name, after), ways)
     known = found.records.get(capability, NOTHING).of
     robots = without(known, robot) if record is None else put(known, robot, record)
-    records = put(found.records, capability, Offered(robots)) if robots else without(found.records, capability)
+    records = put(found.records, capability, CapabilityOffers(robots)) if robots else without(found.records, capability)
     return Offers(records, found.below, found.ways)
 
 

@@ -24,7 +24,7 @@ VIOLATIONS = ("trust", "authority", "advertisement")  # refusals that are the re
 About = tuple[str | None, str | None]  # capability, context; None: all of them
 Entries = dict[About, TrustScope]
 Member = tuple[str, str]  # role, domain
-Asked = tuple[Robot, Robot, str, str | None]  # executor, requester, capability, context
+RequestKey = tuple[Robot, Robot, str, str | None]  # executor, requester, capability, context
 Key = tuple[Robot, Robot, str, str | None]  # robot, peer, capability, and the context if trust is set for that one
 
 
@@ -51,7 +51,7 @@ class Trust(msgspec.Struct, frozen=True, gc=False):
     promote_after: int = 0
     downgrade_after: int = 0
     contexts: frozenset[str] = frozenset()
-    asked: Mapping[str, Asked] = {}
+    asked: Mapping[str, RequestKey] = {}
     records: Mapping[Key, Record] = {}
     judged: tuple[Key, ...] = ()
 
@@ -225,7 +225,7 @@ def _noted(state: Trust, event: Result) -> Trust:
             assert_never(event)
 
 
-def _asking(state: Trust, action_id: str, asked: Asked) -> Trust:
+def _asking(state: Trust, action_id: str, asked: RequestKey) -> Trust:
     return replace(state, asked=put(state.asked, action_id, asked), judged=())
 
 
@@ -233,7 +233,7 @@ def _closed(state: Trust, action_id: str | None) -> Trust:
     return state if action_id is None else replace(state, asked=without(state.asked, action_id))
 
 
-def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
+def _changed(state: Trust, *results: tuple[RequestKey, bool | None] | None) -> Trust:
     """Return trust with these results counted; None is neither success nor failure, and resets the successes."""
     records = state.records
     judged: list[Key] = []

@@ -8,7 +8,13 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger.events.configuration import EVERY_MECHANISM, MECHANISMS_OF, ON_RECORD_ALONE, lacks, without
+from fsar_ledger.events.configuration import (
+    EVERY_MECHANISM,
+    MECHANISMS_OF,
+    ON_RECORD_ALONE,
+    removed_mechanisms,
+    without,
+)
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.plans import completeness
@@ -71,7 +77,7 @@ def _named(row: Row) -> Row:
 
     `is_marked`: the interval excludes 0. `stands`: the difference is significant after adjustment over all tests.
     """
-    [mechanism] = lacks(row["configuration"])
+    [mechanism] = removed_mechanisms(row["configuration"])
     interval = None if row["ci_low"] is None or row["ci_high"] is None else (row["ci_low"], row["ci_high"])
     is_marked = interval is not None and not interval[0] <= 0 <= interval[1]
     stands = row["p_holm"] is not None and row["p_holm"] < LEVEL

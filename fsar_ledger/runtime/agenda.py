@@ -42,7 +42,7 @@ class Agenda:
         """Yield everything, in no order."""
         return chain(self.soon, *self._later.values())
 
-    def turn(self, next_us: int = sys.maxsize) -> bool:
+    def advance(self, next_us: int = sys.maxsize) -> bool:
         """Return whether anything is pending that may be due by `next_us`; then the first of it is `soon[0]`."""
         if not self.soon and self._spans and self._spans[0] * self._span_us <= next_us:
             span = heappop(self._spans)
@@ -65,7 +65,7 @@ class Agenda:
 
     def pop_before(self, time_us: int) -> Pending | None:
         """Take out the first command if it is due before this time, else None."""
-        return heappop(self.soon) if self.turn(time_us) and self.soon[0][0] < time_us else None
+        return heappop(self.soon) if self.advance(time_us) and self.soon[0][0] < time_us else None
 
     def replace(self, pending: Iterable[Pending]) -> None:
         """Hold just these commands from now on."""

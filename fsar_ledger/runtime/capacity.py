@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.designs import Fleet, Workflow, registered
-from fsar_ledger.events.configuration import Configuration, lacks
+from fsar_ledger.events.configuration import Configuration, removed_mechanisms
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 
 from .architectures.handler_table import Growth
@@ -47,7 +47,7 @@ def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
     if constants.scenario is not None:  # `Growth` is measured on the paper's scenarios
         sets *= max(1, ceil(sum(len(task.steps) + task.delegated for task in scenario.tasks) / USUAL_STEPS))
     asked = sets * sum(task.delegated for task in scenario.tasks) * (fleet_size // of_team)
-    polling = POLLING_PER_ROBOT if "shared-registry" in lacks(configuration) else 0
+    polling = POLLING_PER_ROBOT if "shared-registry" in removed_mechanisms(configuration) else 0
     facts = FACTS_PER_ARRIVAL * arrivals_expected(constants, fleet_size)
     return Expected(
         facts

@@ -13,7 +13,7 @@
 | `set world.review_share=0.5 from 30s` | a constant of the world; without `from`, any constant |
 | `architecture cfc`, `without shared-registry` | another architecture, or one without mechanisms, from the start |
 
-Facts and questions have the names of `happenings.py` and `questions.py`; `*` in one stands for any text. `instead of`
+Facts and questions have the names of `changeable.py`; `*` in one stands for any text. `instead of`
 at the end of a text says what held before, which makes it whole: a fork has such texts in its event 0.
 """
 

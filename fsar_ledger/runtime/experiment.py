@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import filterfalse
 from pathlib import Path
-from typing import ParamSpec
 
 import msgspec
 
@@ -12,19 +11,26 @@ from fsar_ledger import printable
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.designs import Fleet, Scenario, Workflow, registered
 from fsar_ledger.errors import InvalidExperiment
-from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, Configuration, is_known, lacks, rank
-from fsar_ledger.events.experiment import ExperimentPlanned
+from fsar_ledger.events.configuration import (
+    EVERY_MECHANISM,
+    FULL,
+    MECHANISMS_OF,
+    Configuration,
+    is_known,
+    rank,
+    removed_mechanisms,
+)
+from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.record import CHAINED
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.writing import open_writer, version_for
-from fsar_ledger.runtime.plan import plan_record
-from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started
 
 from .architectures import REGISTERED
 from .capacity import Cell, Expected, expected, fits, largest_fleet
+from .simulation import MODEL_VERSION, RunSpec, plan_record, run_id, run_started
 from .staging import COMMIT_EVENTS, Batch, Staging
 from .world.checks import problems_of_design, problems_of_fleet
 from .world.founding import team_size
@@ -41,7 +47,6 @@ MAX_OWN = 60_000
 Without either, they have about 2,000.
 """
 
-_P = ParamSpec("_P")
 Progress = Callable[[int, int], None]
 
 
@@ -141,7 +146,8 @@ class Experiment(msgspec.Struct, frozen=True):
         """Check that every architecture has the mechanisms that are taken out of it."""
         for architecture in self.architectures:
             for name in sorted(
-                frozenset().union(*map(lacks, self.configurations)) - set(MECHANISMS_OF.get(architecture, ()))
+                frozenset().union(*map(removed_mechanisms, self.configurations))
+                - set(MECHANISMS_OF.get(architecture, ()))
             ):
                 [whose] = [one for one, names in MECHANISMS_OF.items() if name in names]
                 raise InvalidExperiment(
@@ -295,8 +301,8 @@ def workflow_experiment(
     return Experiment(("fsar",), workflows, runs, seed)
 
 
-class Made(msgspec.Struct, frozen=True):
-    """The head of the ledger after `carry_out`, and counts of runs.
+class SimulationResult(msgspec.Struct, frozen=True):
+    """The head of the ledger after `run_experiment`, and counts of runs.
 
     `asked` is the number asked for and `made` how many of those were missing and are made now; `held` is the number in
     the ledger now, including those of other experiments.
@@ -308,7 +314,7 @@ class Made(msgspec.Struct, frozen=True):
     held: int
 
 
-def carry_out(
+def run_experiment(
     out: Path,
     experiment: Experiment,
     workers: int,
@@ -318,7 +324,7 @@ def carry_out(
     *,
     adopts: bool = False,
     version: int | None = None,
-) -> Made:
+) -> SimulationResult:
     """Commit the experiment's plan and the runs that the ledger lacks.
 
     If all runs are there, nothing is done. Otherwise the plan is committed first, unless it is on record; a larger plan
@@ -363,19 +369,8 @@ def carry_out(
             done += 1
             if progress is not None:
                 progress(done, batches)
-        return Made(writer.head, experiment.size, made, len(held) + made)
+        return SimulationResult(writer.head, experiment.size, made, len(held) + made)
 
 
 def _is_there(constants: Constants, held: frozenset[str], spec: RunSpec) -> bool:
     return run_id(run_started(spec, constants)) in held
-
-
-def _head_of(function: Callable[_P, Made]) -> Callable[_P, Head]:
-    def headed(*given: _P.args, **options: _P.kwargs) -> Head:
-        return function(*given, **options).head
-
-    return headed
-
-
-simulate = _head_of(carry_out)
-"""Does the same as `carry_out`, and returns the head of the ledger."""

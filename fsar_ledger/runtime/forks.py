@@ -1,33 +1,152 @@
-"""Forks: a run that repeats another one up to a change, and plays on under the same draws."""
+"""Forks: a run that repeats another one up to a change, and continues under the same draws.
+
+Its environment is that of the other run with some facts and answers edited.
+"""
 
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from typing import NamedTuple
 
 import msgspec
 
+from fsar_ledger.constants import END_US
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 
-from .changes import Add, Answer, Budget, Changes, Commanded, Density, Drop, Move, Rule, Trust, microseconds_of
-from .edited import Edited, edited_facts
-from .handler_tables import handler_table_of
+from .change_texts import fact_of
+from .changeable import CALL, RESPONSE, Question, QuestionRecorder, answer_of, facts_by_name, matching_names, name_of
+from .changes import (
+    Add,
+    Answer,
+    Budget,
+    Changes,
+    Commanded,
+    Density,
+    Drop,
+    Move,
+    OfFacts,
+    Rule,
+    Trust,
+    microseconds_of,
+    seconds_text,
+)
 from .handlers.commands import PublicCommand
 from .handlers.policy import SetPolicyRule
 from .handlers.recovery import SetRecoveryBudget
 from .handlers.supervision import SetSupervisionDensity
 from .handlers.trust import SetTrust
-from .happenings import happenings
 from .kernel import NEVER_US, Kernel
-from .ports import Environment, Fact
-from .questions import Asked, Noting
-from .recipes import Recipe, base_of, changed, require_possible, started_of, worlds_from_times_on
-from .simulation import environment_of, founding_of, run_id, run_started
+from .ports import Ask, Environment, Fact
+from .recipes import Recipe, base_of, constants_by_time, require_possible, started_of, with_changes
+from .simulation import environment_of, founding_of, handler_table_of, run_id, run_started
 
 
-class Forked(NamedTuple):
+class EditedEnvironment:
+    """An environment with other facts, and with these answers to the questions that they name.
+
+    `used` are the questions that were answered otherwise so far, as the changes name them. `call:2` is the second call
+    that the run puts before a supervisor, counted when it asks how long the answer takes.
+    """
+
+    def __init__(self, environment: Environment, facts: Sequence[Fact], answers: Sequence[Answer]) -> None:
+        self.facts = facts
+        self.latest_us = environment.latest_us
+        self.used: set[str] = set()
+        self._environment = environment
+        self._exact = {one.question: one.answer for one in answers if "*" not in one.question}
+        self._patterns = [(_plain(one.question), one) for one in answers if "*" in one.question]
+        self._calls = 0
+        self._asked_as: dict[str, str] = {}
+        self.answer = self._edited if answers else environment.answer
+
+    def use_environment(self, environment: Environment) -> None:
+        """From now on, all else is answered by this environment."""
+        self._environment = environment
+        if not self._exact and not self._patterns:
+            self.answer = environment.answer
+
+    def _edited(self, ask: Ask) -> int:
+        usual = self._environment.answer(ask)
+        name = name_of(ask)
+        if name is None:
+            return usual
+        kind = name.partition(":")[0]
+        if kind == RESPONSE:
+            self._calls += 1
+            for numbered in (RESPONSE, CALL):
+                if (text := self._exact.get(f"{numbered}:{self._calls}")) is not None:
+                    self._exact[f"{numbered}:{ask.key}"] = text
+                    self._asked_as[f"{numbered}:{ask.key}"] = f"{numbered}:{self._calls}"
+        asked_as, text = self._asked_as.get(name, name), self._exact.get(name)
+        if text is None:
+            pattern = next((one for pattern, one in self._patterns if fnmatchcase(name, pattern)), None)
+            if pattern is not None:
+                asked_as, text = pattern.question, pattern.answer
+        answer = None if text is None else answer_of(kind, text)
+        if answer is None:
+            return usual
+        if answer != usual:
+            self.used.add(asked_as)
+        return answer
+
+
+def _plain(pattern: str) -> str:
+    return pattern.replace("[", "[[]").replace("?", "[?]")
+
+
+def edited_facts(facts: Sequence[Fact], changes: Sequence[OfFacts]) -> tuple[Fact, ...]:
+    """Return the facts with these changes, in order of time, no two at the same microsecond.
+
+    A name that no fact has changes nothing.
+
+    Raises:
+        UsageError: A fact would happen before the run begins, or after it has ended.
+    """
+    found = tuple(facts)
+    for change in changes:
+        found = _changed(found, change)
+    return found
+
+
+def _changed(facts: tuple[Fact, ...], change: OfFacts) -> tuple[Fact, ...]:
+    if isinstance(change, Add):
+        return _apart(facts, [(_within(change, microseconds_of(change.at_s)), fact_of(change.event))])
+    names = facts_by_name(facts)
+    places = {at for name in matching_names(change.fact, names) for at in names[name]}
+    if not places:
+        return facts
+    left = tuple(fact for at, fact in enumerate(facts) if at not in places)
+    if isinstance(change, Drop):
+        return left
+    by_us = microseconds_of(change.by_s)
+    return _apart(left, [(_within(change, facts[at][0] + by_us), facts[at][1]) for at in sorted(places)])
+
+
+def _within(change: Add | Move, time_us: int) -> int:
+    if not 1 <= time_us <= END_US:
+        raise UsageError(
+            f"change {change}: found a fact at {seconds_text(time_us / 1_000_000)}, expected it after the beginning of "
+            f"the run and before its last possible end, {seconds_text(END_US / 1_000_000)}"
+        )
+    return time_us
+
+
+def _apart(facts: tuple[Fact, ...], more: list[Fact]) -> tuple[Fact, ...]:
+    """Return all facts in order of time; those of `more` move to the next free microsecond."""
+    taken = {time_us for time_us, _ in facts}
+    placed: list[Fact] = []
+    for time_us, fact in more:
+        while time_us in taken:
+            time_us += 1
+        taken.add(time_us)
+        placed.append((time_us, fact))
+    return tuple(sorted((*facts, *placed), key=lambda fact: fact[0]))
+
+
+class Fork(NamedTuple):
     """A fork: its record, the first seq at which it differs from its base, and the questions it answered otherwise.
 
     `parts_at` does not count event 0, which is never the same; None: the runs are the same.
@@ -47,26 +166,26 @@ def kernel_of(recipe: Recipe, edited: Environment) -> Kernel:
     return kernel
 
 
-def edited_environment(recipe: Recipe) -> Edited:
+def edited_environment(recipe: Recipe) -> EditedEnvironment:
     """Return the world of the recipe: with other constants from some times on, other facts, and other answers."""
     usual = environment_of(recipe.spec, recipe.constants)
     facts: tuple[Fact, ...] = tuple(usual.facts)
     for from_us, era in eras(recipe):
         facts = _continued(facts, tuple(era.facts), from_us)
     facts = edited_facts(facts, [one for one in recipe.changes if isinstance(one, Drop | Move | Add)])
-    return Edited(usual, facts, [one for one in recipe.changes if isinstance(one, Answer)])
+    return EditedEnvironment(usual, facts, [one for one in recipe.changes if isinstance(one, Answer)])
 
 
 def eras(recipe: Recipe) -> list[tuple[int, Environment]]:
     """Return from when on the world has other constants, and that world, in order of time. Units: microseconds."""
     return [
-        (from_us, environment_of(recipe.spec, constants)) for from_us, constants in worlds_from_times_on(recipe).items()
+        (from_us, environment_of(recipe.spec, constants)) for from_us, constants in constants_by_time(recipe).items()
     ]
 
 
 def _continued(before: tuple[Fact, ...], after: tuple[Fact, ...], from_us: int) -> tuple[Fact, ...]:
     """Return the happenings of one world that begin before this time, and then those of the other, each whole."""
-    firsts, seconds = happenings(before), happenings(after)
+    firsts, seconds = facts_by_name(before), facts_by_name(after)
     kept = {name: places for name, places in firsts.items() if before[places[0]][0] < from_us}
     facts = [before[at] for places in kept.values() for at in places]
     facts += [
@@ -135,16 +254,16 @@ def _commanded(kernel: Kernel, change: Commanded) -> PublicCommand:
             )
 
 
-def play(kernel: Kernel, edited: Edited, recipe: Recipe) -> None:
+def run_to_end(kernel: Kernel, edited: EditedEnvironment, recipe: Recipe) -> None:
     """Run to the end, with the world of each era from its time on."""
     for from_us, environment in eras(recipe):
         kernel.run(from_us - 1)
-        edited.answers_of(environment)
-        kernel.answered_by(edited)
+        edited.use_environment(environment)
+        kernel.set_environment(edited)
     kernel.run(NEVER_US)
 
 
-def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Forked:
+def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Fork:
     """Return the fork of a run: the base with these changes.
 
     Args:
@@ -156,11 +275,11 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Forked
     Raises:
         UsageError: A change names what there is not, or is impossible.
     """
-    recipe = changed(base, changes)
+    recipe = with_changes(base, changes)
     require_possible(recipe)
     edited = edited_environment(recipe)
     kernel = kernel_of(recipe, edited)
-    play(kernel, edited, recipe)
+    run_to_end(kernel, edited, recipe)
     first = parts_at(record, record_of(kernel))
     origin = msgspec.structs.replace(
         run_started(base.spec, base.constants),
@@ -170,12 +289,12 @@ def fork(base: Recipe, record: LedgerRun, root: str, changes: Changes) -> Forked
         changes=(),
     )
     kernel.events[0] = started_of(recipe, origin)
-    return Forked(record_of(kernel), first, frozenset(edited.used))
+    return Fork(record_of(kernel), first, frozenset(edited.used))
 
 
-def made_again(base: Recipe) -> tuple[LedgerRun, list[Asked]]:
+def run_again(base: Recipe) -> tuple[LedgerRun, list[Question]]:
     """Return the run without changes that this is the recipe of, and what it asked at its ports."""
-    environment = Noting(environment_of(base.spec, base.constants))
+    environment = QuestionRecorder(environment_of(base.spec, base.constants))
     kernel = kernel_of(base, environment)
     kernel.run()
     return record_of(kernel), environment.asked
@@ -183,7 +302,7 @@ def made_again(base: Recipe) -> tuple[LedgerRun, list[Asked]]:
 
 def last_shared(recipe: Recipe, record: LedgerRun) -> int:
     """Return the last seq up to which a fork repeats its base, which is made again."""
-    base, _ = made_again(base_of(recipe))
+    base, _ = run_again(base_of(recipe))
     return _last_shared(base, parts_at(base, record))
 
 

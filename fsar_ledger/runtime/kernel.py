@@ -32,7 +32,7 @@ from fsar_ledger.projections.world import is_linked
 from .agenda import Agenda, Pending
 from .architectures.handler_table import HandlerTable
 from .handlers.commands import Command, React, Scheduled
-from .ports import Ask, Environment
+from .ports import Environment
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
 _TURNS = frozenset({RobotWentOff, RobotCameBack, LinkCameUp})
@@ -77,11 +77,10 @@ class Kernel:
         self._facts = environment.facts
         self._next_fact = 0
         self._answer = environment.answer
-        self._asks_once: bool = getattr(environment, "answers_alike", False)
         self._latest_us = NEVER_US if environment.latest_us is None else environment.latest_us
         begun = founding[0]
         self._pending = Agenda((isinstance(begun, RunStarted) and begun.fleet_size) or 1)
-        self._kept: list[Pending] = []
+        self._held_back: list[Pending] = []
         self._serial = 0
         self._taken: deque[tuple[int, array[int]]] = deque()  # first seq and times of what was taken out in a moment
         if founded is None:
@@ -94,18 +93,16 @@ class Kernel:
         self.times_us += [0] * len(founding)
         self.caused_by += [None, *[0] * (len(founding) - 1)]
         self.events += founding
-        for slot in State.__slots__:
-            setattr(self.state, slot, getattr(founded, slot))
+        self.state = founded.copy()
         apply(self.state, founding[0])
 
     def decides(self, command: type[Command]) -> bool:
         """Return whether the run's architecture decides such commands."""
         return command in self._decides
 
-    def answered_by(self, environment: Environment) -> None:
-        """From now on, let this environment answer; what happens by itself stays that of the first one."""
+    def set_environment(self, environment: Environment) -> None:
+        """Replace the environment that answers questions; scheduled facts are unchanged."""
         self._answer = environment.answer
-        self._asks_once = getattr(environment, "answers_alike", False)
 
     def submit(self, time_us: int, command: Command) -> int:
         """Give the run a command from outside, and return when it is due: then, or as soon as no other is.
@@ -148,7 +145,7 @@ class Kernel:
     def run(self, until_us: int = NEVER_US, most: int = sys.maxsize) -> None:
         """Run until nothing is left to happen, all that is due by then has happened, or so many events are held."""
         facts, count, decides, state = self._facts, len(self._facts), self._decides, self.state
-        position, events_held, pending, turn = self._next_fact, self.events, self._pending.soon, self._pending.turn
+        position, events_held, pending, turn = self._next_fact, self.events, self._pending.soon, self._pending.advance
         while len(events_held) < most:
             if not pending:
                 turn(facts[position][0] if position < count else NEVER_US)
@@ -157,7 +154,7 @@ class Kernel:
                 if time_us > until_us:
                     break
                 position += 1
-                self._happened(fact, time_us)
+                self._apply_fact(fact, time_us)
             elif pending:
                 time_us, _, cause, scheduled = pending[0]
                 if time_us > until_us:
@@ -167,7 +164,7 @@ class Kernel:
                     self._pending.replace(())
                     continue
                 one, world = heappop(pending), state.world
-                if (world.off or world.unlinked) and self._keep(one):
+                if (world.off or world.unlinked) and self._hold_back(one):
                     continue
                 command, ask = scheduled.command, scheduled.ask
                 command.now_us = time_us
@@ -200,7 +197,7 @@ class Kernel:
             if not is_same_batch(times_us, caused_by, seq):
                 self._discard_until(times_us[seq], cause)
             if cause == 0 and times_us[seq] > 0:
-                self._happened(events[seq], times_us[seq])
+                self._apply_fact(events[seq], times_us[seq])
             else:
                 self._record(events[seq], times_us[seq], cause)
         if end < len(events):
@@ -211,17 +208,17 @@ class Kernel:
         if cause == 0:
             self._next_fact += 1
             while (one := self._pending.pop_before(time_us)) is not None:
-                self._keep(one)
+                self._hold_back(one)
             return
         self._discard_before(time_us, cause)
         heappop(self._pending.soon)
 
     def _discard_before(self, time_us: int, cause: int | None) -> None:
         soon = self._pending.soon
-        while self._pending.turn(time_us) and (
+        while self._pending.advance(time_us) and (
             soon[0][0] < time_us or (cause != 0 and soon[0][0] == time_us and soon[0][2] != cause)
         ):
-            self._keep(heappop(soon))
+            self._hold_back(heappop(soon))
 
     def _batch(self, events: Sequence[Event], time_us: int, cause: int | None) -> None:
         first = self.first + len(self.events)
@@ -245,15 +242,11 @@ class Kernel:
         state, answer, world, pending = self.state, self._answer, self.state.world, self._pending
         is_whole = not world.off and not world.unlinked  # nothing can be kept
         taken: set[int] = set()  # an event may schedule thousands
-        asks_once, length_us = self._asks_once, 0
-        waits: tuple[Ask, ...] = ()  # of the command before
         for react in reacts:
             for scheduled in react(state, event, time_us):
-                if scheduled.waits is not waits or not asks_once:
-                    waits, length_us = scheduled.waits, 0
-                    for ask in waits:
-                        length_us += answer(ask)
-                due_us = time_us + scheduled.after_us + length_us
+                due_us = time_us + scheduled.after_us
+                for ask in scheduled.waits:
+                    due_us += answer(ask)
                 if due_us <= time_us:
                     due_us = time_us + 1
                 # See docs/decisions/cause-and-time-name-a-command.md.
@@ -262,7 +255,7 @@ class Kernel:
                 taken.add(due_us)
                 self._serial += 1
                 one = (due_us, self._serial, seq, scheduled)
-                if not is_whole and self._keep(one, due_us - time_us):  # a message departs
+                if not is_whole and self._hold_back(one, due_us - time_us):  # a message departs
                     continue
                 if due_us < pending.until_us:
                     heappush(pending.soon, one)
@@ -270,7 +263,7 @@ class Kernel:
                     pending.put(one)
 
     # See docs/decisions/outages-live-in-the-kernel.md.
-    def _keep(self, one: Pending, after_us: int = 0) -> bool:
+    def _hold_back(self, one: Pending, after_us: int = 0) -> bool:
         """Keep a command that cannot run now, because a robot is off or a link down; return whether it was kept.
 
         Once they are back, it is due after the time it had left. For a message that departs (it has time to go) only
@@ -287,7 +280,7 @@ class Kernel:
             others = senders[1:] if _is_message(scheduled) else senders
             ends = [*others, actor] if senders and actor is not None else others
         if actor in world.off or not all(is_linked(world, end) for end in ends):
-            self._kept.append((after_us, *one[1:]))
+            self._held_back.append((after_us, *one[1:]))
             return True
         return False
 
@@ -295,14 +288,14 @@ class Kernel:
         actor = self._actors.get(type(scheduled.command))
         return None if actor is None else actor(self.state, scheduled.command)
 
-    def _happened(self, fact: Event, time_us: int) -> None:
+    def _apply_fact(self, fact: Event, time_us: int) -> None:
         """Apply a fact of the world: keep the commands it stops, and schedule again those it brings back."""
         self._record(fact, time_us, 0)
         if type(fact) not in _TURNS:
             return
         if isinstance(fact, RobotWentOff):
             stopped = [one for one in self._pending if self._actor(one[3]) == fact.robot and not _is_message(one[3])]
-            self._kept += [
+            self._held_back += [
                 (due_us - time_us, serial, cause, scheduled)
                 for due_us, serial, cause, scheduled in sorted(stopped, key=lambda one: one[:2])
             ]
@@ -315,11 +308,11 @@ class Kernel:
 
         No two items become due at the same instant, nor at that of another command with the same cause.
         """
-        kept, self._kept = self._kept, []
+        kept, self._held_back = self._held_back, []
         taken = {(due_us, cause) for due_us, _, cause, _ in self._pending}
         instants: set[int] = set()
         for after_us, serial, cause, scheduled in kept:
-            if self._keep((0, serial, cause, scheduled), after_us):
+            if self._hold_back((0, serial, cause, scheduled), after_us):
                 continue
             due_us = now_us + max(1, after_us)
             while due_us in instants or (due_us, cause) in taken:

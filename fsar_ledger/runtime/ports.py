@@ -44,8 +44,6 @@ class Environment(Protocol):
     """What answers at the ports of one run, and what happens there by itself.
 
     `facts` are in order of time. A run that is still busy after `latest_us` does not end; None: it may take any time.
-    One that answers a question alike however often it is asked may say so, as `answers_alike`: then it is asked once
-    where two commands in a row wait for the same.
     """
 
     @property

@@ -5,18 +5,21 @@ repeats it.
 """
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from itertools import combinations
 
 import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, read_constants
 from fsar_ledger.errors import InvalidExperiment, UsageError
-from fsar_ledger.events.configuration import EVERY_MECHANISM, lacks, without
+from fsar_ledger.events.configuration import EVERY_MECHANISM, removed_mechanisms, without
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.metrics.constant_names import constants_of, names_of_constants
+from fsar_ledger.metrics.constant_names import constants_of, names_of_constants, unlike_ours
 from fsar_ledger.parameters import BadParameters
+from fsar_ledger.printable import NAMED, some
 
 from .change_texts import parsed
 from .changes import AnyChange, Architecture, Changes, Set, Without, microseconds_of
@@ -53,7 +56,7 @@ class Recipe(msgspec.Struct, frozen=True):
     changes: Changes = ()
 
 
-class Unmade(Exception):
+class CannotReplay(Exception):
     """A run that this version cannot make: the field of event 0 that says so, what was expected, and what was found."""
 
     def __init__(self, field: str | None, expected: str, actual: str) -> None:
@@ -61,7 +64,7 @@ class Unmade(Exception):
         self.field, self.expected, self.actual = field, expected, actual
 
 
-def changed(base: Recipe, changes: Changes) -> Recipe:
+def with_changes(base: Recipe, changes: Changes) -> Recipe:
     """Return the recipe of the base with these changes, each with what held before.
 
     Raises:
@@ -79,7 +82,10 @@ def changed(base: Recipe, changes: Changes) -> Recipe:
                 whole.append(msgspec.structs.replace(change, before=_differs(change, base.spec.architecture)))
                 spec = msgspec.structs.replace(spec, architecture=change.architecture)
             case Without():
-                lacking = "+".join(one for one in EVERY_MECHANISM if one in lacks(base.spec.configuration)) or NOTHING
+                lacking = (
+                    "+".join(one for one in EVERY_MECHANISM if one in removed_mechanisms(base.spec.configuration))
+                    or NOTHING
+                )
                 whole.append(msgspec.structs.replace(change, before=_differs(change, lacking)))
                 spec = msgspec.structs.replace(spec, configuration=_configuration(change.mechanisms))
             case _:
@@ -178,23 +184,23 @@ def started_of(recipe: Recipe, origin: RunStarted | None = None) -> RunStarted:
 def recorded_recipe(started: RunStarted, event_count: int) -> Recipe:
     """Return what the run with this event 0 was made from. Raises: Unmade."""
     if started.kind != "simulated":
-        raise Unmade("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
+        raise CannotReplay("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
     if started.model_version != MODEL_VERSION:
         maker = _MAKERS.get(started.model_version or "", "the version that wrote it")
-        raise Unmade("model_version", f"{MODEL_VERSION!r}; replay it with {maker}", repr(started.model_version))
+        raise CannotReplay("model_version", f"{MODEL_VERSION!r}; replay it with {maker}", repr(started.model_version))
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
         _require_recorded_fleet(spec.fleet_size, event_count)
         recipe = Recipe(spec, _constants(started.parameters or ""), parsed(started.changes or ()))
-        for constants in (recipe.constants, *worlds_from_times_on(recipe).values()):
+        for constants in (recipe.constants, *constants_by_time(recipe).values()):
             _require_few_facts(constants, spec.fleet_size, event_count)
         require_possible(recipe)
     except BadParameters as error:
-        raise Unmade("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
+        raise CannotReplay("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
     except (InvalidExperiment, msgspec.ValidationError) as error:
-        raise Unmade(None, "a run that can be simulated", str(error)) from error
+        raise CannotReplay(None, "a run that can be simulated", str(error)) from error
     except UsageError as error:
-        raise Unmade("changes", "the changes of a fork, as they are written", str(error)) from error
+        raise CannotReplay("changes", "the changes of a fork, as they are written", str(error)) from error
     _require_own_words(started, recipe)
     return recipe
 
@@ -217,22 +223,22 @@ def _require_recorded_fleet(fleet_size: int, event_count: int) -> None:
     """Check that the record is long enough for its robots to have joined, before any of them is made."""
     if fleet_size > event_count:
         found = f"fleet size: found {fleet_size}, expected at most {event_count}, the events of the run"
-        raise Unmade(None, "a run that can be simulated", found)
+        raise CannotReplay(None, "a run that can be simulated", found)
 
 
 def _require_few_facts(constants: Constants, fleet_size: int, event_count: int) -> None:
     most = FACTS_PER_ROBOT * fleet_size + event_count
     if not arrivals_expected(constants, fleet_size) <= most:
-        raise Unmade("parameters", f"rates of the world that make at most {most} facts", "rates that make more")
+        raise CannotReplay("parameters", f"rates of the world that make at most {most} facts", "rates that make more")
 
 
 def _require_own_words(started: RunStarted, recipe: Recipe) -> None:
     """Check that event 0 says what this version says of such a run. Raises: Unmade."""
     own = started_of(recipe, started)
     if started.observes != own.observes:
-        raise Unmade("observes", repr(own.observes), repr(started.observes))
+        raise CannotReplay("observes", repr(own.observes), repr(started.observes))
     if started.parameters != own.parameters:
-        raise Unmade(
+        raise CannotReplay(
             "parameters",
             "all constants of the model, in the form in which it writes them",
             f"{started.parameters!r:.300}",
@@ -241,28 +247,28 @@ def _require_own_words(started: RunStarted, recipe: Recipe) -> None:
         base = base_of(recipe)
         _require_same("forked_from_run", run_id(run_started(base.spec, base.constants)), started.forked_from_run)
         if not _ROOT.fullmatch(started.forked_from_root or ""):
-            raise Unmade("forked_from_root", "a root of 64 hexadecimal digits", repr(started.forked_from_root))
+            raise CannotReplay("forked_from_root", "a root of 64 hexadecimal digits", repr(started.forked_from_root))
         try:
-            whole = changed(base, recipe.changes)
+            whole = with_changes(base, recipe.changes)
         except UsageError as error:
-            raise Unmade("changes", "changes of its base", str(error)) from error
+            raise CannotReplay("changes", "changes of its base", str(error)) from error
         _require_same("changes", tuple(map(str, whole.changes)), started.changes)
         if whole != recipe:
-            raise Unmade(
+            raise CannotReplay(
                 "changes", "those that make its parameters from those of its base", repr(started.changes)[:300]
             )
         if started.forked_from_seq is None:
-            raise Unmade("forked_from_seq", "the last event that it has in common with its base", "none")
+            raise CannotReplay("forked_from_seq", "the last event that it has in common with its base", "none")
     if own != started:
-        raise Unmade(None, f"{own!r:.300}", f"{started!r:.300}")
+        raise CannotReplay(None, f"{own!r:.300}", f"{started!r:.300}")
 
 
 def _require_same(field: str, expected: object, actual: object) -> None:
     if expected != actual:
-        raise Unmade(field, f"{expected!r:.300}", f"{actual!r:.300}")
+        raise CannotReplay(field, f"{expected!r:.300}", f"{actual!r:.300}")
 
 
-def worlds_from_times_on(recipe: Recipe) -> dict[int, Constants]:
+def constants_by_time(recipe: Recipe) -> dict[int, Constants]:
     """Return the constants by the times from which on they hold for the world, in order, in microseconds."""
     constants = recipe.constants
     found: dict[int, Constants] = {}
@@ -276,3 +282,76 @@ def worlds_from_times_on(recipe: Recipe) -> dict[int, Constants]:
 @lru_cache(maxsize=8)
 def _constants(parameters: str) -> Constants:
     return read_constants(parameters)
+
+
+KINDS = {
+    "other constants": "met a world or a structure that is not this version's",
+    "another load": "had a non-default load",
+}
+
+World = tuple[int | None, str | None, int | None, int | None]  # seed, scenario, fleet size, run
+
+
+class WorldConstantsUsed(msgspec.Struct, frozen=True):
+    """The worlds that runs of one kind met under the same constants; `parameters` as `RunStarted` holds them."""
+
+    parameters: str
+    architecture: str
+    configuration: str
+    worlds: tuple[World, ...]
+
+
+def constants_used(starts: Iterable[RunStarted]) -> tuple[WorldConstantsUsed, ...]:
+    """Return the worlds that these runs met, in the order in which they were first met."""
+    groups: dict[tuple[str, str, str], list[World]] = {}
+    for one in starts:
+        kind = (
+            one.parameters or "",
+            one.architecture or "",
+            one.configuration or "",
+        )  # none is missing in a replayed run
+        groups.setdefault(kind, []).append((one.seed, one.scenario, one.fleet_size, one.run))
+    return tuple(WorldConstantsUsed(*kind, tuple(worlds)) for kind, worlds in groups.items())
+
+
+def remarks_on(found: Iterable[WorldConstantsUsed]) -> tuple[str, ...]:
+    """Return a line for each set of constants that is not this version's.
+
+    A last line says if two architectures or configurations met a world under no set of constants in common.
+    """
+    runs: dict[str, Counter[str]] = {}
+    met: dict[World, dict[str, set[int]]] = {}
+    numbers: dict[str, int] = {}
+    for one in found:
+        who = one.architecture if one.configuration == "full" else f"{one.architecture} {one.configuration}"
+        runs.setdefault(one.parameters, Counter())[who] += len(one.worlds)
+        number = numbers.setdefault(one.parameters, len(numbers))
+        for world in one.worlds:
+            met.setdefault(world, {}).setdefault(who, set()).add(number)
+    total = sum(count.total() for count in runs.values())
+    lines = [
+        f"{_kind(differences)}: {counts.total():,} of {total:,} runs "
+        f"({some(f'{count:,} of {who}' for who, count in counts.items())}) "
+        f"{KINDS[_kind(differences)]}: {some(differences)}"
+        for parameters, counts in runs.items()
+        if (differences := unlike_ours(parameters))
+    ]
+    if len(lines) > NAMED:
+        lines[NAMED:] = [f"other constants: {len(lines) - NAMED:,} more sets"]
+    unlike = [
+        world
+        for world, sides in met.items()
+        if any(one.isdisjoint(other) for one, other in combinations(sides.values(), 2))
+    ]
+    if unlike:
+        seed, scenario, fleet_size, run = unlike[0]
+        lines.append(
+            f"no pairs: under {len(unlike):,} of {len(met):,} combinations of seed, scenario, fleet size and run "
+            f"two architectures or configurations met no constants in common, first under {seed}, {scenario}, "
+            f"{fleet_size}, {run}; `statistics` does not compare those two there"
+        )
+    return tuple(lines)
+
+
+def _kind(differences: Iterable[str]) -> str:
+    return "another load" if all(one.startswith("load.") for one in differences) else "other constants"

@@ -32,7 +32,7 @@ _SPAN_US = 1 << 42
 """Longer than any run: what is due after some spans is due at a time to be found."""
 _MOST_WAITS = 20
 """More than what is asked in reaction to one event."""
-_TOLD = {"verdict": (AS_USUAL, DISAPPROVES, PREFERS_OTHER), "reliability": (1, 0)}
+_POSSIBLE_ANSWERS = {"verdict": (AS_USUAL, DISAPPROVES, PREFERS_OTHER), "reliability": (1, 0)}
 """What can be answered, in words, to what a command asks when it is due, the usual first; all else are lengths."""
 
 
@@ -40,7 +40,7 @@ Batch = tuple[Event, ...]
 Compare = Callable[[Batch, Batch], bool]
 
 
-class Recorded:
+class RecordedEnvironment:
     """The environment of a record: its facts happen, and each question gets the answers that were found, in order.
 
     Where a command waited for several, the first has the length of all. A question of which nothing came, as far as
@@ -66,7 +66,7 @@ class Recorded:
         return left.popleft() if len(left) > 1 else left[0]
 
 
-def recorded(record: LedgerRun, table: HandlerTable) -> Recorded:
+def recorded_environment(record: LedgerRun, table: HandlerTable) -> RecordedEnvironment:
     """Return the environment in which a run was recorded.
 
     From a batch that no command makes, at most its time is learned, and nothing from what follows where the handlers
@@ -78,10 +78,10 @@ def recorded(record: LedgerRun, table: HandlerTable) -> Recorded:
         if type(event) in FACTS and record.caused_by[seq] == 0
     )
     end = next((seq for seq, time_us in enumerate(record.times_us) if time_us > 0), len(record.events))
-    found = _Finding(table, record.events[:end])
+    found = _AnswerSearch(table, record.events[:end])
     with suppress(LookupError, TypeError, ValueError, AttributeError, AssertionError):
         found.follow(record, end)
-    return Recorded(facts, found.answers, found.later_us, record.times_us[-1])
+    return RecordedEnvironment(facts, found.answers, found.later_us, record.times_us[-1])
 
 
 class RecordedKernel(Kernel):
@@ -95,7 +95,7 @@ class RecordedKernel(Kernel):
             self._pending.replace([(self.later_us.get(one[1], one[0]), *one[1:]) for one in self._pending])
 
 
-class _Unknown:
+class _UnknownEnvironment:
     """An environment in which nothing is answered yet: each wait takes a number of spans of its own."""
 
     facts: tuple[Fact, ...] = ()
@@ -112,12 +112,12 @@ class _Unknown:
         return self.given[-1]
 
 
-class _Finding(Kernel):
+class _AnswerSearch(Kernel):
     """A run that is led by its record, and notes which command made each batch, and what it had been answered."""
 
     def __init__(self, table: HandlerTable, founding: Sequence[Event]) -> None:
-        self._unknown = _Unknown()
-        self._waits: dict[int, _Waits] = {}  # by serial
+        self._unknown = _UnknownEnvironment()
+        self._waits: dict[int, _Wait] = {}  # by serial
         self._released: set[int] = set()  # serials
         self._under_way = 0  # messages that may have come first
         self._passed: list[Pending] = []  # that were due after an outage, and made nothing then
@@ -137,7 +137,7 @@ class _Finding(Kernel):
             while (one := self._pending.pop_before(time_us)) is not None:
                 self._pass(one)
             if cause == 0 and type(batch[0]) in FACTS:
-                self._happened(batch[0], time_us)
+                self._apply_fact(batch[0], time_us)
             else:
                 self._find(batch, time_us, cause)
                 self._batch(batch, time_us, cause)
@@ -145,7 +145,7 @@ class _Finding(Kernel):
 
     def _pass(self, one: Pending) -> None:
         """Let a command have its turn, which made nothing, unless what it was due after is later than it seems."""
-        if self._keep(one):
+        if self._hold_back(one):
             return
         if one[3].ask is not None:
             self.answers[one[3].ask].append(0)
@@ -159,7 +159,7 @@ class _Finding(Kernel):
             for one in sorted(self._pending, key=lambda one: one[1])
             if one[2] == cause and (one[0] == time_us or one[1] in self._waits)
         ]
-        for is_made in (_same, _alike):
+        for is_made in (_is_same, _is_same_kind):
             for one in able:
                 told = self._told(batch, time_us, one[3], is_made)
                 if told is not None:
@@ -168,7 +168,7 @@ class _Finding(Kernel):
         for one in self._passed:
             if one[2] != cause or time_us - one[0] > self._under_way:
                 continue
-            told = self._told(batch, time_us, one[3], _same)
+            told = self._told(batch, time_us, one[3], _is_same)
             if told is not None:
                 self.later_us[one[1]] = time_us
                 if one[3].ask is not None:
@@ -180,17 +180,17 @@ class _Finding(Kernel):
         """Return what makes the command decide this batch, 0 where it asks nothing; None if nothing does."""
         command, ask = scheduled.command, scheduled.ask
         command.now_us = time_us
-        for answer in (0,) if ask is None else _TOLD.get(ask.what) or (*_lengths(batch, time_us), 0):
+        for answer in (0,) if ask is None else _POSSIBLE_ANSWERS.get(ask.what) or (*_lengths(batch, time_us), 0):
             command.answer = answer
             if is_made(tuple(self._decides[type(command)](self.state, command)), batch):
                 return answer
         return None
 
     def _release(self, now_us: int) -> None:
-        kept = {one[1] for one in self._kept}
+        kept = {one[1] for one in self._held_back}
         super()._release(now_us)
         self._passed.clear()
-        self._released = kept - {one[1] for one in self._kept}
+        self._released = kept - {one[1] for one in self._held_back}
         self._under_way = sum(one[1] in self._waits for one in self._pending)
 
     def _take(self, one: Pending, time_us: int, told: int) -> None:
@@ -209,18 +209,18 @@ class _Finding(Kernel):
         super()._record(event, time_us, cause)
         if self._serial == before:
             return
-        new = sorted((one for one in (*self._pending, *self._kept) if one[1] > before), key=lambda one: one[1])
+        new = sorted((one for one in (*self._pending, *self._held_back) if one[1] > before), key=lambda one: one[1])
         for _, serial, _, scheduled in new:
             given = self._unknown.given[asked : asked + len(scheduled.waits)]
             asked += len(given)
             for ask, span_us in zip(scheduled.waits, given, strict=True):
                 is_first = span_us > 0 and serial not in self._waits
                 if is_first:
-                    self._waits[serial] = _Waits(ask, len(self.answers[ask]), sum(given))
+                    self._waits[serial] = _Wait(ask, len(self.answers[ask]), sum(given))
                 self.answers[ask].append(FOREVER_US if is_first else 0)
 
 
-class _Waits(NamedTuple):
+class _Wait(NamedTuple):
     """What a command waits for: the question that has the length of all, its place among the answers, and the spans."""
 
     ask: Ask
@@ -228,11 +228,11 @@ class _Waits(NamedTuple):
     spans_us: int
 
 
-def _same(made: Batch, batch: Batch) -> bool:
+def _is_same(made: Batch, batch: Batch) -> bool:
     return made == batch
 
 
-def _alike(made: Batch, batch: Batch) -> bool:
+def _is_same_kind(made: Batch, batch: Batch) -> bool:
     return [type(event) for event in made[:1]] == [type(batch[0])]
 
 

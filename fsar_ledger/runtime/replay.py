@@ -1,7 +1,7 @@
 """Replay: the world and the handlers must make a run again from its parameters, exactly as recorded, event by event.
 
 - What was simulated (seed, architecture, scenario, constants): taken from `RunStarted` as recorded. Constants other
-  than this version's are a remark (`worlds.py`).
+  than this version's are a remark (`run_constants.py`).
 - What the world did by itself (`events/world.py`), and when: made again (`world/schedule.py`) and compared, so that
   nothing is left out, added or changed.
 - Who founds the fleet, with which capabilities and trust: made again for the recorded fleet size, and compared.
@@ -44,16 +44,13 @@ from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
 from fsar_ledger.projections.fold import State
 from fsar_ledger.workers import WorkerPool
 
-from .forks import command, edited_environment, last_shared, play
-from .handler_tables import handler_table_of
+from .forks import command, edited_environment, last_shared, run_to_end
 from .handlers.commands import Command, Decide
-from .plan import misnamed
-from .recipes import Recipe, Unmade, recorded_recipe, started_of
-from .recorded import FACTS, Recorded, RecordedKernel, recorded
-from .simulation import founding_of, run_id
+from .recipes import CannotReplay, Recipe, WorldConstantsUsed, constants_used, recorded_recipe, remarks_on, started_of
+from .recorded import FACTS, RecordedEnvironment, RecordedKernel, recorded_environment
+from .simulation import founding_of, handler_table_of, plan_mismatch, run_id
 from .world.founding import founding
 from .world.schedule import schedule
-from .worlds import Played, played, remarks_on
 
 _END = "the end of the run"
 
@@ -110,7 +107,7 @@ class CommitReport(msgspec.Struct, frozen=True):
     """
 
     differences: tuple[Difference, ...]
-    worlds: tuple[Played, ...]
+    worlds: tuple[WorldConstantsUsed, ...]
     runs: int
     events: int
 
@@ -147,7 +144,7 @@ def replay(
     groups = view.groups()[:commits]
     files = [tuple(_within(path, view.segment(number)) for number in group) for group in groups]
     found: list[Difference] = []
-    worlds: list[Played] = []
+    worlds: list[WorldConstantsUsed] = []
     whole = runs = events = 0
     for done, result in enumerate(_replayed(str(path), files, max(1, workers), is_recorded), start=1):
         found += result.differences
@@ -186,7 +183,7 @@ def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: b
     starts: list[RunStarted] = []
     runs = events = 0
     try:
-        for record in _records(Path(path), files):
+        for record in _runs_in(Path(path), files):
             difference = replay_run(record, is_recorded)
             if difference is None and type(record.events[0]) in ALONE:
                 continue
@@ -196,11 +193,13 @@ def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: b
             else:
                 found.append(msgspec.structs.replace(difference, commit=number, segment=files[0]))
     except Exception as error:  # a check that fails in an unforeseen way is still a finding
-        found.append(Difference(None, None, None, None, "runs that can be replayed", _told(error), number, files[0]))
-    return CommitReport(tuple(found), played(starts), runs, events)
+        found.append(
+            Difference(None, None, None, None, "runs that can be replayed", _error_text(error), number, files[0])
+        )
+    return CommitReport(tuple(found), constants_used(starts), runs, events)
 
 
-def _records(path: Path, files: tuple[str, ...]) -> Iterator[LedgerRun]:
+def _runs_in(path: Path, files: tuple[str, ...]) -> Iterator[LedgerRun]:
     """Yield the runs in these files of the ledger, which share them with no others."""
     if len(files) == 1:
         yield from decode(segment.read_table(path / files[0]))
@@ -217,8 +216,10 @@ def _replay_plan(record: LedgerRun) -> Difference | None:
 
     What was planned is taken as recorded; the plan's name is a digest of it.
     """
-    found = misnamed(record)
-    return None if found is None else Difference(record.run_id, 0, found[0], "plan.plan_record", found[2], found[1])
+    found = plan_mismatch(record)
+    return (
+        None if found is None else Difference(record.run_id, 0, found[0], "simulation.plan_record", found[2], found[1])
+    )
 
 
 def replay_run(record: LedgerRun, is_recorded: bool = False) -> Difference | None:
@@ -230,24 +231,24 @@ def replay_run(record: LedgerRun, is_recorded: bool = False) -> Difference | Non
     try:
         if type(record.events[0]) in ALONE:
             return _replay_plan(record)
-        one = _begun(record, is_recorded)
-        one.play()
+        one = _start_replay(record, is_recorded)
+        one.run_to_end()
         one.require_end()
-    except _Differs as stopped:
+    except _Mismatch as stopped:
         return stopped.difference
     except Exception as error:
         seq, handler = (0, None) if one is None else (len(one.events), one.handler())
-        return Difference(record.run_id, seq, None, handler, "something that can be decided", _told(error))
+        return Difference(record.run_id, seq, None, handler, "something that can be decided", _error_text(error))
     return None
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     if isinstance(error, MemoryError):
         raise error  # not the ledger's fault
     return f"{type(error).__name__}: {error!s:.300}"
 
 
-class _Differs(Exception):
+class _Mismatch(Exception):
     """Raised to end a replay at a difference."""
 
     def __init__(self, run: str, seq: int, field: str | None, handler: str | None, expected: str, actual: str) -> None:
@@ -266,10 +267,10 @@ class _Replay(RecordedKernel):
         table = handler_table_of(spec.architecture, spec.configuration)
         self._recipe = recipe
         # See docs/decisions/replay-draws-again.md.
-        self._environment = recorded(record, table) if is_recorded else edited_environment(recipe)
+        self._environment = recorded_environment(record, table) if is_recorded else edited_environment(recipe)
         self._forked_from_seq = started.forked_from_seq
         self._facts = self._environment.facts
-        self.later_us = self._environment.later_us if isinstance(self._environment, Recorded) else {}
+        self.later_us = self._environment.later_us if isinstance(self._environment, RecordedEnvironment) else {}
         self._silent: list[tuple[int, Decide]] = []  # decisions since the last event, which made none
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
@@ -277,12 +278,12 @@ class _Replay(RecordedKernel):
         command(self, recipe)
         self._decides = {command: self._noted(decide) for command, decide in self._decides.items()}
 
-    def play(self) -> None:
+    def run_to_end(self) -> None:
         """Run to the end. Raises: _Differs."""
-        if isinstance(self._environment, Recorded):
+        if isinstance(self._environment, RecordedEnvironment):
             self.run()
         else:
-            play(self, self._environment, self._recipe)
+            run_to_end(self, self._environment, self._recipe)
 
     def handler(self) -> str:
         """Return the function that makes the next event, by module and name."""
@@ -292,12 +293,14 @@ class _Replay(RecordedKernel):
         """Check that nothing is recorded that was not decided. Raises: _Differs."""
         seq = len(self.events)
         if seq < self._count:
-            raise self._unasked(seq) or _Differs(self._stored.run_id, seq, "type", None, _END, self._actual(seq))
+            raise self._missed_decision(seq) or _Mismatch(
+                self._stored.run_id, seq, "type", None, _END, self._actual(seq)
+            )
         if self._forked_from_seq is not None:
             expected = last_shared(self._recipe, self._stored)
             if expected != self._forked_from_seq:
                 pair = f"{expected}", f"{self._forked_from_seq}"
-                raise _Differs(self._stored.run_id, 0, "forked_from_seq", "forks.last_shared", *pair)
+                raise _Mismatch(self._stored.run_id, 0, "forked_from_seq", "forks.last_shared", *pair)
 
     def _noted(self, decide: Decide) -> Decide:
         """Return the decision wrapped so that it is noted when it is taken."""
@@ -327,9 +330,11 @@ class _Replay(RecordedKernel):
         """Check that the record has this event at that seq. Raises: _Differs."""
         stored = self._stored
         if seq >= self._count:
-            raise _Differs(stored.run_id, seq, "type", self.handler(), _at(event, time_us), _END)
+            raise _Mismatch(stored.run_id, seq, "type", self.handler(), _at(event, time_us), _END)
         if stored.events[seq] != event or stored.times_us[seq] != time_us or stored.caused_by[seq] != cause:
-            raise self._unasked(seq) or _Differs(stored.run_id, seq, *self._first_field(seq, event, time_us, cause))
+            raise self._missed_decision(seq) or _Mismatch(
+                stored.run_id, seq, *self._first_field(seq, event, time_us, cause)
+            )
 
     def _first_field(self, seq: int, event: Event, time_us: int, cause: int | None) -> tuple[str, str | None, str, str]:
         """Return the first field in which the recorded event differs: name, handler, expected, actual."""
@@ -353,13 +358,13 @@ class _Replay(RecordedKernel):
         invented = type(event) in FACTS and (time_us, event) not in self._facts
         return _at(event, time_us) + (", which the world of this run does not have" if invented else "")
 
-    def _unasked(self, seq: int) -> _Differs | None:
+    def _missed_decision(self, seq: int) -> _Mismatch | None:
         """Return the difference if the recorded event is where a handler had its turn and made nothing, else None."""
         decide = dict(self._silent).get(self._stored.times_us[seq])
         return (
             None
             if decide is None
-            else _Differs(self._stored.run_id, seq, "type", _name(decide), "nothing", self._actual(seq))
+            else _Mismatch(self._stored.run_id, seq, "type", _name(decide), "nothing", self._actual(seq))
         )
 
 
@@ -373,16 +378,16 @@ def _at(event: Event, time_us: int) -> str:
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 
-def _begun(record: LedgerRun, is_recorded: bool) -> _Replay:
+def _start_replay(record: LedgerRun, is_recorded: bool) -> _Replay:
     """Return the run at its founding. Raises: _Differs if it cannot be replayed, or its founding or name differs."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
-        raise _Differs(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
+        raise _Mismatch(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
     try:
         recipe = recorded_recipe(started, len(record.events))
-    except Unmade as found:
+    except CannotReplay as found:
         actual = f"{found.actual}, so the run cannot be replayed"
-        raise _Differs(record.run_id, 0, found.field, None, found.expected, actual) from found
+        raise _Mismatch(record.run_id, 0, found.field, None, found.expected, actual) from found
     if run_id(started) != record.run_id:
-        raise _Differs(record.run_id, 0, "run_id", None, repr(run_id(started)), repr(record.run_id))
+        raise _Mismatch(record.run_id, 0, "run_id", None, repr(run_id(started)), repr(record.run_id))
     return _Replay(record, started, recipe, is_recorded)

@@ -3,26 +3,24 @@
 from collections.abc import Iterator
 from functools import lru_cache
 from hashlib import sha256
+from importlib import import_module
 
 import msgspec
 
 from fsar_ledger.constants import Constants, Range, WorldConstants, write_constants
 from fsar_ledger.designs import Fleet
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
-from fsar_ledger.events import Event
-from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events import CONCERNS, Event
+from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, removed_mechanisms
+from fsar_ledger.events.fleet import ExperimentPlanned, RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import State, fold
 
 from .architectures.handler_table import HandlerTable
-from .handler_tables import handler_table_of
 from .kernel import Kernel
-from .world.draws import Draws, run_key
+from .world.draws import Draws, SimulatedEnvironment, run_key
 from .world.founding import founding
 from .world.schedule import schedule
-from .world.simulated import Simulated
 
 MODEL_VERSION = "2"
 
@@ -77,11 +75,11 @@ def kernel(spec: RunSpec, constants: Constants, table: HandlerTable | None = Non
     return Kernel(table, environment_of(spec, constants), *founding_of(spec, constants))
 
 
-def environment_of(spec: RunSpec, constants: Constants) -> Simulated:
+def environment_of(spec: RunSpec, constants: Constants) -> SimulatedEnvironment:
     """Return the world of the run; the durations of an own fleet's capabilities are among its draws."""
     facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), _world(constants.world, constants.fleet))
-    return Simulated(facts, draws)
+    return SimulatedEnvironment(facts, draws)
 
 
 @lru_cache(maxsize=8)
@@ -125,3 +123,41 @@ def simulate_slices(spec: RunSpec, constants: Constants, most: int) -> Iterator[
         yield msgspec.structs.replace(part, run_id=name, goes_on=not one.has_ended)
         if one.has_ended:
             return
+
+
+def handler_table_of(architecture: str, configuration: Configuration = FULL) -> HandlerTable:
+    """Return the architecture's handlers and reactions, without the mechanisms that the configuration lacks.
+
+    The handlers themselves check the mechanisms of the paper's ablation, so those leave the table unchanged.
+    """
+    module = import_module(f".architectures.{architecture}", __package__)
+    table: HandlerTable = getattr(module, architecture.upper())
+    return table if removed_mechanisms(configuration) <= set(MECHANISMS) else _knocked_out(architecture, configuration)
+
+
+@lru_cache(maxsize=32)
+def _knocked_out(architecture: str, configuration: Configuration) -> HandlerTable:
+    """Return the table from a cache, so that the kernel plans it once for all runs."""
+    from .knockouts import knock_out
+
+    return knock_out(handler_table_of(architecture), architecture, configuration)
+
+
+def plan_id(planned: ExperimentPlanned) -> str:
+    """Return a readable name with a digest of everything planned, as runs have; no two plans share a name."""
+    digest = sha256(msgspec.json.encode(planned, order="sorted")).hexdigest()[:12]
+    return f"plan.n{planned.fleet_size}.s{planned.seed}.x{planned.run_count:04d}-{digest}"
+
+
+def plan_record(planned: ExperimentPlanned) -> LedgerRun:
+    """Return the record to commit for a plan: a run with its name and one event, at time 0."""
+    return LedgerRun(plan_id(planned), (0,), (None,), (planned,))
+
+
+def plan_mismatch(record: LedgerRun) -> tuple[str, str, str] | None:
+    """Return the first field in which the record of a plan is wrong, with what was found and expected, or None."""
+    planned = record.events[0]
+    assert isinstance(planned, ExperimentPlanned)
+    expected = plan_record(planned)
+    pairs = (("run_id", record.run_id, expected.run_id), ("time_us", record.times_us[0], expected.times_us[0]))
+    return next(((field, f"{found!r:.300}", repr(right)) for field, found, right in pairs if found != right), None)

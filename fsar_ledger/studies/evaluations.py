@@ -25,7 +25,7 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database, connect, from_table
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.verdicts import MARGINS
-from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
 from fsar_ledger.workers import WorkerPool
 
@@ -87,7 +87,7 @@ def simulated(experiment: Experiment, workers: int) -> Iterator[Database]:
     """Simulate an experiment into a temporary ledger, for more runs than memory holds, and yield its database."""
     with TemporaryDirectory() as folder:
         ledger = Path(folder) / "ledger"
-        simulate(ledger, experiment, workers)
+        run_experiment(ledger, experiment, workers)
         with connect(ledger) as database:
             yield database
 

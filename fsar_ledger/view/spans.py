@@ -15,7 +15,7 @@ from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.execution import HELPING, Execution
 from fsar_ledger.projections.fold import ROUTES, State
 from fsar_ledger.projections.knowledge import Knowledge
-from fsar_ledger.projections.policy import Policy, standing
+from fsar_ledger.projections.policy import Policy, rules_in_force
 from fsar_ledger.projections.recovery import Recoveries
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.projections.supervision import Supervision
@@ -165,7 +165,7 @@ def _claims(state: Authority) -> Iterator[Fact]:
 
 
 def _rules(state: Policy) -> Iterator[Fact]:
-    for rule in standing(state):
+    for rule in rules_in_force(state):
         if rule.outcome != "allow":
             about = " in ".join(one for one in (rule.capability or "every capability", rule.context) if one)
             yield Fact(rule.robot, "policy", rule.outcome, about, f"{rule.scope} rule: {rule.outcome}")

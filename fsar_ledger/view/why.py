@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fsar_ledger import printable
-from fsar_ledger.analysis.why import Made
-from fsar_ledger.analysis.words import Line
+from fsar_ledger.analysis.records import Line
+from fsar_ledger.analysis.why import DecisionTrace
 from fsar_ledger.report import figures
 
 FONT = 7.5  # points
@@ -19,7 +19,7 @@ TRIGGER, READS, QUIET, ROOT = "#1f4e79", "#b07a2a", "#666666", "#f3e6f0"
 TEXT: dict[str, Any] = {"fontsize": FONT, "parse_math": False, "va": "top", "linespacing": 1.1}
 
 
-def figure(seq: int, made: Sequence[Made], lines: Mapping[int, Line], kind: str = "svg") -> bytes:
+def figure(seq: int, made: Sequence[DecisionTrace], lines: Mapping[int, Line], kind: str = "svg") -> bytes:
     """Draw the event with this seq and what it rests on, as SVG or PDF. The same answer gives the same bytes.
 
     Blue arcs lead from a trigger to what it triggered, brown ones from an event to a decision that read what it wrote.
@@ -47,7 +47,7 @@ def figure(seq: int, made: Sequence[Made], lines: Mapping[int, Line], kind: str 
         return figures.rendered(canvas, kind)
 
 
-def _links(seq: int, made: Sequence[Made]) -> list[tuple[int, int, bool]]:
+def _links(seq: int, made: Sequence[DecisionTrace]) -> list[tuple[int, int, bool]]:
     """Return each pair of an event and what rests on it, and whether it triggered it; the asked one for its batch."""
     links = []
     for one in made:
@@ -56,7 +56,7 @@ def _links(seq: int, made: Sequence[Made]) -> list[tuple[int, int, bool]]:
     return links
 
 
-def _said(made: Sequence[Made]) -> dict[int, str]:
+def _said(made: Sequence[DecisionTrace]) -> dict[int, str]:
     """Return by event what the decision in question read of it."""
     found: dict[int, dict[str, dict[str, None]]] = {}
     for read in (*made[0].scheduled_reads, *made[0].reads):

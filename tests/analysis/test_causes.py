@@ -4,10 +4,9 @@ from random import Random
 
 import pytest
 
-from fsar_ledger.analysis.bases import Repeated, base_of_record, repeated
-from fsar_ledger.analysis.causes import Cause, Search, cause
-from fsar_ledger.analysis.futures import curve
-from fsar_ledger.analysis.outcomes import Outcome, outcome_of
+from fsar_ledger.analysis.avoidability import curve
+from fsar_ledger.analysis.causes import Cause, Outcome, Search, cause, outcome_of
+from fsar_ledger.analysis.fork_base import Rerun, base_of_record, rerun
 from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.errors import QueryFailed, UnknownQuery, UsageError
 from fsar_ledger.events.world import PolicyWindowOpened
@@ -21,8 +20,8 @@ ROOT = "0" * 64
 VIOLATED = outcome_of("policy_violations > 0")
 
 
-def again(record: LedgerRun) -> Repeated:
-    return repeated(base_of_record(record, ROOT))
+def again(record: LedgerRun) -> Rerun:
+    return rerun(base_of_record(record, ROOT))
 
 
 def metric(record: LedgerRun, name: str) -> float | None:
@@ -33,7 +32,7 @@ def metric(record: LedgerRun, name: str) -> float | None:
     return value
 
 
-def require_smallest(base: Repeated, outcome: Outcome, found: Cause, *, lengths: bool = False) -> None:
+def require_smallest(base: Rerun, outcome: Outcome, found: Cause, *, lengths: bool = False) -> None:
     search = Search(base, outcome, lengths=lengths)
     causes, presupposed = ({one.name for one in part} for part in (found.elements, found.presupposed))
     names = frozenset(causes | presupposed)
@@ -68,16 +67,17 @@ def test_without_a_necessary_cause_the_forked_run_does_not_have_the_outcome() ->
 def test_with_a_cause_alone_the_forked_run_has_the_outcome() -> None:
     base = again(simulated("fsar"))
     kept = {one.name for one in cause(base, VIOLATED).elements}
-    others = tuple(Drop(name) for name in base.base.happenings if name not in kept)
+    others = tuple(Drop(name) for name in base.base.facts_by_name if name not in kept)
     assert metric(base.fork(others).record, "policy_violations") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("architecture", "number", "text", "kinds"),
     [
         ("fsar", 4, "coordination_success < 1", ["window"]),
-        pytest.param("cfc", 1, "recovery_containment < 1", [], marks=pytest.mark.slow),
-        pytest.param("dhma", 3, "reassignment_latency_s > 0", [], marks=pytest.mark.slow),
+        ("cfc", 1, "recovery_containment < 1", []),
+        ("dhma", 3, "reassignment_latency_s > 0", []),
     ],
 )
 def test_what_only_makes_the_outcome_defined_is_no_cause_of_it(

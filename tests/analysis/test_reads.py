@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import msgspec
 import pytest
 
-from fsar_ledger.analysis.decisions import decisions, first_of
-from fsar_ledger.analysis.reads import ABSENT, Path, Reads, Step, value_at, written
+from fsar_ledger.analysis.reads import ABSENT, Path, Reads, Step, last_writes, value_at
+from fsar_ledger.analysis.why import decisions, first_of
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RunStarted
@@ -16,12 +16,11 @@ from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State, apply, fold
-from fsar_ledger.projections.maps import Large
+from fsar_ledger.projections.maps import SharedMap
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import Command, Decide, Scheduled
 from fsar_ledger.runtime.knockouts import KNOCKOUTS
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, handler_table_of, simulate_run
 from tests.analysis.conftest import OUTAGES
 from tests.analysis.emptied import emptied
 
@@ -120,7 +119,7 @@ def test_what_was_not_read_changes_no_decision_in_any_scenario_or_knockout() -> 
 def test_a_large_mapping_is_read_to_the_key() -> None:
     state = State()
     state.execution = Execution(
-        current=Large.of({Robot(f"robot/A{number}"): f"A{number}-1/1" for number in range(300)})
+        current=SharedMap.of({Robot(f"robot/A{number}"): f"A{number}-1/1" for number in range(300)})
     )
     reads = Reads()
     assert reads.state(state).execution.current[Robot("robot/A7")] == "A7-1/1"
@@ -156,7 +155,7 @@ def test_the_last_writer_is_the_event_after_which_the_value_differs(runs: list[L
     record = runs[number]
     made = decisions(record, sorted(firsts(record))[60:90])
     asked = [(path, seq) for seq, decision in made.items() for path in decision.reads]
-    found = written(record.events, asked)
+    found = last_writes(record.events, asked)
     for seq in made:
         values: dict[Path, list[object]] = {path: [] for path, before in asked if before == seq}
         state = State()
@@ -178,7 +177,7 @@ def test_each_window_is_known_by_the_event_that_opened_it() -> None:
     ]
     closed = PolicyWindowClosed(window="two", robot=robot, scope="local")
     path = (*LOCAL, Step("key", robot))
-    found = written([*opened, closed], [(path, seq) for seq in range(5)])
+    found = last_writes([*opened, closed], [(path, seq) for seq in range(5)])
     assert [found[path, seq].by for seq in range(5)] == [None, 0, 1, 2, 3]
     assert found[path, 3].elements == (0, 1, 2)
     assert found[path, 4].elements == (0, 2)
@@ -190,7 +189,7 @@ def test_what_lies_beyond_an_absent_key_was_written_by_nobody() -> None:
     of_pair = (Step("field", "trust"), Step("field", "entries"), Step("key", pair))
     other, own = (*of_pair, Step("has", ("lift", None))), (*of_pair, Step("has", ("carry", None)))
     nothing = (*of_pair, Step("key", ("lift", None)))
-    found = written([entry], [(other, 1), (own, 1), (nothing, 1), ((*of_pair, Step("size")), 1)])
+    found = last_writes([entry], [(other, 1), (own, 1), (nothing, 1), ((*of_pair, Step("size")), 1)])
     assert [one.by for one in found.values()] == [None, 0, None, 0]
 
 

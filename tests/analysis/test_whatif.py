@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fsar_ledger.analysis.bases import Base, base_of_record, repeated
-from fsar_ledger.analysis.whatif import Effect, Pair, effects, forked, keep
+from fsar_ledger.analysis.fork_base import Base, base_of_record, rerun
+from fsar_ledger.analysis.whatif import Effect, Pair, commit_pairs, effects, forks_of
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
@@ -28,7 +28,7 @@ def bases() -> list[Base]:
 
 @pytest.fixture(scope="module")
 def pairs(bases: list[Base]) -> list[Pair]:
-    return list(forked(bases, parsed(["drop window:fleet/B1/*"])))
+    return list(forks_of(bases, parsed(["drop window:fleet/B1/*"])))
 
 
 def values(records: list[LedgerRun], metric: str) -> list[float | None]:
@@ -88,7 +88,7 @@ def test_the_bootstrap_interval_is_that_of_resampled_pairs(pairs: list[Pair]) ->
 
 
 def test_a_fork_without_a_change_has_no_effect(bases: list[Base]) -> None:
-    parted, (found,) = effects(list(forked(bases, ())))
+    parted, (found,) = effects(list(forks_of(bases, ())))
     assert [one.parts_at for one in parted] == [None] * RUNS
     assert found.diverging == 0
     for row in found.rows:
@@ -97,7 +97,7 @@ def test_a_fork_without_a_change_has_no_effect(bases: list[Base]) -> None:
 
 
 def test_one_pair_has_values_and_no_intervals(bases: list[Base]) -> None:
-    _, (found,) = effects(list(forked(bases[:1], parsed(["drop window:fleet/B1/1"]))))
+    _, (found,) = effects(list(forks_of(bases[:1], parsed(["drop window:fleet/B1/1"]))))
     (row,) = [row for row in found.rows if row.metric == "policy_violations"]
     assert (row.base_mean, row.fork_mean, row.difference, row.n) == (1.0, 0.0, -1.0, 1)
     assert (row.low, row.high, row.p, row.gain) == (None, None, None, None)
@@ -105,7 +105,7 @@ def test_one_pair_has_values_and_no_intervals(bases: list[Base]) -> None:
 
 def test_architectures_are_judged_apart(bases: list[Base]) -> None:
     both = [*bases[:3], *(base_of_record(simulated("cfc", run), ROOT) for run in range(2))]
-    _, found = effects(list(forked(both, parsed(["drop window:*"]))))
+    _, found = effects(list(forks_of(both, parsed(["drop window:*"]))))
     assert [(one.architecture, one.pairs) for one in found] == [("fsar", 3), ("cfc", 2)]
 
 
@@ -118,7 +118,7 @@ def test_many_pairs_judged_in_parts_are_judged_alike(pairs: list[Pair], monkeypa
 
 def test_forks_are_kept_beside_their_bases_and_replay(pairs: list[Pair], tmp_path: Path) -> None:
     place = tmp_path / "forks"
-    head = keep(place, pairs)
+    head = commit_pairs(place, pairs)
     assert verify(place).ok
     assert replay(place).ok
     with connect(place) as database:
@@ -127,13 +127,13 @@ def test_forks_are_kept_beside_their_bases_and_replay(pairs: list[Pair], tmp_pat
     assert all(row["base_run_id"] == row["forked_from_run"] for row in rows)
     parts = {pair.fork.record.run_id: pair.fork.parts_at for pair in pairs}
     assert {row["run_id"]: row["diverges"] for row in rows} == {run: at is not None for run, at in parts.items()}
-    assert keep(place, pairs) == head, "what is there is not written again"
+    assert commit_pairs(place, pairs) == head, "what is there is not written again"
     assert len(list(open_ledger(place).runs())) == 2 * RUNS
 
 
 def test_forks_are_no_planned_runs_and_have_a_setting_of_their_own(pairs: list[Pair], tmp_path: Path) -> None:
     place = tmp_path / "forks"
-    keep(place, pairs[:2])
+    commit_pairs(place, pairs[:2])
     with connect(place) as database:
         kinds = database.rows("SELECT DISTINCT kind, constants FROM run_settings ORDER BY kind")
         assert kinds == [
@@ -170,7 +170,7 @@ BAD = [
 @pytest.mark.parametrize(("text", "message"), BAD)
 def test_a_change_that_does_nothing_in_the_run_is_an_error(bases: list[Base], text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        repeated(bases[0]).fork_with_effect(parsed([text]))
+        rerun(bases[0]).fork_with_effect(parsed([text]))
 
 
 def test_a_run_that_is_not_as_it_is_made_is_not_forked_and_its_event_is_named(bases: list[Base]) -> None:
@@ -179,11 +179,11 @@ def test_a_run_that_is_not_as_it_is_made_is_not_forked_and_its_event_is_named(ba
     times[250] += 1
     tampered = LedgerRun(record.run_id, times, record.caused_by, record.events)
     with pytest.raises(UsageError, match="event 250: the record is not what its world and its handlers make"):
-        repeated(base_of_record(tampered, ROOT))
+        rerun(base_of_record(tampered, ROOT))
 
 
 def test_a_fork_is_not_forked_again(bases: list[Base]) -> None:
-    fork = repeated(bases[0]).fork(parsed(["drop window:*"])).record
+    fork = rerun(bases[0]).fork(parsed(["drop window:*"])).record
     with pytest.raises(
         UsageError, match=f"found a fork, expected the run that it forks from, {bases[0].record.run_id}"
     ):

@@ -7,9 +7,8 @@ from itertools import pairwise
 import msgspec
 import pytest
 
-from fsar_ledger.analysis.bases import base_of_record, repeated
-from fsar_ledger.analysis.decisions import decisions, first_of
-from fsar_ledger.analysis.why import Made, Read, reasons
+from fsar_ledger.analysis.fork_base import base_of_record, rerun
+from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events import Event
@@ -22,7 +21,7 @@ from fsar_ledger.events.world import LinkCameUp, PolicyWindowOpened, RobotCameBa
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.change_texts import parsed
-from fsar_ledger.runtime.handler_tables import handler_table_of
+from fsar_ledger.runtime.simulation import handler_table_of
 from tests.analysis.conftest import simulated
 
 
@@ -31,7 +30,7 @@ def found(record: LedgerRun, kind: type[Event], is_meant: Callable[[Event], bool
     return next(seq for seq, event in enumerate(record.events) if isinstance(event, kind) and is_meant(event))
 
 
-def read(made: Made, place: str, name: str) -> Read:
+def read(made: DecisionTrace, place: str, name: str) -> Read:
     return next(one for one in made.reads if (one.place, one.name) == (place, name))
 
 
@@ -49,7 +48,7 @@ def distrusted(denied: LedgerRun) -> LedgerRun:
     assert isinstance(request, RequestIssued)
     pair = f"{request.principals.executed_by} {request.principals.requested_by}"
     change = f"trust {pair} none from {denied.times_us[seq] / 1e6 + 0.001:.6f}s"
-    return repeated(base_of_record(denied, "0" * 64)).fork(parsed([change])).record
+    return rerun(base_of_record(denied, "0" * 64)).fork(parsed([change])).record
 
 
 OWN_WINDOW = 138
@@ -82,7 +81,7 @@ def test_a_denial_for_want_of_trust_names_the_entry_and_who_set_it(distrusted: L
     ],
 )
 def test_a_fork_is_made_again_under_observation(denied: LedgerRun, change: str, command: str) -> None:
-    record = repeated(base_of_record(denied, "0" * 64)).fork(parsed([change])).record
+    record = rerun(base_of_record(denied, "0" * 64)).fork(parsed([change])).record
     made = decisions(record, {first_of(record, seq) for seq in range(len(record.events))})
     assert command in {type(one.command).__name__ for one in made.values() if one.reaction is None}
 
@@ -102,7 +101,7 @@ def test_what_is_not_there_is_read_as_absent_and_was_written_by_nobody(denied: L
 def test_an_event_has_the_trigger_on_record_and_its_chain_ends_at_a_fact_of_the_world(denied: LedgerRun) -> None:
     answer = reasons(denied, OWN_WINDOW, 1)
     assert answer.made[0].triggered_by == denied.caused_by[OWN_WINDOW] == answer.triggers[0]
-    assert answer.made[0].scheduled_by == "architectures.fsar.request_reactions._on_request"
+    assert answer.made[0].scheduled_by == "architectures.fsar.request._on_request"
     for effect, cause in pairwise(answer.triggers):
         assert denied.caused_by[first_of(denied, effect)] == cause
     (last,) = reasons(denied, answer.triggers[-1], 1).made
@@ -124,7 +123,7 @@ def test_the_founding_has_no_reasons(denied: LedgerRun) -> None:
 
 
 def test_answers_at_ports_are_those_of_the_run(denied: LedgerRun) -> None:
-    base = repeated(base_of_record(denied, "0" * 64))
+    base = rerun(base_of_record(denied, "0" * 64))
     asked = {one.name: one.text for one in base.asked}
     told = [
         answered

@@ -12,7 +12,7 @@ from fsar_ledger.api.events import Filter
 from fsar_ledger.api.log_rows import Asked, about_of
 from fsar_ledger.api.table import Row, Table
 from fsar_ledger.errors import InvalidExperiment, LedgerCorrupted, UsageError
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import CONCERNED
 from tests.api.conftest import RUN
 from tests.queries.histories import run

@@ -16,8 +16,7 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
-from fsar_ledger.runtime.plan import plan_record
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, plan_record, simulate_run
 from tests.attacks.conftest import Attack, attacked
 from tests.cli.conftest import one_message
 from tests.ledger.hostile import stage_anything

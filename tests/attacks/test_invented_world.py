@@ -26,20 +26,19 @@ from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.keys import new_key, read_signer
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.simulation import (
     ARCHITECTURES,
     RunSpec,
     founding_of,
+    handler_table_of,
     run_id,
     run_started,
     simulate_run,
 )
-from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 from tests.attacks.conftest import Attack
 
 CONSTANTS = Constants()
@@ -68,7 +67,7 @@ def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> LedgerRun:
     """Return the handlers' decisions where only these facts happen."""
     one = Kernel(
         handler_table_of(spec.architecture),
-        Simulated(facts, Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)),
+        SimulatedEnvironment(facts, Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)),
         *founding_of(spec, CONSTANTS),
     )
     one.run()

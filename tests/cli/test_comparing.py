@@ -12,12 +12,10 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.simulation import RunSpec, founding_of, run_id, run_started, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.simulation import RunSpec, founding_of, handler_table_of, run_id, run_started, simulate_run
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 from tests.cli.conftest import Call, one_message
 
 CONSTANTS = Constants()
@@ -33,7 +31,7 @@ def unlike(tmp_path_factory: pytest.TempPathFactory) -> Path:
     facts = schedule(CONSTANTS, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     one = Kernel(
         handler_table_of(spec.architecture),
-        Simulated(facts[:-1], Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)),
+        SimulatedEnvironment(facts[:-1], Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)),
         *founding_of(spec, CONSTANTS),
     )
     one.run()

@@ -22,10 +22,9 @@ from fsar_ledger.ledger.store.keys import read_signer
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.writing import open_writer
 from fsar_ledger.runtime import experiment as module
-from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate
-from fsar_ledger.runtime.experiments import named
-from fsar_ledger.runtime.plan import plan_record
-from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, SimulationResult, run_experiment
+from fsar_ledger.runtime.paper import paper_ledger
+from fsar_ledger.runtime.simulation import RunSpec, plan_record, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
 
@@ -55,7 +54,7 @@ def small(*architectures: Architecture, **given: Any) -> Experiment:
 def planned_only(path: Path, experiment: Experiment, origin: str = ORIGIN) -> None:
     """Make an experiment that was interrupted right after its plan."""
     with pytest.raises(Stopped):
-        simulate(path, experiment, 1, stop_after(0), origin=origin)
+        run_experiment(path, experiment, 1, stop_after(0), origin=origin)
 
 
 def info(call: Call, path: Path) -> dict[str, Any]:
@@ -102,7 +101,7 @@ def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_
     path, experiment = tmp_path / "a ledger", small("fsar", "cfc", runs=3, seed=5)
     monkeypatch.setattr(module, "COMMIT_EVENTS", 1_300)  # two runs, of some 600 each
     with pytest.raises(Stopped):
-        simulate(path, experiment, 1, stop_after(1))
+        run_experiment(path, experiment, 1, stop_after(1))
     monkeypatch.undo()
     found = info(call, path)
     [plan] = found["plans"]
@@ -145,7 +144,7 @@ def test_a_signed_ledger_goes_on_with_a_key(call: Call, tmp_path: Path) -> None:
     call("key", "new", tmp_path / "key", "--name", "example.org/fleet")
     signer = read_signer(tmp_path / "key")
     with pytest.raises(Stopped):
-        simulate(tmp_path / "ledger", small(), 1, stop_after(0), signer)
+        run_experiment(tmp_path / "ledger", small(), 1, stop_after(0), signer)
     [plan] = info(call, tmp_path / "ledger")["plans"]
     assert plan["continues_with"].endswith("--architecture fsar --scenario door-relay --runs 2 --key KEY")
 
@@ -155,9 +154,9 @@ def test_a_ledger_that_reproduce_signed_under_a_name_of_its_own_goes_on_with_rep
     call: Call, tmp_path: Path, folder: str, is_reproduced: bool
 ) -> None:
     call("key", "new", tmp_path / "key", "--name", "example.org/fleet")
-    experiment, path = named("ablation", 42, 1), tmp_path / "paper" / folder
+    experiment, path = paper_ledger("ablation", 42, 1), tmp_path / "paper" / folder
     with pytest.raises(Stopped):
-        simulate(path, experiment.parts[1], 1, stop_after(0), experiment.signer(read_signer(tmp_path / "key")))
+        run_experiment(path, experiment.parts[1], 1, stop_after(0), experiment.signer(read_signer(tmp_path / "key")))
     [plan] = info(call, path)["plans"]
     wanted = (
         f"fsar-ledger reproduce --out {shlex.quote(str(path.parent))} --only ablation --runs 1 --key KEY"
@@ -171,7 +170,7 @@ def test_however_many_counts_of_runs_the_plans_of_a_ledger_name_only_the_largest
     tmp_path: Path,
 ) -> None:
     ablation = tmp_path / "ablation"
-    planned_only(ablation, named("ablation", 42, 1).parts[1], named("ablation", 42, 1).origin)
+    planned_only(ablation, paper_ledger("ablation", 42, 1).parts[1], paper_ledger("ablation", 42, 1).origin)
     calls = reproducing([*range(10_001), 5, 5], Shown(ablation, open_ledger(ablation)))
     tried = sorted({int(call.rpartition(" ")[2]) for call in calls.values() if "--runs" in call}, reverse=True)
     assert tried == list(range(MAX_RUNS, MAX_RUNS - MAX_COUNTS, -1))
@@ -179,8 +178,8 @@ def test_however_many_counts_of_runs_the_plans_of_a_ledger_name_only_the_largest
 
 
 def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call, tmp_path: Path) -> None:
-    simulate(tmp_path / "ledger", small("fsar", runs=3), 1)
-    simulate(tmp_path / "ledger", small("cfc", scenarios=("fleet-contention",), runs=1), 1)
+    run_experiment(tmp_path / "ledger", small("fsar", runs=3), 1)
+    run_experiment(tmp_path / "ledger", small("cfc", scenarios=("fleet-contention",), runs=1), 1)
     found = info(call, tmp_path / "ledger")
     assert (found["is_complete"], found["runs"], [plan["planned_count"] for plan in found["plans"]]) == (
         True,
@@ -203,9 +202,9 @@ def test_what_two_interrupted_experiments_have_in_common_is_missing_once(call: C
 
 
 def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, tmp_path: Path) -> None:
-    simulate(tmp_path / "ledger", small(runs=3), 1)
+    run_experiment(tmp_path / "ledger", small(runs=3), 1)
     planned_only(tmp_path / "ledger", small(constants=OTHER))
-    simulate(tmp_path / "ledger", small(runs=1, constants=OTHER), 1)
+    run_experiment(tmp_path / "ledger", small(runs=1, constants=OTHER), 1)
     found = info(call, tmp_path / "ledger")
     assert sorted((group["constants"], group["runs"], group["runs_to_rectangle"]) for group in found["groups"]) == [
         ("A", 3, 0),
@@ -228,8 +227,8 @@ def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, t
 
 
 def test_a_constant_of_a_group_that_is_absent_is_named_with_its_default(call: Call, tmp_path: Path) -> None:
-    simulate(tmp_path / "ledger", small(), 1)
-    simulate(
+    run_experiment(tmp_path / "ledger", small(), 1)
+    run_experiment(
         tmp_path / "ledger",
         small(runs=1, fleet_size=8, constants=Constants(load=Load(teams_working=1, task_sets=2))),
         1,
@@ -240,7 +239,7 @@ def test_a_constant_of_a_group_that_is_absent_is_named_with_its_default(call: Ca
 
 
 def test_runs_of_two_models_are_told_by_their_versions(call: Call, tmp_path: Path) -> None:
-    simulate(tmp_path / "ledger", small(), 1)
+    run_experiment(tmp_path / "ledger", small(), 1)
     foreign = RunStarted(kind="foreign", observes=(), source="example.org")
     appended(tmp_path / "ledger", LedgerRun("night", (0,), (None,), (foreign,)), live("shift"))
     text = said(call, tmp_path / "ledger")
@@ -252,7 +251,7 @@ def test_runs_of_two_models_are_told_by_their_versions(call: Call, tmp_path: Pat
 def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what_is_missing(
     call: Call, tmp_path: Path
 ) -> None:
-    simulate(tmp_path / "ledger", small(), 1)
+    run_experiment(tmp_path / "ledger", small(), 1)
     appended(tmp_path / "ledger", live("shift-1"), live("shift-2"))
     found = info(call, tmp_path / "ledger")
     assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (None, 4, {"live": 2})
@@ -329,19 +328,19 @@ def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call,
 
 
 def test_runs_beyond_the_papers_experiment_are_told() -> None:
-    made = Made(EMPTY_HEAD, asked=300, made=0, held=301)
+    made = SimulationResult(EMPTY_HEAD, asked=300, made=0, held=301)
     assert before(made) == ["nothing to do: the 300 runs asked for are there, and 1 more"]
     assert beyond(made) == [
         "the ledger holds 1 run beyond the 300 of the paper's experiment, and they are judged here, too"
     ]
-    assert before(Made(EMPTY_HEAD, 20, 20, 30)) == ["made 20 runs, beside 10 of other experiments"]
-    assert before(fresh := Made(EMPTY_HEAD, 20, 20, 20)) == beyond(fresh) == []
+    assert before(SimulationResult(EMPTY_HEAD, 20, 20, 30)) == ["made 20 runs, beside 10 of other experiments"]
+    assert before(fresh := SimulationResult(EMPTY_HEAD, 20, 20, 20)) == beyond(fresh) == []
 
 
 @pytest.mark.slow
 def test_what_is_judged_before_all_planned_runs_are_there_says_so(call: Call, tmp_path: Path, ledger: Path) -> None:
     planned_only(tmp_path / "ledger", small("fsar", "cfc", runs=3))
-    simulate(tmp_path / "ledger", small("fsar", "cfc", runs=1), 1)
+    run_experiment(tmp_path / "ledger", small("fsar", "cfc", runs=1), 1)
     call("verify", tmp_path / "ledger")
     for command in ("metrics", "statistics"):
         warned = call(command, tmp_path / "ledger")
@@ -366,7 +365,7 @@ def test_a_plan_without_runs_is_not_said_to_have_been_replayed(call: Call, tmp_p
 @pytest.mark.parametrize("command", few(["metrics", "statistics", "audit"], ["metrics"]))
 def test_programs_are_told_that_planned_runs_are_missing(call: Call, tmp_path: Path, command: str) -> None:
     planned_only(tmp_path / "ledger", small(runs=2))
-    simulate(tmp_path / "ledger", small(runs=1), 1)
+    run_experiment(tmp_path / "ledger", small(runs=1), 1)
     said = call(command, tmp_path / "ledger", "--json")
     answer = json.loads(said.out)
     assert (answer["complete"], answer["missing_count"]) == (False, 1)

@@ -12,10 +12,10 @@ from tests.quick import few
 @pytest.fixture(scope="session")
 def workflows(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ledger of the paper's three workflows."""
-    from fsar_ledger.runtime.experiment import simulate, workflow_experiment
+    from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment
 
     path = tmp_path_factory.mktemp("workflows") / "ledger"
-    simulate(path, workflow_experiment(42), 1)
+    run_experiment(path, workflow_experiment(42), 1)
     return path
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun

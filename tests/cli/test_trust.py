@@ -375,11 +375,11 @@ def test_a_public_key_under_another_name_verifies_what_the_same_secret_signed_un
     call: Call, tmp_path: Path
 ) -> None:
     from fsar_ledger.ledger.store.keys import read_signer
-    from fsar_ledger.runtime.experiment import Experiment, simulate
+    from fsar_ledger.runtime.experiment import Experiment, run_experiment
 
     assert call("key", "new", tmp_path / "arm.key", "--name", "example.org/arm").code == 0
     signer = read_signer(tmp_path / "arm.key").under("example.org/arm/ablation")
-    simulate(tmp_path / "ledger", Experiment(("fsar",), ("door-relay",), 1), 1, signer=signer)
+    run_experiment(tmp_path / "ledger", Experiment(("fsar",), ("door-relay",), 1), 1, signer=signer)
     said = call("key", "public", tmp_path / "arm.key.pub", "--name", "example.org/arm/ablation")
     assert said.out.strip() == str(signer.verifier)
     assert (

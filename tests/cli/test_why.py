@@ -9,10 +9,8 @@ from typing import Any, NamedTuple
 import pytest
 
 from fsar_ledger import Ledger
-from fsar_ledger.analysis.decisions import decisions, first_of
-from fsar_ledger.analysis.records import record_of
-from fsar_ledger.analysis.why import Made, Read, reasons
-from fsar_ledger.analysis.words import Line
+from fsar_ledger.analysis.records import Line, record_of
+from fsar_ledger.analysis.why import DecisionTrace, Read, decisions, first_of, reasons
 from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.api.why import JUDGES, Tree, kinds, why_of
 from fsar_ledger.errors import UsageError
@@ -112,7 +110,7 @@ def test_text_in_a_figure_is_escaped() -> None:
     line = Line("r", 3, 1.0, "<script>$a$", "robot/A1", "robot/A1", "&\x1b[31m", None)
     cause = Line("r", 1, 0.5, None, "robot/A1", "robot/A1", "]]>", None)
     entry = Read("request[<b>]", "has x", None, True, 1, ())
-    made = Made(seq=3, count=1, origin="decision", handler="h", command="C", triggered_by=1, reads=(entry,))
+    made = DecisionTrace(seq=3, count=1, origin="decision", handler="h", command="C", triggered_by=1, reads=(entry,))
     drawn = figure(3, (made,), {1: cause, 3: line}).decode()
     assert "<script>" not in drawn
     assert "<b>" not in drawn

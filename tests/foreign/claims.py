@@ -7,8 +7,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from msgspec.structs import replace
 
-from fsar_ledger.events import CONCERN_OF
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERN_OF, CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS

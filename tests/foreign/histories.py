@@ -4,8 +4,7 @@ import random
 from collections.abc import Sequence
 from pathlib import Path
 
-from fsar_ledger.events import CONCERN_OF, Event
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, STANDS_ALONE, Field

@@ -10,8 +10,7 @@ from msgspec.structs import asdict
 
 from fsar_ledger.api.opening import open_ledger
 from fsar_ledger.constants import Constants
-from fsar_ledger.events import CONCERN_OF
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERN_OF, CONCERNS
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.library import library

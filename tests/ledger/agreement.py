@@ -14,7 +14,7 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import NotALedger
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger.log.hashing import leaves_of

@@ -21,8 +21,7 @@ from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA, Field, StoredType, described
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.runtime.experiment import Experiment
-from fsar_ledger.runtime.plan import plan_record
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, plan_record, simulate_run
 from tests.ledger.samples import run_of_every_type
 
 ROOT = Path(__file__).resolve().parents[2]

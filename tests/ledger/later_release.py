@@ -88,8 +88,14 @@ EDITS = (
     ),
     (
         "events/retired.py",
-        "from .upcasting import Upcaster, adding\n",
-        f"from .envelope import Subject\nfrom .task import StepBegan\nfrom .upcasting import Upcaster, adding\n{STEPS}",
+        "# See docs/decisions/evidence-is-never-rewritten.md.\n",
+        f"{STEPS}# See docs/decisions/evidence-is-never-rewritten.md.\n",
+    ),
+    ("events/retired.py", "from .envelope import Event\n", "from .envelope import Event, Subject\n"),
+    (
+        "events/retired.py",
+        "from .fleet import RunStarted\n",
+        "from .fleet import RunStarted\nfrom .task import StepBegan\n",
     ),
     ("events/retired.py", "] = (RunStartedV1,", "] = (StepBeganV1, StepBeganV2, RunStartedV1,"),
     ("events/retired.py", "] = (adding(RunStartedV1", f"] = ({UPCASTERS}, adding(RunStartedV1"),

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from fsar_ledger.events import Event
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, StoredType

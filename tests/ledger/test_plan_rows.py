@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.experiment import ExperimentPlanned
+from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.verify.verify import verify

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, WriteFailed
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import Robot, with_columns
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.task import TaskCompleted

@@ -16,8 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import InvalidRun
-from fsar_ledger.events import Event
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER

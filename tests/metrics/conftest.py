@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.rows.codec import LedgerRun

@@ -6,7 +6,7 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed, UnknownQuery
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA
 from fsar_ledger.metrics.database import Database, Value, connect, from_rows, from_table, plain_rows, table_of
 from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, staging_sql, view_name

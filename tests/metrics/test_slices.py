@@ -8,7 +8,7 @@ from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.metrics.database import Slices, connect
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.runtime import staging
-from fsar_ledger.runtime.experiment import Experiment, carry_out
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from tests.quick import few
 
 WHOLE = Experiment(("fsar", "cfc", "dhma"), ("door-relay", "fleet-contention"), 2, 7)
@@ -18,7 +18,7 @@ EVENTS = "SELECT run_id, seq, type FROM events ORDER BY ALL"
 @pytest.fixture(params=[1, 2], ids=["format 1", "format 2"])
 def ledger(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(staging, "COMMIT_EVENTS", 300)  # in format 2 most runs are in several segments
-    carry_out(tmp_path / "ledger", WHOLE, 1, version=request.param)
+    run_experiment(tmp_path / "ledger", WHOLE, 1, version=request.param)
     return tmp_path / "ledger"
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows

@@ -21,6 +21,7 @@ from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
 from tests.foreign.histories import foreign_run
 from tests.runtime.commanded import commanded
+from tests.runtime.histories import happen
 
 A = Robot("robot/A1")
 
@@ -87,8 +88,7 @@ def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> N
 def test_folding_on_is_folding_all() -> None:
     events = simulate_run(RunSpec(8, "cfc", "full", "fleet-contention", 4, 0), Constants()).events
     state = State()
-    for event in events:
-        apply(state, event)
+    happen(state, *events)
     assert state == fold(events)
     assert state != fold(events[:-40])
 
@@ -98,8 +98,7 @@ def test_states_do_not_change_behind_the_back_of_those_who_hold_them() -> None:
     state = fold(events[: len(events) // 2])
     slots = {slot: getattr(state, slot) for slot in State.__slots__}
     before = {slot: repr(value) for slot, value in slots.items()}
-    for event in events[len(events) // 2 :]:
-        apply(state, event)
+    happen(state, *events[len(events) // 2 :])
     assert {slot: repr(value) for slot, value in slots.items()} == before
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.projections import maps
-from fsar_ledger.projections.maps import Large, among, put, without
+from fsar_ledger.projections.maps import SharedMap, among, put, without
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 
 CHANGES = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integers())), max_size=60)
@@ -20,7 +20,7 @@ CHANGES = st.lists(st.tuples(st.integers(0, 12), st.one_of(st.none(), st.integer
 def test_a_large_mapping_is_the_dict_with_the_same_changes(
     begin: dict[int, int], changes: list[tuple[int, int | None]]
 ) -> None:
-    expected, found = dict(begin), Large.of(begin)
+    expected, found = dict(begin), SharedMap.of(begin)
     for key, value in changes:
         before = list(found.items())
         if value is None:
@@ -30,7 +30,7 @@ def test_a_large_mapping_is_the_dict_with_the_same_changes(
             after = put(found, key, value)
             expected[key] = value
         assert list(found.items()) == before, "a change leaves the mapping that it changes"
-        assert isinstance(after, Large)
+        assert isinstance(after, SharedMap)
         found = after
         assert list(found.items()) == list(expected.items()), "entries come in the order of a dict's"
     assert found == expected
@@ -51,7 +51,7 @@ def test_a_large_mapping_is_the_dict_with_the_same_changes(
 def test_every_version_stays_what_it_was_whichever_is_changed_or_read(
     begin: dict[int, int], changes: list[tuple[int, int | None]], chance: random.Random
 ) -> None:
-    versions: list[tuple[Large[int, int], dict[int, int]]] = [(Large.of(begin), begin)]
+    versions: list[tuple[SharedMap[int, int], dict[int, int]]] = [(SharedMap.of(begin), begin)]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(maps, "_LARGE", 7)
         for key, value in changes:
@@ -71,7 +71,7 @@ def test_every_version_stays_what_it_was_whichever_is_changed_or_read(
 
 
 def test_a_mapping_may_be_changed_while_another_version_is_gone_through() -> None:
-    first = found = Large.of({number: number for number in range(10)})
+    first = found = SharedMap.of({number: number for number in range(10)})
     for key in found:
         found = found.without(key) if key % 2 else found.put(-key, key)
     assert list(first) == list(range(10))
@@ -80,7 +80,7 @@ def test_a_mapping_may_be_changed_while_another_version_is_gone_through() -> Non
 
 def test_what_an_old_version_holds_does_not_grow_with_the_changes_after_it() -> None:
     alive: weakref.WeakSet[Value] = weakref.WeakSet()
-    first = found = Large.of({number: Value() for number in range(300)})
+    first = found = SharedMap.of({number: Value() for number in range(300)})
     for number in range(20_000):
         value = Value()
         alive.add(value)
@@ -97,7 +97,7 @@ def test_a_mapping_grows_and_shrinks_by_one_entry_at_a_time() -> None:
     found, expected = put({}, "first", 0), {"first": 0}
     for number in range(3_000):
         found, expected[f"robot/{number}"] = put(found, f"robot/{number}", number), number
-    assert isinstance(found, Large)
+    assert isinstance(found, SharedMap)
     assert list(found.items()) == list(expected.items())
     for number in range(0, 3_000, 2):
         found = without(found, f"robot/{number}")

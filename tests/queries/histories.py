@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.metrics.database import Value
 from tests.recycled import from_rows
 

@@ -12,7 +12,7 @@ from fsar_ledger.api.lookup import parameters_of
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.database import Database, connect, plain_rows
 from fsar_ledger.metrics.library import library
-from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from tests.queries.histories import Row, event, run
 from tests.quick import few
 from tests.recycled import from_rows
@@ -222,7 +222,9 @@ def test_a_time_that_is_no_number_is_refused() -> None:
 def real(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Database]:
     """A small simulated history: three architectures, two scenarios."""
     ledger = tmp_path_factory.mktemp("audit") / "ledger"
-    simulate(ledger, Experiment(("fsar", "cfc", "dhma"), ("mixed-trust-inspection", "collaborative-delivery"), 3), 1)
+    run_experiment(
+        ledger, Experiment(("fsar", "cfc", "dhma"), ("mixed-trust-inspection", "collaborative-delivery"), 3), 1
+    )
     with connect(ledger) as database:
         yield database
 

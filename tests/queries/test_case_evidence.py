@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_rows, from_table
 from fsar_ledger.metrics.library import library

@@ -1,6 +1,6 @@
 """What coordination costs is counted for each request, and what nobody observed is not counted as nothing."""
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from tests.queries.histories import Row, answer, event, run
 
 COUNTED = ("requests", "messages", "decisions", "hops", "look_ups", "robots_named", "checks")

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS
 from fsar_ledger.metrics.database import Value
 from tests.queries.histories import Row, S, answer, event, run

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.events import AnyEvent
+from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario, with_columns
 from fsar_ledger.events.execution import ExecutionStarted, RoutinePerformed, RoutineWithheld
@@ -21,7 +21,7 @@ from tests.queries.test_invariants import RUNS, record
 from tests.recycled import from_table
 
 
-def changed(event: type[AnyEvent], **fields: Any) -> HandlerTable:
+def changed(event: type[Event], **fields: Any) -> HandlerTable:
     """FSAR, with every handler that emits this event saying something else in it."""
 
     def mutated(decide: Any) -> Any:

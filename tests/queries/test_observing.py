@@ -8,8 +8,7 @@ import pyarrow.compute as pc
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES
-from fsar_ledger.events.concerns import BESIDE, CONCERNS
+from fsar_ledger.events import BESIDE, CONCERNS, EVENT_TYPES, RETIRED_TYPES
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import Database, from_table, plain_rows

@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.events.configuration import CONFIGURATIONS
 from fsar_ledger.events.envelope import Scenario
 from fsar_ledger.metrics.database import connect, plain_rows
-from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from tests.queries.histories import Row, S, event, run
 from tests.recycled import from_rows
 
@@ -292,7 +292,7 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], st
     """The grades of FSAR and of FSAR without one mechanism each, on three scenarios that need all of them."""
     path = tmp_path_factory.mktemp("ablations") / "ledger"
     scenarios: tuple[Scenario, ...] = ("collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection")
-    simulate(path, Experiment(("fsar",), scenarios, 20, configurations=CONFIGURATIONS), 1)
+    run_experiment(path, Experiment(("fsar",), scenarios, 20, configurations=CONFIGURATIONS), 1)
     with connect(path) as database:
         rows = plain_rows(database.query("tables/architecture_features"))
     return {(row["configuration"], row["feature"]): row["grade"] for row in rows}

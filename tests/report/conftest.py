@@ -5,9 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.events import Event
+from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import (
     FLEET_SUPERVISOR,

@@ -26,9 +26,8 @@ from fsar_ledger.report import document, mechanisms, specs, typeset
 from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
 from fsar_ledger.report.mechanisms import carried, mechanisms_of
 from fsar_ledger.runtime.experiment import Experiment
-from fsar_ledger.runtime.experiments import named
-from fsar_ledger.runtime.knockouts import KNOCKOUTS
-from fsar_ledger.runtime.knockouts.knockout import Knockout
+from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
+from fsar_ledger.runtime.paper import paper_ledger
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.recycled import from_table
 
@@ -93,7 +92,7 @@ def test_of_two_mechanisms_that_are_taken_out_neither_puts_the_other_back() -> N
 def test_the_ledger_of_ablations_holds_every_architecture_without_each_mechanism() -> None:
     held = {
         (one, name)
-        for part in named("ablation", 42, 3).parts
+        for part in paper_ledger("ablation", 42, 3).parts
         for one in part.architectures
         for name in part.configurations
     }

@@ -16,7 +16,7 @@ from fsar_ledger.metrics.database import connect, plain_rows
 from fsar_ledger.report import document, grades, specs, write_report
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.gather import gather
-from fsar_ledger.runtime.experiment import simulate, workflow_experiment
+from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment
 
 Make = Callable[..., Path]
 
@@ -25,7 +25,7 @@ Make = Callable[..., Path]
 def workflows(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ledger of the paper's three workflows."""
     path = tmp_path_factory.mktemp("workflows") / "ledger"
-    simulate(path, workflow_experiment(7), 1)
+    run_experiment(path, workflow_experiment(7), 1)
     return path
 
 
@@ -191,7 +191,7 @@ def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refus
 
 @pytest.mark.slow
 def test_a_ledger_with_one_workflow_shows_what_it_has(ledger: Path, tmp_path: Path) -> None:
-    simulate(tmp_path / "one", workflow_experiment(7, 1, ("workflow-layered-recovery",)), 1)
+    run_experiment(tmp_path / "one", workflow_experiment(7, 1, ("workflow-layered-recovery",)), 1)
     found = gather(ledger, tmp_path / "one")
     assert found.workflows is not None
     assert (found.workflows.timeline, bool(found.workflows.recovery)) == ((), True)

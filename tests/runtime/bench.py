@@ -5,15 +5,16 @@ events that went through their stored form, so that what is rebuilt can be compa
 """
 
 from collections.abc import Sequence
+from functools import reduce
 from heapq import heappop
+from operator import or_
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 from hypothesis import strategies as st
 
 from fsar_ledger.constants import DURATIONS, Constants, Range, WorldConstants
-from fsar_ledger.events import AnyEvent, Event
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS, EVENT_TYPES, Event
 from fsar_ledger.events.envelope import Robot, Supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
@@ -23,8 +24,7 @@ from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.world.draws import Draws, run_key
-from fsar_ledger.runtime.world.simulated import Simulated
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
 HELPER = Robot("robot/F1")
@@ -32,7 +32,7 @@ WORLD = WorldConstants(durations=(*DURATIONS, ("fly", Range(1.0, 2.0))))  # a ro
 PUBLIC: tuple[type[Command], ...] = tuple(
     sorted((kind for kind in FSAR.decides if issubclass(kind, PublicCommand)), key=lambda kind: kind.__name__)
 )
-_encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(AnyEvent)
+_encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(reduce(or_, EVENT_TYPES))
 
 
 class Bench(Kernel):
@@ -41,7 +41,7 @@ class Bench(Kernel):
     def __init__(self, founding: Sequence[Event]) -> None:
         self.now_us = 0
         self.rebuilt = State()
-        super().__init__(FSAR, Simulated((), Draws(run_key(0, "live", 0), WORLD)), founding)
+        super().__init__(FSAR, SimulatedEnvironment((), Draws(run_key(0, "live", 0), WORLD)), founding)
 
     def issue(self, command: Command) -> tuple[Event, ...]:
         """Somebody outside gives the command now; its events."""
@@ -59,7 +59,7 @@ class Bench(Kernel):
 
     def proceed(self) -> bool:
         """Decide the next pending command; return False when none is pending."""
-        if not self._pending.turn():
+        if not self._pending.advance():
             return False
         due_us, _, cause, scheduled = heappop(self._pending.soon)
         command, ask = scheduled.command, scheduled.ask

@@ -8,7 +8,7 @@ from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, Execu
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State, apply
-from tests.runtime.histories import given
+from tests.runtime.histories import given, happen
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 STEPS = ("A navigate.indoor", "A carry.package")
@@ -83,6 +83,5 @@ def failed(state: State, level: RecoveryLevel = "local", cause: str = "obstructi
 
 def taken(state: State, events: tuple[Event, ...]) -> tuple[Event, ...]:
     """The events, which the state has taken in."""
-    for event in events:
-        apply(state, event)
+    happen(state, *events)
     return events

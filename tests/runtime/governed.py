@@ -8,10 +8,9 @@ from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started
-from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.founding import founding
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 
 H_F = Supervisor("supervisor/fleet")
 
@@ -24,7 +23,7 @@ def governed(
     facts = sorted([*schedule(constants, 42, scenario, run, 4), *interventions], key=lambda fact: fact[0])
     one = Kernel(
         structure,
-        Simulated(facts, Draws(run_key(42, scenario, run), constants.world)),
+        SimulatedEnvironment(facts, Draws(run_key(42, scenario, run), constants.world)),
         (run_started(spec, constants), *founding(4)),
     )
     one.run()

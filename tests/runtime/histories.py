@@ -8,7 +8,7 @@ from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, Subject
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
-from fsar_ledger.projections.fold import State, fold
+from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, kernel, run_started
 from fsar_ledger.runtime.world.founding import founding
@@ -50,6 +50,12 @@ def started(architecture: Architecture, configuration: Configuration = "full") -
 def given(architecture: Architecture, *events: Event, configuration: Configuration = "full") -> State:
     """The state after the founding and these events."""
     return fold((*started(architecture, configuration), *events))
+
+
+def happen(state: State, *events: Event) -> None:
+    """Let the state take in these events."""
+    for event in events:
+        apply(state, event)
 
 
 def window(robot: Robot, outcome: Any = "deny", scope: Any = "local") -> PolicyWindowOpened:

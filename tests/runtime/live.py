@@ -8,8 +8,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.world.draws import Draws, run_key
-from fsar_ledger.runtime.world.simulated import Simulated
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from tests.runtime.histories import started
 
 
@@ -23,7 +22,9 @@ def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Itera
     constants = Constants()
     one = Kernel(
         FSAR,
-        Simulated(sorted(facts, key=lambda fact: fact[0]), Draws(run_key(1, "door-relay", 0), constants.world)),
+        SimulatedEnvironment(
+            sorted(facts, key=lambda fact: fact[0]), Draws(run_key(1, "door-relay", 0), constants.world)
+        ),
         (*started("fsar"), *before),
     )
     for serial, (time_us, command) in enumerate(commands):

@@ -4,17 +4,11 @@ import pytest
 
 from fsar_ledger.events.envelope import Subject
 from fsar_ledger.events.execution import ExecutionFailed
-from fsar_ledger.events.recovery import (
-    RecoveryAttemptFailed,
-)
+from fsar_ledger.events.recovery import RecoveryAttemptFailed
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import ActuatorDegraded, Grade
 from fsar_ledger.projections.fold import apply
-from fsar_ledger.runtime.architectures.fsar.recovery import (
-    StartRecovery,
-    end_attempt,
-    start_recovery,
-)
+from fsar_ledger.runtime.architectures.fsar.recovery import StartRecovery, end_attempt, start_recovery
 from fsar_ledger.runtime.handlers.commands import EndAttempt, FinishAttempt
 from fsar_ledger.runtime.handlers.execution import finish_attempt
 from tests.runtime.failures import ACTION, D, executing, failed, taken

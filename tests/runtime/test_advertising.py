@@ -21,8 +21,7 @@ from fsar_ledger.events.world import ActuatorDegraded
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import Contract, advertisement, possesses, surface
 from fsar_ledger.runtime.handlers.advertising import (
-    DECIDES,
-    REACTS,
+    HANDLERS,
     AdvertiseCapability,
     DeprecateCapability,
     FinishRollOut,
@@ -37,7 +36,7 @@ from fsar_ledger.runtime.handlers.advertising import (
     withdraw_capability,
 )
 from fsar_ledger.runtime.handlers.commands import Command
-from tests.runtime.histories import given, types
+from tests.runtime.histories import given, happen, types
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
@@ -215,7 +214,7 @@ EMPTY = [CapabilityWithdrawn(B, name, "jammed") for name in ("navigate.indoor", 
 def test_what_names_something_unknown_over_or_impossible_is_rejected(
     events: tuple[Event, ...], command: Command, reason: str
 ) -> None:
-    [rejection] = DECIDES[type(command)](given("fsar", *events), command)
+    [rejection] = HANDLERS.decides[type(command)](given("fsar", *events), command)
     assert types((rejection,)) == ["CommandRejected"]
     assert reason in rejection.reason  # type: ignore[attr-defined]
 
@@ -226,7 +225,7 @@ def rolling_out(state: State, events: tuple[Event, ...]) -> FinishRollOut:
     for event in events:
         apply(state, event)
         commands += (
-            [scheduled.command for scheduled in REACTS[CapabilityInstalled](state, event, 0)]
+            [scheduled.command for scheduled in HANDLERS.reacts[CapabilityInstalled](state, event, 0)]
             if isinstance(event, CapabilityInstalled)
             else []
         )
@@ -271,8 +270,7 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
 
 def test_a_roll_out_of_what_was_withdrawn_meanwhile_shows_nothing() -> None:
     state = given("fsar")
-    for event in (*upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")), WITHDRAWN):
-        apply(state, event)
+    happen(state, *upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")), WITHDRAWN)
     assert finish_roll_out(state, FinishRollOut(*DOOR)) == ()
 
 
@@ -315,8 +313,7 @@ def test_a_new_version_is_as_available_as_the_robot_has_said(
 ) -> None:
     state = given("fsar", *([before] if before else []))
     command = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
-    for event in [meanwhile] if meanwhile else []:
-        apply(state, event)
+    happen(state, *[meanwhile] if meanwhile else [])
     [advertised] = finish_roll_out(state, command)
     assert isinstance(advertised, CapabilityAdvertised)
     assert (advertised.version, advertised.availability) == ("2.0.0", shown)
@@ -334,7 +331,7 @@ def test_an_upgrade_during_a_roll_out_is_shown_once() -> None:
 
 
 def test_what_is_installed_and_not_advertised_is_not_rolled_out() -> None:
-    assert REACTS[CapabilityInstalled](given("fsar", GRIP), GRIP, 0) == ()
+    assert HANDLERS.reacts[CapabilityInstalled](given("fsar", GRIP), GRIP, 0) == ()
 
 
 VERSIONS = st.sampled_from(("1.0.0", "2.0.0", "3.0.0"))
@@ -365,9 +362,8 @@ def test_whatever_is_commanded_the_surface_is_part_of_what_is_possessed(commands
     state = given("fsar")
     for command in commands:
         before = state.registry
-        events = DECIDES[type(command)](state, command)
-        for event in events:
-            apply(state, event)
+        events = HANDLERS.decides[type(command)](state, command)
+        happen(state, *events)
         if types(events) == ["CommandRejected"]:
             assert state.registry is before
         for record in surface(state.registry, B):

@@ -22,7 +22,7 @@ def test_commands_come_in_the_order_of_one_heap(taken: list[int | None], robots:
             agenda.put(one)
             heappush(heap, one)
         elif heap:
-            assert agenda.turn()
+            assert agenda.advance()
             first = heappop(agenda.soon)
             assert first == heappop(heap)
             now_us = first[0]
@@ -30,7 +30,7 @@ def test_commands_come_in_the_order_of_one_heap(taken: list[int | None], robots:
     while heap:
         assert agenda.pop_before(heap[0][0]) is None
         assert agenda.pop_before(heap[0][0] + 1) == heappop(heap)
-    assert not agenda.turn()
+    assert not agenda.advance()
     assert not agenda
 
 
@@ -39,7 +39,7 @@ def test_what_is_due_in_a_later_span_waits_until_then(due: list[int], next_us: i
     agenda = Agenda(4_096)
     for serial, due_us in enumerate(due):
         agenda.put((due_us, serial, 0, NOTHING))
-    assert agenda.turn(next_us) or next_us < min(due), "all that is due by then is soon"
+    assert agenda.advance(next_us) or next_us < min(due), "all that is due by then is soon"
     assert agenda.until_us <= next_us + (1 << 23) // 4_096, "what comes up until then has spans of its own"
     assert len(list(agenda)) == len(due)
     assert agenda
@@ -50,9 +50,9 @@ def test_what_is_replaced_is_gone(before: list[int], after: list[int]) -> None:
     agenda = Agenda(4)
     for due_us in before:
         agenda.put((due_us, 0, 0, NOTHING))
-    agenda.turn()
+    agenda.advance()
     agenda.replace([(due_us, serial, 0, NOTHING) for serial, due_us in enumerate(after)])
     found = []
-    while agenda.turn():
+    while agenda.advance():
         found.append(heappop(agenda.soon)[0])
     assert found == sorted(after)

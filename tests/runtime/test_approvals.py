@@ -16,7 +16,7 @@ from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult
-from tests.runtime.histories import given, types
+from tests.runtime.histories import given, happen, types
 from tests.runtime.test_authority import ASK, DOOR, H_B, H_F, A, B, play, scheduled
 
 APPROVAL = SupervisorResponded(
@@ -59,8 +59,7 @@ def test_an_approval_lifts_no_rule_that_denies_by_then() -> None:
     for before, meanwhile, expected in cases:
         state = given("fsar", before)
         assert types(play(state, ASK, EvaluateRequest("q1"))) == ["SupervisorCalled"]
-        for event in meanwhile:
-            apply(state, event)
+        happen(state, *meanwhile)
         answer = play(state, *scheduled(state, APPROVAL))
         assert types(answer) == expected
         assert answer[-1].reason == "policy"

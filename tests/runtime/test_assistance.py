@@ -20,7 +20,7 @@ from fsar_ledger.runtime.architectures.fsar.recovery import AskPeers, ask_peers,
 from fsar_ledger.runtime.handlers.assistance import stop_assistance
 from fsar_ledger.runtime.handlers.commands import EndAssistance, StopAssistance
 from tests.runtime.failures import ACTION, A, B, D, executing, failed
-from tests.runtime.histories import types
+from tests.runtime.histories import happen, types
 
 DOOR = "door.open.basic"
 D_TOO = TrustSet(
@@ -34,8 +34,7 @@ def helped(
     """A failure with which a peer is helping now, and that peer."""
     state = failed(executing(robot, capability, *before), "peer", cause)
     made = ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000))
-    for event in made:
-        apply(state, event)
+    happen(state, *made)
     [admitted] = [event for event in made if isinstance(event, AssistanceAdmitted)]
     return state, admitted.helper
 
@@ -151,7 +150,6 @@ def test_the_coordinator_sends_the_next_helper_and_then_calls() -> None:
     sent: list[str] = []
     for _ in range(3):
         made = process(state, ProcessWork(ACTION, "no help"))
-        for event in made:
-            apply(state, event)
+        happen(state, *made)
         sent += [event.helper for event in made if isinstance(event, AssistanceRequested)]
     assert (sent, types(made)) == ([A, D], ["RecoveryEscalated", "SupervisorCalled"])

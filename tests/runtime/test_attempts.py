@@ -26,7 +26,7 @@ from fsar_ledger.runtime.handlers.commands import BeginStep, Command, StartActio
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.handlers.task import begin_step
-from tests.runtime.histories import given, types, window
+from tests.runtime.histories import given, happen, types, window
 from tests.runtime.live import decided
 
 A, B, DOOR, H_F = Robot("robot/A1"), Robot("robot/B1"), "door.open.secure", Supervisor("supervisor/fleet")
@@ -59,8 +59,7 @@ def asked() -> State:
 def given_to(state: State, command: Command) -> list[str]:
     """The types of what the command makes, all of it taken in."""
     events = decided(state, command)
-    for event in events:
-        apply(state, event)
+    happen(state, *events)
     return types(events)
 
 

@@ -29,7 +29,7 @@ from fsar_ledger.runtime.handlers.authority import (
 from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from fsar_ledger.runtime.handlers.withdrawal import EndClaims
-from tests.runtime.histories import given, types
+from tests.runtime.histories import given, happen, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import relayed, verdict
 
@@ -62,8 +62,7 @@ def play(state: State, *commands: Command) -> tuple[Any, ...]:
     events: tuple[Any, ...] = ()
     for command in commands:
         events = decided(state, command)
-        for event in events:
-            apply(state, event)
+        happen(state, *events)
     return events
 
 

@@ -37,7 +37,7 @@ from fsar_ledger.runtime.handlers.commands import (
     TakeTurn,
 )
 from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, happen, types, window
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
@@ -47,19 +47,15 @@ DELEGATED = (ARRIVED, DELEGATED_STEP)
 
 def commanded(*before) -> State:  # type: ignore[no-untyped-def]
     state = given("cfc", *DELEGATED, *before)
-    for event in process(state, ProcessWork(ACTION, "step")):
-        apply(state, event)
+    happen(state, *process(state, ProcessWork(ACTION, "step")))
     return state
 
 
 def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = commanded(*before)
-    for event in receive_command(state, ReceiveCommand(ACTION, B)):
-        apply(state, event)
-    for event in approach(state, TakeTurn(ACTION)):
-        apply(state, event)
-    for event in start(state, StartAction(ACTION, now_us=9_000_000, answer=2_000_000)):
-        apply(state, event)
+    happen(state, *receive_command(state, ReceiveCommand(ACTION, B)))
+    happen(state, *approach(state, TakeTurn(ACTION)))
+    happen(state, *start(state, StartAction(ACTION, now_us=9_000_000, answer=2_000_000)))
     return state
 
 
@@ -124,10 +120,8 @@ def test_an_own_step_leaves_one_decision_without_requester() -> None:
 
 
 def second_delegation(state: State) -> None:
-    for event in SECOND:
-        apply(state, event)
-    for event in process(state, ProcessWork("A1-2/2.1", "step")):
-        apply(state, event)
+    happen(state, *SECOND)
+    happen(state, *process(state, ProcessWork("A1-2/2.1", "step")))
 
 
 def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action() -> None:
@@ -189,8 +183,7 @@ def test_a_motion_is_withheld_by_the_copy_alone() -> None:
 
 def failed(*before) -> State:  # type: ignore[no-untyped-def]
     state = running(*before, ObstructionAppeared(B, "o"))
-    for event in detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)):
-        apply(state, event)
+    happen(state, *detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)))
     return state
 
 
@@ -265,8 +258,7 @@ def test_a_step_given_up_before_the_coordinator_comes_to_it_is_denied_by_the_coo
             "no time left",
         )
         assert types(made)[-2:] == ["RequestDenied", "TaskAbandoned"]
-        for event in made:
-            apply(state, event)
+        happen(state, *made)
         assert all(react(state, denied[0], 2_000_000) == () for react in CFC.reacts[RequestDenied]), (
             "nobody turns to it again"
         )

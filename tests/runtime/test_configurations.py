@@ -9,7 +9,7 @@ import pytest
 from fsar_ledger.api.experiments import experiment_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
-from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, is_known, lacks, without
+from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, is_known, removed_mechanisms, without
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
@@ -21,7 +21,11 @@ EVERY = [set(some) for size in range(5) for some in combinations(MECHANISMS, siz
 
 @pytest.mark.parametrize("mechanisms", EVERY, ids=without)
 def test_a_configuration_has_one_name_and_the_name_says_what_it_lacks(mechanisms: set[str]) -> None:
-    assert lacks(without(sorted(mechanisms))) == lacks(without(sorted(mechanisms, reverse=True))) == mechanisms
+    assert (
+        removed_mechanisms(without(sorted(mechanisms)))
+        == removed_mechanisms(without(sorted(mechanisms, reverse=True)))
+        == mechanisms
+    )
     assert is_known(without(mechanisms))
 
 
@@ -46,7 +50,7 @@ def test_any_other_text_names_no_configuration_and_is_not_simulated(name: str) -
 
 
 def test_those_of_the_papers_table_lack_one_mechanism_each() -> None:
-    assert [lacks(one) for one in CONFIGURATIONS] == [set(), *({one} for one in MECHANISMS)]
+    assert [removed_mechanisms(one) for one in CONFIGURATIONS] == [set(), *({one} for one in MECHANISMS)]
 
 
 def test_several_mechanisms_in_one_option_are_one_configuration_and_two_options_are_two() -> None:
@@ -135,4 +139,4 @@ def test_queries_read_a_name_as_handlers_do() -> None:
         "",
     ]
     for name in [*map(without, EVERY), *others]:
-        assert bool(re.match(pattern, name)) == ("shared-registry" in lacks(name)), name
+        assert bool(re.match(pattern, name)) == ("shared-registry" in removed_mechanisms(name)), name

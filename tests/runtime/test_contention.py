@@ -21,7 +21,7 @@ from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import CloseRequest, Respond, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
-from tests.runtime.histories import given, types, window
+from tests.runtime.histories import given, happen, types, window
 from tests.runtime.live import decided, of, played
 
 DOOR, B = "door.open.secure", Robot("robot/B1")
@@ -73,8 +73,7 @@ def evaluated(state: State, *actions: str) -> list[str]:
     found: list[str] = []
     for action_id in actions:
         events = decided(state, EvaluateRequest(action_id))
-        for event in events:
-            apply(state, event)
+        happen(state, *events)
         found += types(events)
     return found
 
@@ -82,8 +81,7 @@ def evaluated(state: State, *actions: str) -> list[str]:
 def again(state: State, *events: Event) -> list[str]:
     """The requests that are judged again after these events, which the state has taken in."""
     scheduled = []
-    for event in events:
-        apply(state, event)
+    happen(state, *events)
     for event in events:
         scheduled += [one for react in FSAR.reacts.get(type(event), ()) for one in react(state, event, 0)]
     return [
@@ -156,8 +154,7 @@ def test_a_request_that_has_its_result_is_no_rival(is_closed: bool) -> None:
     for command in (*served, ReportResult(B, "q1", "success"), *([CloseRequest("q1")] if is_closed else [])):
         events = decided(state, command)
         assert "CommandRejected" not in types(events)
-        for event in events:
-            apply(state, event)
+        happen(state, *events)
     apply(
         state,
         StepBegan(

@@ -9,23 +9,21 @@ from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import AwardMade
 from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.runtime.architectures.dhma.agents import (
-    EngagePlanner,
-    TakeSnapshot,
-    engage_planner,
-    take_snapshot,
-)
-from fsar_ledger.runtime.architectures.dhma.authority import (
+from fsar_ledger.runtime.architectures.dhma.agents import EngagePlanner, TakeSnapshot, engage_planner, take_snapshot
+from fsar_ledger.runtime.architectures.dhma.execution import (
     AcknowledgeExecution,
     PassExecution,
+    PlanOwnStep,
     RunOutsider,
     SettleBooking,
     acknowledge_execution,
+    decide_routine,
     pass_execution,
+    plan_own_step,
     run_outsider,
     settle_booking,
+    start,
 )
-from fsar_ledger.runtime.architectures.dhma.execution import PlanOwnStep, decide_routine, plan_own_step, start
 from fsar_ledger.runtime.architectures.dhma.recovery import (
     Dispute,
     Escalate,
@@ -56,7 +54,7 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, happen, types, window
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
@@ -80,17 +78,14 @@ AWARDED = (
 
 def accepted(*before) -> State:  # type: ignore[no-untyped-def]
     state = given("dhma", *AWARDED, *before)
-    for event in accept_award(state, AcceptAward(ACTION)):
-        apply(state, event)
+    happen(state, *accept_award(state, AcceptAward(ACTION)))
     return state
 
 
 def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = accepted(*before)
-    for event in approach(state, TakeTurn(ACTION)):
-        apply(state, event)
-    for event in start(state, StartAction(ACTION, now_us=9_000_000, answer=2_000_000)):
-        apply(state, event)
+    happen(state, *approach(state, TakeTurn(ACTION)))
+    happen(state, *start(state, StartAction(ACTION, now_us=9_000_000, answer=2_000_000)))
     return state
 
 
@@ -123,11 +118,9 @@ def test_a_bid_under_review_goes_to_the_fleet_supervisor_first() -> None:
 def test_execution_goes_from_agent_to_agent_and_overlaps_until_acknowledged() -> None:
     state = accepted()
     assert claimants(state, "execution") == {"agent/B1/communication"}
-    for event in pass_execution(state, PassExecution(ACTION, 0, "communication", "planning")):
-        apply(state, event)
+    happen(state, *pass_execution(state, PassExecution(ACTION, 0, "communication", "planning")))
     assert claimants(state, "execution") == {"agent/B1/communication", "agent/B1/planning"}
-    for event in acknowledge_execution(state, AcknowledgeExecution(ACTION, 0, "communication")):
-        apply(state, event)
+    happen(state, *acknowledge_execution(state, AcknowledgeExecution(ACTION, 0, "communication")))
     assert claimants(state, "execution") == {"agent/B1/planning"}
     assert pass_execution(state, PassExecution(ACTION, 1, "planning", "execution")) == ()
 
@@ -148,8 +141,7 @@ def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() 
         "agent/B1/communication",
         "agent/B1/execution",
     }
-    for event in booked:
-        apply(state, event)
+    happen(state, *booked)
     assert len(settle_booking(state, SettleBooking(other))) == 2
 
 
@@ -161,8 +153,7 @@ def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
         "agent/A1/planning",
         "agent/B1/planning",
     }
-    for event in (*questioned, *approach(state, TakeTurn(ACTION))):
-        apply(state, event)
+    happen(state, *questioned, *approach(state, TakeTurn(ACTION)))
     voided = start(state, StartAction(ACTION, now_us=9_000_000, answer=1))
     assert "ContractVoided" in types(voided)
 
@@ -190,10 +181,8 @@ def test_sensing_is_one_agents_and_completely_recorded() -> None:
 
 def failed() -> State:
     state = running(ObstructionAppeared(B, "o"))
-    for event in detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)):
-        apply(state, event)
-    for event in start_recovery(state, StartRecovery(ACTION)):
-        apply(state, event)
+    happen(state, *detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)))
+    happen(state, *start_recovery(state, StartRecovery(ACTION)))
     return state
 
 
@@ -201,8 +190,7 @@ def test_an_undisputed_recovery_has_two_attempts() -> None:
     state = failed()
     again = end_attempt(state, EndAttempt(ACTION, 1))
     assert types(again)[-1] == "RecoveryAttempted"
-    for event in again:
-        apply(state, event)
+    happen(state, *again)
     assert types(end_attempt(state, EndAttempt(ACTION, 2)))[-2:] == ["RecoveryEscalated", "SupervisorCalled"]
 
 
@@ -210,8 +198,7 @@ def test_a_disputed_recovery_has_one_attempt_and_then_loops() -> None:
     state = failed()
     claims = dispute(state, Dispute(ACTION))
     assert {event.claimant for event in claims} == {"agent/B1/recovery", "agent/B1/planning"}  # type: ignore[attr-defined]
-    for event in claims:
-        apply(state, event)
+    happen(state, *claims)
     assert types(end_attempt(state, EndAttempt(ACTION, 1)))[0] == "RecoveryAttemptFailed"
     assert types(escalate(state, Escalate(ACTION)))[:2] == ["RecoveryEscalated", "SupervisorCalled"]
 
@@ -228,8 +215,7 @@ def test_an_outsider_has_no_contract_to_be_questioned_or_voided() -> None:
         "dhma",
         OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone"),
     )
-    for event in run_outsider(state, RunOutsider("injected-1-1")):
-        apply(state, event)
+    happen(state, *run_outsider(state, RunOutsider("injected-1-1")))
     for robot in (C, D):
         assert types(engage_planner(state, EngagePlanner(robot, now_us=5_000_000))) == ["PlannerEngaged"]
 

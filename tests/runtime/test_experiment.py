@@ -12,7 +12,7 @@ from fsar_ledger.errors import InvalidExperiment, NotALedger
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.ledger.writing import VERSIONS
-from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, carry_out, simulate
+from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, run_experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started
 
 SMALL = Experiment(ARCHITECTURES, SCENARIOS[:2], runs=5, seed=3)
@@ -96,12 +96,12 @@ def test_an_interrupted_experiment_goes_on_at_the_first_missing_batch(tmp_path: 
             raise Stop
 
     with pytest.raises(Stop):
-        simulate(tmp_path / "ledger", SMALL, 1, stop_after_one)
+        run_experiment(tmp_path / "ledger", SMALL, 1, stop_after_one)
     assert open_ledger(tmp_path / "ledger").head.commits == 2
     told.clear()
-    head = simulate(tmp_path / "ledger", SMALL, 1, lambda done, total: told.append((done, total)))
+    head = run_experiment(tmp_path / "ledger", SMALL, 1, lambda done, total: told.append((done, total))).head
     assert told == [(1, 2), (2, 2)]
-    assert simulate(tmp_path / "whole", SMALL, 1) == head
+    assert run_experiment(tmp_path / "whole", SMALL, 1).head == head
     assert verify(tmp_path / "ledger").ok
 
 
@@ -114,10 +114,10 @@ def test_an_experiment_that_another_process_finishes_meanwhile_finishes_too_and_
 
     def finish_elsewhere(done: int, _total: int) -> None:
         if done == 0:
-            simulate(path, SMALL, 1, version=version)
+            run_experiment(path, SMALL, 1, version=version)
 
-    head = simulate(path, SMALL, 1, finish_elsewhere, version=version)
-    assert head == simulate(tmp_path / "alone", SMALL, 1, version=version)
+    head = run_experiment(path, SMALL, 1, finish_elsewhere, version=version).head
+    assert head == run_experiment(tmp_path / "alone", SMALL, 1, version=version).head
     assert verify(path).ok
 
 
@@ -129,26 +129,26 @@ def test_two_experiments_at_once_in_one_ledger_both_finish(tmp_path: Path, versi
 
     def begin_elsewhere(done: int, _total: int) -> None:
         if done == 1:
-            simulate(path, other, 1, version=version)
+            run_experiment(path, other, 1, version=version)
 
-    simulate(path, SMALL, 1, begin_elsewhere, version=version)
+    run_experiment(path, SMALL, 1, begin_elsewhere, version=version)
     held = {run.run_id for run in open_for_answers(path).runs()}
-    alone = [simulate(tmp_path / name, one, 1) for name, one in (("one", SMALL), ("two", other))]
+    alone = [run_experiment(tmp_path / name, one, 1).head for name, one in (("one", SMALL), ("two", other))]
     assert open_for_answers(path).head.size == sum(head.size for head in alone)
     assert len(held) == SMALL.size + other.size + 2
     assert verify(path).ok
 
 
 def test_another_experiment_can_join_a_ledger_if_it_shares_no_run(tmp_path: Path) -> None:
-    simulate(tmp_path / "ledger", SMALL, 1)
-    joined = simulate(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=4), 1)
+    run_experiment(tmp_path / "ledger", SMALL, 1)
+    joined = run_experiment(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=4), 1).head
     assert joined.commits == 5
     assert verify(tmp_path / "ledger").ok
 
 
 def test_runs_that_are_there_in_other_batches_are_not_made_again_and_nothing_changes(tmp_path: Path) -> None:
-    head = simulate(tmp_path / "ledger", SMALL, 1)
-    made = carry_out(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=3), 1)
+    head = run_experiment(tmp_path / "ledger", SMALL, 1).head
+    made = run_experiment(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=3), 1)
     assert (made.asked, made.made, made.held, made.head) == (2, 0, 30, head)
     assert open_ledger(tmp_path / "ledger").head == head
 
@@ -156,5 +156,5 @@ def test_runs_that_are_there_in_other_batches_are_not_made_again_and_nothing_cha
 def test_a_folder_that_is_no_ledger_is_left_as_it_was(tmp_path: Path) -> None:
     (tmp_path / "precious.txt").write_text("mine")
     with pytest.raises(NotALedger):
-        simulate(tmp_path, SMALL, 1)
+        run_experiment(tmp_path, SMALL, 1)
     assert [path.name for path in tmp_path.iterdir()] == ["precious.txt"]

@@ -14,13 +14,13 @@ from fsar_ledger.events.world import ActuatorDegraded
 from fsar_ledger.projections.fold import apply
 from fsar_ledger.projections.registry import advertisement, possesses, surface
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.availability import REACTS as REPORTS
+from fsar_ledger.runtime.architectures.fsar.availability import HANDLERS as AVAILABILITY
 from fsar_ledger.runtime.architectures.fsar.availability import ReportActuator, report_actuator
 from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.handlers.commands import Command
-from fsar_ledger.runtime.handlers.fleet import DECIDES, InstallCapability, JoinFleet, RemoveCapability, execution_state
+from fsar_ledger.runtime.handlers.fleet import HANDLERS, InstallCapability, JoinFleet, RemoveCapability, execution_state
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from tests.runtime.histories import given, types
+from tests.runtime.histories import given, happen, types
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 
@@ -117,7 +117,7 @@ QUEUED = ExecutionQueued(
 def test_what_is_unknown_doubled_or_impossible_is_rejected(
     events: tuple[Event, ...], command: Command, reason: str
 ) -> None:
-    [rejection] = DECIDES[type(command)](given("fsar", *events), command)
+    [rejection] = HANDLERS.decides[type(command)](given("fsar", *events), command)
     assert types((rejection,)) == ["CommandRejected"]
     assert reason in rejection.reason  # type: ignore[attr-defined]
 
@@ -193,23 +193,22 @@ def test_a_robot_is_failed_before_degraded_before_executing_before_idle(events: 
 
 def test_a_failure_of_the_actuator_is_reported_and_an_obstruction_is_not() -> None:
     state = given("fsar", ActuatorDegraded(B), QUEUED, STARTED, WEAK)
-    [word] = REPORTS[ExecutionFailed](state, WEAK, 5)
+    [word] = AVAILABILITY.reacts[ExecutionFailed](state, WEAK, 5)
     assert word.command == ReportActuator(B, True)
     assert report_actuator(state, ReportActuator(B, True)) == (
         AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="actuator"),
     )
-    assert REPORTS[ExecutionFailed](state, FAILED, 5) == ()
+    assert AVAILABILITY.reacts[ExecutionFailed](state, FAILED, 5) == ()
 
 
 def test_what_was_reported_is_not_reported_again_and_a_serviced_robot_is_ready() -> None:
     state = given("fsar", ActuatorDegraded(B))
-    for event in report_actuator(state, ReportActuator(B, True)):
-        apply(state, event)
+    happen(state, *report_actuator(state, ReportActuator(B, True)))
     assert report_actuator(state, ReportActuator(B, True)) == ()
     assert report_actuator(state, ReportActuator(B, False)) == (), "it is not in order yet"
     serviced = ActuatorServiced(B)
     apply(state, serviced)
-    [word] = REPORTS[ActuatorServiced](state, serviced, 5)
+    [word] = AVAILABILITY.reacts[ActuatorServiced](state, serviced, 5)
     assert FSAR.decides[ReportActuator](state, word.command) == (
         AvailabilityChanged(robot=B, capability=None, availability="ready", reason="actuator"),
     )
@@ -226,8 +225,8 @@ def test_word_of_the_actuator_lifts_no_restriction() -> None:
 
 def test_without_a_registry_there_is_nobody_to_tell() -> None:
     state = given("fsar", ActuatorDegraded(B), QUEUED, STARTED, WEAK, configuration="without-shared-registry")
-    assert REPORTS[ExecutionFailed](state, WEAK, 5) == ()
-    assert REPORTS[ActuatorServiced](state, ActuatorServiced(B), 5) == ()
+    assert AVAILABILITY.reacts[ExecutionFailed](state, WEAK, 5) == ()
+    assert AVAILABILITY.reacts[ActuatorServiced](state, ActuatorServiced(B), 5) == ()
 
 
 def test_in_whole_runs_every_degradation_failure_is_reported_and_every_service_after_it_lifts_it() -> None:

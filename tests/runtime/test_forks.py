@@ -18,8 +18,8 @@ from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ObstructionAppeared, PolicyWindowClosed, PolicyWindowOpened, RobotWentOff
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.change_texts import parsed
-from fsar_ledger.runtime.forks import Forked, fork, made_again, parts_at
-from fsar_ledger.runtime.recipes import Recipe, base_of, changed, recorded_recipe
+from fsar_ledger.runtime.forks import Fork, fork, parts_at, run_again
+from fsar_ledger.runtime.recipes import Recipe, base_of, recorded_recipe, with_changes
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run
 
@@ -34,7 +34,7 @@ def base(
     return Recipe(spec, made_from), simulate_run(spec, made_from)
 
 
-def forked(*texts: str, of: tuple[Recipe, LedgerRun] | None = None) -> Forked:
+def forked(*texts: str, of: tuple[Recipe, LedgerRun] | None = None) -> Fork:
     recipe, record = of or base()
     return fork(recipe, record, ROOT, parsed(texts))
 
@@ -53,7 +53,7 @@ def of_type(record: LedgerRun, kind: type[Event]) -> list[tuple[int, Event]]:
     ]
 
 
-def require_fork(record: LedgerRun, found: Forked) -> None:
+def require_fork(record: LedgerRun, found: Fork) -> None:
     """It repeats the base up to where it says, says it truly, and replays."""
     own = started(found.record)
     assert own.forked_from_run == record.run_id
@@ -121,7 +121,7 @@ def test_a_fork_of_every_kind_of_change_repeats_its_base_and_replays(architectur
     require_fork(of[1], found)
     recipe = recorded_recipe(started(found.record), len(found.record.events))
     assert base_of(recipe) == of[0]
-    assert changed(of[0], parsed(texts)) == recipe
+    assert with_changes(of[0], parsed(texts)) == recipe
 
 
 FROM_A_TIME: list[tuple[str, type[Event]]] = [
@@ -361,7 +361,7 @@ def test_a_run_that_is_over_parts_at_the_event_that_it_lacks() -> None:
 
 def test_a_run_that_is_made_again_is_the_same_and_tells_what_it_asked() -> None:
     recipe, record = base()
-    again, asked = made_again(recipe)
+    again, asked = run_again(recipe)
     assert again.events == record.events
     kinds = {one.kind for one in asked}
     assert {"message", "execution", "approach", "response", "call"} <= kinds

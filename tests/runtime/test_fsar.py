@@ -7,31 +7,26 @@ from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import (
-    SupervisorLeft,
-)
+from fsar_ledger.events.world import SupervisorLeft
 from fsar_ledger.projections.fold import apply
-from fsar_ledger.runtime.architectures.fsar.authority import (
-    Revoke,
-    revoke,
-)
+from fsar_ledger.runtime.architectures.fsar.authority import Revoke, revoke
 from fsar_ledger.runtime.architectures.fsar.discovery import DetectGap, QueryRegistry, detect_gap, query_registry
-from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, decide_routine, start
+from fsar_ledger.runtime.architectures.fsar.execution import (
+    DecideOwnStep,
+    decide_own_step,
+    decide_routine,
+    start,
+    take_turn,
+)
 from fsar_ledger.runtime.architectures.fsar.request import (
     EvaluateRequest,
     IssueRequest,
     evaluate_request,
     issue_request,
-    take_turn,
 )
 from fsar_ledger.runtime.handlers.authority import close_execution
-from fsar_ledger.runtime.handlers.commands import (
-    CloseExecution,
-    DecideRoutine,
-    StartAction,
-    TakeTurn,
-)
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
+from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, StartAction, TakeTurn
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, happen, types, window
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 
@@ -56,13 +51,10 @@ def executing(*before, own: bool = False):  # type: ignore[no-untyped-def]
     else:
         events = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
     action_id = "A1-1/1.1" if own else "A1-1/2.1"
-    for event in events:
-        apply(state, event)
+    happen(state, *events)
     if not own:
-        for event in take_turn(state, TakeTurn(action_id)):
-            apply(state, event)
-    for event in start(state, StartAction(action_id, now_us=9_000_000, answer=2_000_000)):
-        apply(state, event)
+        happen(state, *take_turn(state, TakeTurn(action_id)))
+    happen(state, *start(state, StartAction(action_id, now_us=9_000_000, answer=2_000_000)))
     return state, action_id
 
 
@@ -153,8 +145,7 @@ def test_without_policy_composition_a_robots_own_steps_and_routine_keep_the_flee
     for configuration in ("full", "without-policy-composition"):
         state = given("fsar", *heard, configuration=configuration)
         assert types(decide_routine(state, DecideRoutine(A, "motion"))) == ["RoutineWithheld"]
-        for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
-            apply(state, event)
+        happen(state, *decide_own_step(state, DecideOwnStep("A1-1/1.1")))
         [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
         assert isinstance(held, ExecutionHeld)
         assert held.reason == "fleet-rule"
@@ -187,16 +178,14 @@ def test_a_busy_executor_defers() -> None:
 
 def test_acceptance_claims_execution_and_override_for_the_executor() -> None:
     state = given("fsar", *REQUESTED)
-    for event in evaluate_request(state, EvaluateRequest("A1-1/2.1")):
-        apply(state, event)
+    happen(state, *evaluate_request(state, EvaluateRequest("A1-1/2.1")))
     accepted = take_turn(state, TakeTurn("A1-1/2.1"))
     assert isinstance(accepted[0], RequestAccepted)
     assert [(event.dimension, event.claimant) for event in accepted if isinstance(event, AuthorityClaimed)] == [
         ("execution", "robot/B1"),
         ("override", "robot/B1"),
     ]
-    for event in accepted:
-        apply(state, event)
+    happen(state, *accepted)
     assert take_turn(state, TakeTurn("A1-1/2.1")) == ()
 
 
@@ -222,8 +211,7 @@ def test_an_own_step_is_the_robots_own_decision() -> None:
 def test_a_start_waits_for_the_robots_own_policy() -> None:
     state, _ = executing(own=True)
     queued = given("fsar", ARRIVED, OWN_STEP)
-    for event in decide_own_step(queued, DecideOwnStep("A1-1/1.1")):
-        apply(queued, event)
+    happen(queued, *decide_own_step(queued, DecideOwnStep("A1-1/1.1")))
     apply(queued, window(A))
     [held] = start(queued, StartAction("A1-1/1.1", now_us=5, answer=7))
     assert isinstance(held, ExecutionHeld)
@@ -236,8 +224,7 @@ def test_a_start_waits_for_the_robots_own_policy() -> None:
 
 def test_a_start_takes_as_long_as_the_world_says() -> None:
     queued = given("fsar", ARRIVED, OWN_STEP)
-    for event in decide_own_step(queued, DecideOwnStep("A1-1/1.1")):
-        apply(queued, event)
+    happen(queued, *decide_own_step(queued, DecideOwnStep("A1-1/1.1")))
     [began] = start(queued, StartAction("A1-1/1.1", now_us=5, answer=7))
     assert isinstance(began, ExecutionStarted)
     assert began.ends_us == 12

@@ -9,17 +9,9 @@ from fsar_ledger.events.execution import ApproachStarted, ExecutionStarted
 from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import (
-    ObstructionAppeared,
-    ObstructionCleared,
-    OutsiderRequestInjected,
-    TaskArrived,
-)
+from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected, TaskArrived
 from fsar_ledger.projections.fold import apply, fold
-from fsar_ledger.runtime.architectures.fsar.authority import (
-    AnswerOutsider,
-    answer_outsider,
-)
+from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, answer_outsider
 from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
 from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start
 from fsar_ledger.runtime.architectures.fsar.recovery import (
@@ -31,30 +23,24 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
     end_attempt,
     start_recovery,
 )
-from fsar_ledger.runtime.handlers.commands import (
-    DetectObstruction,
-    EndAttempt,
-    StartAction,
-)
+from fsar_ledger.runtime.handlers.commands import DetectObstruction, EndAttempt, StartAction
 from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
 from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world.founding import founding
-from tests.runtime.histories import ARRIVED, OWN_STEP, given, types, window
+from tests.runtime.histories import ARRIVED, OWN_STEP, given, happen, types, window
 from tests.runtime.test_fsar import A, B, C, D, executing
 
 
 def failed(own: bool = False):  # type: ignore[no-untyped-def]
     state, action_id = executing(ObstructionAppeared(A if own else B, "o"), own=own)
-    for event in detect_obstruction(state, DetectObstruction(action_id, now_us=9_500_000)):
-        apply(state, event)
+    happen(state, *detect_obstruction(state, DetectObstruction(action_id, now_us=9_500_000)))
     return state, action_id
 
 
 def test_recovery_begins_at_the_robot_and_goes_outward_without_skipping() -> None:
     state, action_id = failed()
     levels = []
-    for event in start_recovery(state, StartRecovery(action_id)):
-        apply(state, event)
+    happen(state, *start_recovery(state, StartRecovery(action_id)))
     _, second = end_attempt(state, EndAttempt(action_id, 1, now_us=11_000_000))
     assert (type(second).__name__, second.number) == ("RecoveryAttempted", 2)  # type: ignore[attr-defined]
     apply(state, second)
@@ -74,8 +60,7 @@ def test_recovery_begins_at_the_robot_and_goes_outward_without_skipping() -> Non
 
 def test_a_spent_time_budget_ends_local_recovery() -> None:
     state, action_id = failed()
-    for event in start_recovery(state, StartRecovery(action_id)):
-        apply(state, event)
+    happen(state, *start_recovery(state, StartRecovery(action_id)))
     _, outward = end_attempt(state, EndAttempt(action_id, 1, now_us=60_000_000))
     assert outward.to_level == "peer"  # type: ignore[attr-defined]
 
@@ -83,12 +68,9 @@ def test_a_spent_time_budget_ends_local_recovery() -> None:
 def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
     step = StepBegan(subject=OWN_STEP.subject, robot=A, step=1, attempt=1, capability="carry.package")
     state = given("fsar", ARRIVED, step, ObstructionAppeared(A, "o"))
-    for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
-        apply(state, event)
-    for event in start(state, StartAction("A1-1/1.1", now_us=5, answer=7_000_000)):
-        apply(state, event)
-    for event in detect_obstruction(state, DetectObstruction("A1-1/1.1", now_us=6)):
-        apply(state, event)
+    happen(state, *decide_own_step(state, DecideOwnStep("A1-1/1.1")))
+    happen(state, *start(state, StartAction("A1-1/1.1", now_us=5, answer=7_000_000)))
+    happen(state, *detect_obstruction(state, DetectObstruction("A1-1/1.1", now_us=6)))
     state.recovery = {"A1-1/1.1": msgspec.structs.replace(state.recovery["A1-1/1.1"], level="fleet")}
     reassigned = consider_reassignment(state, ConsiderReassignment("A1-1/1.1"))
     assert types(reassigned) == [

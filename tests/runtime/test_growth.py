@@ -23,7 +23,7 @@ from fsar_ledger.ledger.store.record import VERSION
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.runtime.capacity import expected
-from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.founding import founding
@@ -195,7 +195,7 @@ def test_a_fleet_of_a_thousand_robots_is_simulated_and_stored(tmp_path: Path, ar
     experiment = Experiment(
         (architecture,), ("fleet-contention",), 1, fleet_size=1024, constants=Constants(load=Load(4))
     )
-    assert simulate(tmp_path / "ledger", experiment, workers=1).size > 50_000
+    assert run_experiment(tmp_path / "ledger", experiment, workers=1).head.size > 50_000
 
 
 @pytest.mark.parametrize("fleet_size", [4, 16, 32])
@@ -223,7 +223,7 @@ def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_
         InvalidExperiment,
         match=f"fleet size: found 256, expected at most [0-9]+: a commit holds 25 runs at once and {MAX_ROWS:,} events",
     ) as refused:
-        simulate(tmp_path / "ledger", asked(256), workers=1, version=VERSION)
+        run_experiment(tmp_path / "ledger", asked(256), workers=1, version=VERSION)
     assert not (tmp_path / "ledger").exists()
     largest = int(str(refused.value).split("at most ")[1].split(":")[0])
     asked(largest).require_fits()
@@ -266,4 +266,4 @@ def test_what_was_not_expected_is_refused_as_plainly_when_it_is_staged(
     with pytest.raises(
         InvalidExperiment, match=r"fleet size 4: found [0-9]+ events in 3 runs, expected at most 500 in one commit"
     ):
-        simulate(tmp_path / "ledger", Experiment(ARCHITECTURES, ("door-relay",), 1), workers=1, version=VERSION)
+        run_experiment(tmp_path / "ledger", Experiment(ARCHITECTURES, ("door-relay",), 1), workers=1, version=VERSION)

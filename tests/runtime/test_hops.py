@@ -14,33 +14,32 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.request import InternalHandoff
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.runtime.architectures.dhma import talk
+from fsar_ledger.runtime.architectures.dhma import agents
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel
-from fsar_ledger.runtime.world.draws import Draws, run_key
-from fsar_ledger.runtime.world.simulated import Simulated
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 
 HOP = re.compile(r"(.*)/hop(\D*)(\d*)$")
 PHASES = {
-    "": talk.CALL,
-    "evaluate": talk.EVALUATION,
-    "relay": talk.RELAY,
-    "planning": talk.TO_PLANNING,
-    "acknowledged": talk.FROM_PLANNING,
-    "execution": talk.TO_EXECUTION,
-    "confirmed": talk.FROM_EXECUTION,
-    "settle": talk.SETTLEMENT,
-    "void": talk.VOIDING,
-    "again": talk.RELAY,
-    "told": talk.RECOVERY,
-    "report": talk.RECOVERY,
-    "other": talk.RENEGOTIATION,
-    "query": talk.CALL,
-    "own": talk.OWN_STEP,
-    "own replan": talk.REPLANNING,
-    "result": talk.RESULT,
-    "own result": talk.OWN_RESULT,
+    "": agents.CALL,
+    "evaluate": agents.EVALUATION,
+    "relay": agents.RELAY,
+    "planning": agents.TO_PLANNING,
+    "acknowledged": agents.FROM_PLANNING,
+    "execution": agents.TO_EXECUTION,
+    "confirmed": agents.FROM_EXECUTION,
+    "settle": agents.SETTLEMENT,
+    "void": agents.VOIDING,
+    "again": agents.RELAY,
+    "told": agents.RECOVERY,
+    "report": agents.RECOVERY,
+    "other": agents.RENEGOTIATION,
+    "query": agents.CALL,
+    "own": agents.OWN_STEP,
+    "own replan": agents.REPLANNING,
+    "result": agents.RESULT,
+    "own result": agents.OWN_RESULT,
 }  # by the names of the hops
 SPECS = [
     RunSpec(seed, "dhma", "full", scenario, 4, run) for scenario in SCENARIOS for seed in (3, 4) for run in range(3)
@@ -64,7 +63,7 @@ class Heard(Draws):
 def played(spec: RunSpec) -> tuple[Kernel, set[str]]:
     """A whole run and the internal hops that were drawn in it."""
     one, heard = kernel(spec, Constants()), Heard(spec)
-    one._answer = Simulated((), heard).answer
+    one._answer = SimulatedEnvironment((), heard).answer
     one.run()
     return one, heard.hops
 

@@ -13,10 +13,7 @@ from typing import Any, get_args
 import msgspec
 import pytest
 
-from fsar_ledger.constants import (
-    Constants,
-    Outages,
-)
+from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.world import (
@@ -32,7 +29,6 @@ from fsar_ledger.events.world import (
     WorldEvent,
 )
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
 from fsar_ledger.runtime.replay import replay_run
@@ -41,13 +37,13 @@ from fsar_ledger.runtime.simulation import (
     SCENARIOS,
     RunSpec,
     founding_of,
+    handler_table_of,
     run_id,
     run_started,
     simulate_run,
 )
-from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 from tests.runtime.forgeries import changed, dropped
 
 CONSTANTS = Constants()
@@ -76,7 +72,9 @@ def world_of(spec: RunSpec) -> tuple[Fact, ...]:
 def simulated_in(facts: Sequence[Fact], spec: RunSpec) -> LedgerRun:
     """The run that the real handlers make in a world of these facts, under the name of the honest one."""
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)
-    one = Kernel(handler_table_of(spec.architecture), Simulated(facts, draws), *founding_of(spec, constants_of(spec)))
+    one = Kernel(
+        handler_table_of(spec.architecture), SimulatedEnvironment(facts, draws), *founding_of(spec, constants_of(spec))
+    )
     one.run()
     return LedgerRun(run_id(run_started(spec, constants_of(spec))), one.times_us, one.caused_by, one.events)
 

@@ -13,7 +13,7 @@ from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
-from fsar_ledger.runtime.knockouts.knockout import decided_by
+from fsar_ledger.runtime.knockouts import decided_by
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 
 

@@ -6,7 +6,14 @@ from hypothesis import given as forall
 from hypothesis import strategies as st
 
 from fsar_ledger.projections.registry import Contract
-from fsar_ledger.runtime.handlers.matching import contradiction, is_in_range, is_range, is_suitable, version_of, weaker
+from fsar_ledger.runtime.handlers.candidates import (
+    contradiction,
+    is_in_range,
+    is_range,
+    is_suitable,
+    version_of,
+    weaker,
+)
 
 NUMBERS = st.integers(0, 4)
 VERSIONS = st.builds("{}.{}.{}".format, NUMBERS, NUMBERS, NUMBERS)

@@ -14,7 +14,7 @@ from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.task import SubmitTask
-from tests.runtime.histories import given, types
+from tests.runtime.histories import given, happen, types
 from tests.runtime.live import decided
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
@@ -28,8 +28,7 @@ def after(*commands: Command) -> State:
     """The state after these commands."""
     state = given("fsar")
     for command in commands:
-        for event in decided(state, command):
-            apply(state, event)
+        happen(state, *decided(state, command))
     return state
 
 

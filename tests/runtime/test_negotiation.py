@@ -8,32 +8,16 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityGranted, AuthorityReleased
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import (
-    FLEET_SUPERVISOR,
-    OverrideLevel,
-    Parties,
-    Subject,
-)
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel, Parties, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
-from fsar_ledger.events.registry import (
-    RegistryQueried,
-)
-from fsar_ledger.events.request import (
-    OfferAnswered,
-    RequestAdmitted,
-    RequestClosed,
-    RequestCountered,
-    RequestDenied,
-)
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import OfferAnswered, RequestAdmitted, RequestClosed, RequestCountered, RequestDenied
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskCompleted
 from fsar_ledger.projections.fold import State, apply, fold
-from fsar_ledger.runtime.architectures.fsar.request import (
-    EvaluateRequest,
-    evaluate_request,
-)
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult
-from tests.runtime.histories import ARRIVED, types
+from tests.runtime.histories import ARRIVED, happen, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import ASK, DOOR, A, B, D, asked, offered, served
 
@@ -86,8 +70,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
         )
         state = served(state, AnswerOffer(A, "q1", False, "hard-preempt"))
         events = evaluate_request(state, EvaluateRequest("q1"))
-        for event in events:
-            apply(state, event)
+        happen(state, *events)
     [denied] = events
     assert isinstance(denied, RequestDenied)
     assert denied.reason == "negotiation"

@@ -18,22 +18,13 @@ from fsar_ledger.constants import (
     write_constants,
 )
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.events.world import (
-    ContextChanged,
-    ObstructionAppeared,
-    PolicyWindowOpened,
-    RoutineDue,
-)
+from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, PolicyWindowOpened, RoutineDue
 from fsar_ledger.metrics.constant_names import default_of, unlike_ours
 from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.recipes import constants_used, remarks_on
 from fsar_ledger.runtime.replay import replay_run
-from fsar_ledger.runtime.simulation import (
-    RunSpec,
-    run_started,
-    simulate_run,
-)
+from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
 from fsar_ledger.runtime.world.schedule import arrivals_expected, schedule
-from fsar_ledger.runtime.worlds import played, remarks_on
 from tests.runtime.forgeries import changed, renamed
 from tests.runtime.test_invented_world import CONSTANTS, SPECS, honest
 
@@ -60,7 +51,7 @@ def test_a_run_under_other_constants_is_no_doubt_but_told() -> None:
     assert replay_run(record) is None
     started = record.events[0]
     assert isinstance(started, RunStarted)
-    [remark] = remarks_on(played([started, run_started(SPECS[1], CONSTANTS)]))
+    [remark] = remarks_on(constants_used([started, run_started(SPECS[1], CONSTANTS)]))
     assert remark == (
         f"other constants: 1 of 2 runs (1 of {SPECS[0].architecture}) met a world or a structure that is not "
         "this version's: "
@@ -72,20 +63,22 @@ def test_a_run_under_other_constants_is_no_doubt_but_told() -> None:
 
 def test_runs_of_one_seed_under_different_constants_are_said_to_be_no_pairs() -> None:
     one, other = (RunSpec(9, architecture, "full", "door-relay", 4, 1) for architecture in ("fsar", "cfc"))
-    met = played([started_with(CALM, one), started_with(WorldConstants(), other)])
+    met = constants_used([started_with(CALM, one), started_with(WorldConstants(), other)])
     assert remarks_on(met)[-1].startswith("no pairs: under 1 of 1 combinations of seed, scenario, fleet size and run")
     assert "first under 9, door-relay, 4, 1;" in remarks_on(met)[-1]
     assert len(remarks_on(met)) == 2
-    assert remarks_on(played([run_started(one, CONSTANTS), run_started(other, CONSTANTS)])) == ()
+    assert remarks_on(constants_used([run_started(one, CONSTANTS), run_started(other, CONSTANTS)])) == ()
 
 
 def test_another_load_is_said_as_such_and_pairs_under_a_common_one_are_pairs() -> None:
     both = [Constants(), Constants(load=Load(task_sets=2))]
     one, other = (RunSpec(9, architecture, "full", "door-relay", 4, 1) for architecture in ("fsar", "cfc"))
     said = "another load: 2 of 4 runs (1 of fsar, 1 of cfc) had a non-default load: load.task_sets=2 (here 1)"
-    assert remarks_on(played([run_started(spec, constants) for spec in (one, other) for constants in both])) == (said,)
-    assert len(remarks_on(played([run_started(one, constants) for constants in both]))) == 1
-    assert remarks_on(played([run_started(one, both[0]), run_started(other, both[1])]))[-1].startswith(
+    assert remarks_on(
+        constants_used([run_started(spec, constants) for spec in (one, other) for constants in both])
+    ) == (said,)
+    assert len(remarks_on(constants_used([run_started(one, constants) for constants in both]))) == 1
+    assert remarks_on(constants_used([run_started(one, both[0]), run_started(other, both[1])]))[-1].startswith(
         "no pairs: under 1 of 1"
     )
 
@@ -112,7 +105,7 @@ def test_remarks_are_few_and_short_whatever_the_constants() -> None:
         for rate in range(1, 50)
     ]
     sides = cycle([RunSpec(9, architecture, "full", "door-relay", 4, 1) for architecture in ("fsar", "cfc")])
-    remarks = remarks_on(played([started_with(world, spec) for world, spec in zip(odd, sides, strict=False)]))
+    remarks = remarks_on(constants_used([started_with(world, spec) for world, spec in zip(odd, sides, strict=False)]))
     assert len(remarks) == 7
     assert remarks[5] == "other constants: 44 more sets"
     assert all(len(remark) < 1000 and remark.isprintable() for remark in remarks)

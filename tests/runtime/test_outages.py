@@ -36,16 +36,14 @@ from fsar_ledger.parameters import BadParameters
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers import task
-from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, Scheduled, StartAction
+from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Handlers, PublicCommand, Scheduled, StartAction
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
 from fsar_ledger.runtime.replay import replay_run
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, simulate_run
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 from tests.runtime.histories import started
 
 EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
@@ -76,9 +74,11 @@ def test_a_handler_table_that_lacks_what_it_names_is_refused() -> None:
     class Unknown(Command):
         """A command of no module."""
 
-    assert HandlerTable.of(task).decides == task.DECIDES
+    assert HandlerTable.of(task).decides == task.HANDLERS.decides
     forgetful = ModuleType("forgetful")
-    vars(forgetful).update(DECIDES=task.DECIDES, REACTS=task.REACTS, ACTORS={})
+    handlers = Handlers()
+    handlers.decide(BeginStep)(task.begin_step)
+    vars(forgetful)["HANDLERS"] = handlers
     with pytest.raises(ValueError, match="BeginStep by nobody"):
         HandlerTable.of(forgetful)
     with pytest.raises(ValueError, match="lacks what it names: reacts"):
@@ -91,7 +91,7 @@ def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
     """The run of these facts and no others."""
     one = Kernel(
         handler_table_of(architecture),
-        Simulated(facts, Draws(run_key(1, "door-relay", 0), WorldConstants())),
+        SimulatedEnvironment(facts, Draws(run_key(1, "door-relay", 0), WorldConstants())),
         started(architecture),
     )
     one.run()

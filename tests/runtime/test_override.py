@@ -28,7 +28,7 @@ from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.commands import DetectObstruction, ResumeAction, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
-from tests.runtime.histories import given, types
+from tests.runtime.histories import given, happen, types
 from tests.runtime.live import decided
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
@@ -67,8 +67,7 @@ def play(state: State, *commands: Any) -> tuple[Any, ...]:
     events: tuple[Any, ...] = ()
     for command in commands:
         events = decided(state, command)
-        for event in events:
-            apply(state, event)
+        happen(state, *events)
     return events
 
 

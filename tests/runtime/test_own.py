@@ -32,7 +32,7 @@ from fsar_ledger.events.world import SupervisorLeft, SupervisorReturned
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.constant_names import unlike_ours
-from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.own import with_own, with_settings
 from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, run_id, run_started, simulate_run
@@ -130,7 +130,7 @@ def test_a_night_without_an_end_lasts_as_long_as_the_run() -> None:
 
 
 def test_own_runs_verify_and_replay_from_the_ledger_alone(tmp_path: Path) -> None:
-    simulate(tmp_path / "ledger", Experiment(ARCHITECTURES, ("night",), 2, 7, 6, constants=OWN), 1)
+    run_experiment(tmp_path / "ledger", Experiment(ARCHITECTURES, ("night",), 2, 7, 6, constants=OWN), 1)
     assert verify(tmp_path / "ledger").ok
     report = replay(tmp_path / "ledger")
     assert (report.ok, report.runs) == (True, 6)
@@ -267,13 +267,13 @@ def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path
     register.write_text(register.read_text().replace('    "dhma",\n', '    "dhma",\n    "mine",\n'))
     program = (
         "from pathlib import Path\n"
-        "from fsar_ledger.runtime.experiment import Experiment, simulate\n"
-        "from fsar_ledger.runtime.experiments import NAMES, named\n"
+        "from fsar_ledger.runtime.experiment import Experiment, run_experiment\n"
+        "from fsar_ledger.runtime.paper import NAMES, paper_ledger\n"
         "from fsar_ledger.runtime.replay import replay\n"
         "import fsar_ledger; assert fsar_ledger.__file__.startswith(str(Path.cwd())), fsar_ledger.__file__\n"
-        "simulate(Path('ledger'), Experiment(('mine', 'fsar'), ('sixth', 'door-relay'), 1), 1)\n"
+        "run_experiment(Path('ledger'), Experiment(('mine', 'fsar'), ('sixth', 'door-relay'), 1), 1)\n"
         "report = replay(Path('ledger')); assert report.ok and report.runs == 4, report\n"
-        "parts = [part for one in NAMES for part in named(one, 42).parts]\n"
+        "parts = [part for one in NAMES for part in paper_ledger(one, 42).parts]\n"
         "print({name for one in parts for name in one.scenarios + one.architectures} & {'sixth', 'mine'})\n"
         "print(Experiment(('mine', 'fsar'), ('sixth', 'fleet-contention'), 1).scenarios)\n"
     )
@@ -339,7 +339,9 @@ def plays(folder: Path, own: Constants, teams: int, architecture: str) -> None:
     assert own.scenario is not None
     assert list(problems_of_fleet(own.fleet)) == []
     assert list(problems_of_scenario(own.scenario, own.fleet)) == []
-    simulate(folder, Experiment((architecture,), ("any-night",), 1, 5, teams * len(own.fleet.robots), constants=own), 1)
+    run_experiment(
+        folder, Experiment((architecture,), ("any-night",), 1, 5, teams * len(own.fleet.robots), constants=own), 1
+    )
     assert verify(folder).ok
     report = replay(folder)
     assert report.ok, report.differences

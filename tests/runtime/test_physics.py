@@ -23,20 +23,11 @@ from fsar_ledger.events.execution import (
     RoutineWithheld,
 )
 from fsar_ledger.events.policy import PolicyConflictEscalated
-from fsar_ledger.events.recovery import (
-    AssistanceAdmitted,
-    FailureResolved,
-)
+from fsar_ledger.events.recovery import AssistanceAdmitted, FailureResolved
 from fsar_ledger.events.request import AwardMade, CommandIssued, RequestAccepted, RequestAdmitted
 from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
 from fsar_ledger.events.task import StepBegan, TaskAbandoned, TaskCompleted
-from fsar_ledger.events.world import (
-    ActuatorDegraded,
-    LinkWentDown,
-    PolicyWindowOpened,
-    RobotWentOff,
-    TaskArrived,
-)
+from fsar_ledger.events.world import ActuatorDegraded, LinkWentDown, PolicyWindowOpened, RobotWentOff, TaskArrived
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.world import is_linked
 from tests.runtime.physics import (

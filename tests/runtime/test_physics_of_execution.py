@@ -2,12 +2,7 @@
 
 from fsar_ledger.constants import Outages
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.events.execution import (
-    ExecutionFailed,
-    ExecutionFinished,
-    ExecutionResumed,
-    ExecutionStarted,
-)
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceEnded,
@@ -16,21 +11,10 @@ from fsar_ledger.events.recovery import (
     FailureResolved,
     RecoveryEscalated,
 )
-from fsar_ledger.events.world import (
-    RobotCameBack,
-    RobotWentOff,
-)
+from fsar_ledger.events.world import RobotCameBack, RobotWentOff
 from fsar_ledger.projections.execution import HELPING
 from fsar_ledger.projections.fold import State, apply
-from tests.runtime.physics import (
-    BLOCKED,
-    EVERY,
-    LATE_HANDS,
-    MIXED,
-    failing,
-    of,
-    played,
-)
+from tests.runtime.physics import BLOCKED, EVERY, LATE_HANDS, MIXED, failing, of, played
 
 # Actuators that are lost
 

@@ -10,7 +10,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.events.experiment import ExperimentPlanned
+from fsar_ledger.events.fleet import ExperimentPlanned
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
@@ -20,9 +20,9 @@ from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.runtime import experiment as module
-from fsar_ledger.runtime.experiment import ORIGIN, Experiment, carry_out, simulate
-from fsar_ledger.runtime.plan import plan_record
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment
 from fsar_ledger.runtime.replay import replay, replay_run
+from fsar_ledger.runtime.simulation import plan_record
 
 BOTH: tuple[Architecture, ...] = ("fsar", "cfc")
 SMALL = Experiment(BOTH, ("door-relay",), 2, 3)
@@ -57,7 +57,7 @@ def stop_after(batches: int) -> Callable[[int, int], None]:
 def interrupted(path: Path, experiment: Experiment, batches: int, version: int | None = None) -> None:
     """Stop the experiment when so many batches are there."""
     with pytest.raises(Stopped):
-        simulate(path, experiment, 1, stop_after(batches), version=version)
+        run_experiment(path, experiment, 1, stop_after(batches), version=version)
 
 
 def runs(path: Path) -> dict[str, LedgerRun]:
@@ -77,7 +77,7 @@ def judged(path: Path) -> tuple[object, ...]:
 @pytest.fixture(scope="module")
 def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("fresh") / "ledger"
-    simulate(path, LARGE, 1)
+    run_experiment(path, LARGE, 1)
     return path
 
 
@@ -87,8 +87,8 @@ def enlarged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Head]:
     path = tmp_path_factory.mktemp("enlarged") / "ledger"
     with pytest.MonkeyPatch.context() as patch:
         small_batches(patch)
-        simulate(path, SMALL, 1)
-        return path, simulate(path, LARGE, 1)
+        run_experiment(path, SMALL, 1)
+        return path, run_experiment(path, LARGE, 1).head
 
 
 def test_the_plan_is_on_record_before_the_first_run(tmp_path: Path) -> None:
@@ -101,9 +101,9 @@ def test_the_plan_is_on_record_before_the_first_run(tmp_path: Path) -> None:
 
 def test_who_goes_on_adds_no_second_plan(tmp_path: Path) -> None:
     interrupted(tmp_path / "ledger", SMALL, 1)
-    simulate(tmp_path / "ledger", SMALL, 1)
+    run_experiment(tmp_path / "ledger", SMALL, 1)
     assert plans(tmp_path / "ledger") == [2]
-    made = carry_out(tmp_path / "ledger", SMALL, 1)
+    made = run_experiment(tmp_path / "ledger", SMALL, 1)
     assert (made.asked, made.made, made.held, plans(tmp_path / "ledger")) == (4, 0, 4, [2])
 
 
@@ -134,19 +134,19 @@ def test_wherever_an_enlargement_is_interrupted_its_plans_decide_the_bytes(
     if of_small < 2:
         interrupted(tmp_path / "stopped", ONE, of_small, version)
     else:
-        simulate(tmp_path / "stopped", ONE, 1, version=version)
+        run_experiment(tmp_path / "stopped", ONE, 1, version=version)
     shutil.copytree(tmp_path / "stopped", tmp_path / "straight")
     interrupted(tmp_path / "stopped", MORE, of_large)
-    head = simulate(tmp_path / "straight", MORE, 1)
-    assert simulate(tmp_path / "stopped", MORE, 1) == head
+    head = run_experiment(tmp_path / "straight", MORE, 1).head
+    assert run_experiment(tmp_path / "stopped", MORE, 1).head == head
     assert (tmp_path / "stopped" / "checkpoint").read_bytes() == (tmp_path / "straight" / "checkpoint").read_bytes()
     assert plans(tmp_path / "stopped") == [4, 7]
 
 
 @pytest.mark.slow
 def test_the_number_of_workers_changes_no_byte_of_an_enlargement(tmp_path: Path, enlarged: tuple[Path, Head]) -> None:
-    simulate(tmp_path / "ledger", SMALL, 1)
-    assert simulate(tmp_path / "ledger", LARGE, 2) == enlarged[1]
+    run_experiment(tmp_path / "ledger", SMALL, 1)
+    assert run_experiment(tmp_path / "ledger", LARGE, 2).head == enlarged[1]
 
 
 @pytest.mark.parametrize(
@@ -164,8 +164,8 @@ def test_the_number_of_workers_changes_no_byte_of_an_enlargement(tmp_path: Path,
 def test_what_is_there_is_not_made_again_whatever_else_is_asked_for(
     tmp_path: Path, first: Experiment, then: Experiment, made: int
 ) -> None:
-    before = carry_out(tmp_path / "ledger", first, 1).head
-    after = carry_out(tmp_path / "ledger", then, 1)
+    before = run_experiment(tmp_path / "ledger", first, 1).head
+    after = run_experiment(tmp_path / "ledger", then, 1)
     assert (after.asked, after.made) == (then.size, made)
     assert len(plans(tmp_path / "ledger")) == 2
     assert len(runs(tmp_path / "ledger")) == after.held == first.size + made
@@ -175,7 +175,7 @@ def test_what_is_there_is_not_made_again_whatever_else_is_asked_for(
 
 def test_fewer_runs_than_there_are_change_nothing(enlarged: tuple[Path, Head]) -> None:
     path, head = enlarged
-    made = carry_out(path, Experiment(BOTH, ("door-relay",), 4, 3), 1)
+    made = run_experiment(path, Experiment(BOTH, ("door-relay",), 4, 3), 1)
     assert (made.asked, made.made, made.held, made.head) == (8, 0, 10, head)
 
 
@@ -183,9 +183,9 @@ def test_fewer_runs_than_there_are_change_nothing(enlarged: tuple[Path, Head]) -
 def test_a_small_plan_that_a_larger_one_overtook_is_not_made_again(tmp_path: Path) -> None:
     interrupted(tmp_path / "ledger", SMALL, 1)
     interrupted(tmp_path / "ledger", LARGE, 1)
-    simulate(tmp_path / "ledger", SMALL, 1)
+    run_experiment(tmp_path / "ledger", SMALL, 1)
     assert plans(tmp_path / "ledger") == [2, 5]
-    simulate(tmp_path / "ledger", LARGE, 1)
+    run_experiment(tmp_path / "ledger", LARGE, 1)
     assert len(runs(tmp_path / "ledger")) == 10
     assert verify(tmp_path / "ledger").ok
 

@@ -20,8 +20,8 @@ from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.projections.policy import INITIAL, evolve, ruled
 from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request, take_turn
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start, take_turn
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.policy import (
     SetPolicyRule,
@@ -34,7 +34,7 @@ from fsar_ledger.runtime.handlers.policy import (
     set_role_policy_rule,
 )
 from tests.runtime.governed import H_F, governed
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
 
 A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
 DOOR = "door.open.secure"
@@ -241,10 +241,8 @@ def test_a_matter_of_one_robot_alone_is_escalated_to_its_own_supervisor() -> Non
 
 def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_hold() -> None:
     state = given("fsar", *REQUESTED, rule("allow", robot=None, capability=DOOR, scope="fleet"))
-    for event in (*evaluate_request(state, EvaluateRequest("A1-1/2.1")), rule("deny")):
-        apply(state, event)
-    for event in take_turn(state, TakeTurn("A1-1/2.1")):
-        apply(state, event)
+    happen(state, *evaluate_request(state, EvaluateRequest("A1-1/2.1")), rule("deny"))
+    happen(state, *take_turn(state, TakeTurn("A1-1/2.1")))
     escalated, held = start(state, StartAction("A1-1/2.1", now_us=5, answer=7))
     assert escalated == PolicyConflictEscalated(
         Subject("A1-1", "A1-1/2.1"),
@@ -255,8 +253,7 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
     )
     assert isinstance(held, ExecutionHeld)
     assert held.outcome == "deny"
-    for event in (escalated, held):
-        apply(state, event)
+    happen(state, *(escalated, held))
     assert types(start(state, StartAction("A1-1/2.1", now_us=9, answer=7))) == [
         "PolicyConflictEscalated",
         "ExecutionHeld",
@@ -300,8 +297,7 @@ def test_without_policy_composition_a_requester_does_not_see_the_mandate() -> No
 
 def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
     state = given("fsar", ARRIVED, OWN_STEP)
-    for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
-        apply(state, event)
+    happen(state, *decide_own_step(state, DecideOwnStep("A1-1/1.1")))
     apply(state, rule("deny", robot=A))
     [held] = start(state, StartAction("A1-1/1.1", now_us=5, answer=7))
     assert isinstance(held, ExecutionHeld)

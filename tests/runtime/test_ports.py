@@ -9,11 +9,10 @@ from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorCalled, SupervisorResponded
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.supervision import SetSupervisionDensity
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Environment, Fact, Port
-from fsar_ledger.runtime.simulation import RunSpec, environment_of, founding_of, kernel
+from fsar_ledger.runtime.simulation import RunSpec, environment_of, founding_of, handler_table_of, kernel
 from tests.runtime.live import of
 
 S = 1_000_000

@@ -10,12 +10,7 @@ from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.policy import PolicyRuleSet
-from fsar_ledger.events.recovery import (
-    FailureResolved,
-    ReassignmentDecided,
-    RecoveryBudgetSet,
-    TaskStateTransferred,
-)
+from fsar_ledger.events.recovery import FailureResolved, ReassignmentDecided, RecoveryBudgetSet, TaskStateTransferred
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
     CapabilityAdvertised,
@@ -34,9 +29,9 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
     StartRecovery,
     call_next,
 )
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import Command, EndAttempt
 from fsar_ledger.runtime.handlers.trust import trusts
+from fsar_ledger.runtime.simulation import handler_table_of
 from tests.runtime.failures import ACTION, A, B, C, D, executing, failed, taken
 from tests.runtime.histories import types, window
 from tests.runtime.test_recovery import asked, called, considered, escalation

@@ -17,10 +17,9 @@ from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, workflow_experiment
 from fsar_ledger.runtime.forks import fork, parts_at, record_of
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.recipes import Recipe
-from fsar_ledger.runtime.recorded import RecordedKernel, recorded
+from fsar_ledger.runtime.recorded import RecordedKernel, recorded_environment
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import (
     ARCHITECTURES,
@@ -28,6 +27,7 @@ from fsar_ledger.runtime.simulation import (
     RunSpec,
     environment_of,
     founding_of,
+    handler_table_of,
     run_id,
     simulate_run,
 )
@@ -60,7 +60,7 @@ def made_from_record(record: LedgerRun) -> LedgerRun:
     assert started.architecture is not None
     table = handler_table_of(started.architecture, started.configuration or "full")
     founding = [event for event, time_us in zip(record.events, record.times_us, strict=True) if time_us == 0]
-    environment = recorded(record, table)
+    environment = recorded_environment(record, table)
     kernel = RecordedKernel(table, environment, founding)
     kernel.later_us = environment.later_us
     kernel.run()

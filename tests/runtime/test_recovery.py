@@ -17,12 +17,7 @@ from fsar_ledger.events.recovery import (
     RecoveryBudgetSet,
     RecoveryEscalated,
 )
-from fsar_ledger.events.registry import (
-    AvailabilityChanged,
-    CapabilityAdvertised,
-    CapabilityInstalled,
-    RegistryQueried,
-)
+from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled, RegistryQueried
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.world import ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
@@ -36,9 +31,9 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
     end_attempt,
     start_recovery,
 )
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import EndAttempt
 from fsar_ledger.runtime.handlers.recovery import budget
+from fsar_ledger.runtime.simulation import handler_table_of
 from tests.runtime.failures import ACTION, A, B, C, D, executing, failed, taken
 from tests.runtime.histories import types, window
 

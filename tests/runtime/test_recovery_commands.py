@@ -10,8 +10,8 @@ from fsar_ledger.events.envelope import Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryBudgetSet
 from fsar_ledger.runtime.architectures.fsar.recovery import StartRecovery
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.recovery import ReportFailure, SetRecoveryBudget, report_failure, set_recovery_budget
+from fsar_ledger.runtime.simulation import handler_table_of
 from tests.runtime.failures import ACTION, A, B, executing, failed, taken
 from tests.runtime.histories import given
 

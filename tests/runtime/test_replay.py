@@ -24,13 +24,11 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
-from fsar_ledger.runtime.experiment import ORIGIN, Experiment, simulate, workflow_experiment
-from fsar_ledger.runtime.handler_tables import handler_table_of
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment, workflow_experiment
 from fsar_ledger.runtime.handlers.commands import Command, Decide
-from fsar_ledger.runtime.knockouts import KNOCKOUTS
-from fsar_ledger.runtime.knockouts.knockout import Knockout
+from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.replay import ReplayReport, replay, replay_run
-from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, simulate_run
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
@@ -70,7 +68,7 @@ EXPERIMENTS = {
 @pytest.mark.parametrize("name", few(EXPERIMENTS, ["every architecture", "another world"]))
 def test_an_honest_ledger_is_as_the_handlers_decide(tmp_path: Path, name: str) -> None:
     experiment = EXPERIMENTS[name]
-    head = simulate(tmp_path / "ledger", experiment, workers=1)
+    head = run_experiment(tmp_path / "ledger", experiment, workers=1).head
     expected = ReplayReport(True, (), head.commits, len(list(experiment.specs())), head.size - 1)
     report = replay(tmp_path / "ledger")
     assert msgspec.structs.replace(report, remarks=()) == expected

@@ -9,8 +9,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
-from fsar_ledger.events import Event
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS, Event
 from fsar_ledger.events.envelope import Architecture, Robot
 from fsar_ledger.events.world import RoutineDue, TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun

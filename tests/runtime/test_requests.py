@@ -24,11 +24,7 @@ from fsar_ledger.events.registry import (
     CapabilityWithdrawn,
     RegistryQueried,
 )
-from fsar_ledger.events.request import (
-    RequestAdmitted,
-    RequestDenied,
-    RequestIssued,
-)
+from fsar_ledger.events.request import RequestAdmitted, RequestDenied, RequestIssued
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.task import StepBegan, TaskCompleted
 from fsar_ledger.events.trust import TrustSet
@@ -43,7 +39,7 @@ from fsar_ledger.runtime.architectures.fsar.request import (
 from fsar_ledger.runtime.handlers.admissibility import evaluate
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.request import RequestCapability
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, happen, types, window
 from tests.runtime.live import decided
 
 A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
@@ -63,8 +59,7 @@ def asked(
 ) -> State:
     """The state in which the request has just been issued, and then this has happened."""
     state = given("fsar", *before, configuration=configuration)
-    for event in (*decided(state, command), *after):
-        apply(state, event)
+    happen(state, *decided(state, command), *after)
     return state
 
 
@@ -77,8 +72,7 @@ def verdict(state: State, action_id: str = "q1") -> tuple[str, str | None]:
 def served(state: State, *commands: Command) -> State:
     """The state after these commands."""
     for command in commands:
-        for event in decided(state, command):
-            apply(state, event)
+        happen(state, *decided(state, command))
     return state
 
 
@@ -201,8 +195,7 @@ def test_policy_that_wants_a_review_is_put_before_a_supervisor_only_if_all_else_
 
 def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
     state = asked(after=(window(B, "review"),))
-    for event in evaluate_request(state, EvaluateRequest("q1")):
-        apply(state, event)
+    happen(state, *evaluate_request(state, EvaluateRequest("q1")))
     apply(
         state,
         SupervisorResponded(
@@ -226,8 +219,7 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
 def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
     state = served(asked(), EvaluateRequest("q1"))
     second = msgspec.structs.replace(ASK, action_id="q2")
-    for event in decided(state, second):
-        apply(state, event)
+    happen(state, *decided(state, second))
     assert types(evaluate_request(state, EvaluateRequest("q2"))) == [
         "RequestAdmitted",
         "RequestDeferred",
@@ -298,13 +290,11 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
     )
     state = served(asked(*grants), EvaluateRequest("q1"))
     onward = RequestCapability(B, C, "inspect.visual", "visit", "q2", parent="q1")
-    for event in decided(state, onward):
-        apply(state, event)
+    happen(state, *decided(state, onward))
     assert state.request.open["q2"].parent == "q1"
     assert verdict(state, "q2") == ("accept", None)
     direct = RequestCapability(A, C, "inspect.visual", "visit", "q3")
-    for event in decided(state, direct):
-        apply(state, event)
+    happen(state, *decided(state, direct))
     assert verdict(state, "q3") == ("reject", "trust")
     apply(state, TrustSet(robot=C, peer=B, scope="none"))
     assert verdict(state, "q2") == ("reject", "trust"), "the parent's admission does not carry its link"

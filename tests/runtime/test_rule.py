@@ -21,14 +21,12 @@ from fsar_ledger.ledger.rows.codec import LedgerRun, encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.architectures import REGISTERED
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Ask, Fact
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run
-from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, handler_table_of, kernel, simulate_run
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, Stream, run_key
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 from tests.recycled import from_table
 from tests.runtime.histories import finished
 
@@ -101,7 +99,7 @@ def asked_by(architecture: Architecture, draws: type[RecordingDraws]) -> dict[tu
     spec = RunSpec(3, architecture, "full", "collaborative-delivery", 4, 1)
     recording = draws(run_key(3, "collaborative-delivery", 1), WorldConstants())
     run = kernel(spec, Constants())
-    run._answer = Simulated((), recording).answer
+    run._answer = SimulatedEnvironment((), recording).answer
     run.run()
     return recording.asked
 

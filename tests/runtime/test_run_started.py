@@ -7,8 +7,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants, Load, Range, WorldConstants, read_constants, write_constants
-from fsar_ledger.events import UPCASTS
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS, UPCASTS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.retired import RunStartedV1
 from fsar_ledger.ledger.opening import open_ledger

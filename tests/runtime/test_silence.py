@@ -26,13 +26,11 @@ from fsar_ledger.events.world import (
     RobotWentOff,
     TaskArrived,
 )
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.ports import Fact
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of
-from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, handler_table_of
+from fsar_ledger.runtime.world.draws import Draws, SimulatedEnvironment, run_key
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.simulated import Simulated
 from tests.runtime.physics import EVERY, LAWLESS, OURS, QUIET
 
 S = 1_000_000
@@ -49,7 +47,7 @@ def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
     spec, constants = RunSpec(5, architecture, "full", "door-relay", size, 0), Constants(world=CALM)
     one = Kernel(
         handler_table_of(architecture),
-        Simulated(facts, Draws(run_key(5, "door-relay", 0), CALM)),
+        SimulatedEnvironment(facts, Draws(run_key(5, "door-relay", 0), CALM)),
         *founding_of(spec, constants),
     )
     one.run()
@@ -63,7 +61,7 @@ def without(architecture: Architecture, scenario: str, robot: str, ends: type[Ev
     facts = ((1, ends(robot)), *schedule(constants, 5, spec.scenario, 0, 8))
     one = Kernel(
         handler_table_of(architecture),
-        Simulated(facts, Draws(run_key(5, spec.scenario, 0), CALM)),
+        SimulatedEnvironment(facts, Draws(run_key(5, spec.scenario, 0), CALM)),
         *founding_of(spec, constants),
     )
     one.run()
@@ -233,7 +231,7 @@ def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_d
         facts = schedule(constants, 5, spec.scenario, run, 4)
         one = Kernel(
             handler_table_of(architecture),
-            Simulated(facts, Draws(run_key(5, spec.scenario, run), slow)),
+            SimulatedEnvironment(facts, Draws(run_key(5, spec.scenario, run), slow)),
             *founding_of(spec, constants),
         )
         one.run()
@@ -247,7 +245,7 @@ def test_a_bid_on_its_way_is_waited_for_when_another_candidate_is_silent() -> No
     facts: list[Fact] = [(1, RobotWentOff(B)), (S, TASK)]
     run = Kernel(
         handler_table_of("dhma"),
-        Simulated(facts, Draws(run_key(5, "door-relay", 0), slow)),
+        SimulatedEnvironment(facts, Draws(run_key(5, "door-relay", 0), slow)),
         *founding_of(spec, constants),
     )
     run.run()
@@ -340,7 +338,7 @@ def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
     )
     run = Kernel(
         handler_table_of("fsar"),
-        Simulated([*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow)),
+        SimulatedEnvironment([*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow)),
         *founding_of(spec, constants),
     )
     run.run()

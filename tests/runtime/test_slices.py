@@ -10,7 +10,7 @@ from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime import staging
-from fsar_ledger.runtime.experiment import Experiment, carry_out
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.replay import replay
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run, simulate_slices
 from tests.ledger.samples import contents
@@ -44,12 +44,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("made") / "ledger"
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(staging, "COMMIT_EVENTS", SMALL)
-        carry_out(path, WHOLE, 1, version=2)
+        run_experiment(path, WHOLE, 1, version=2)
     return path
 
 
 def test_in_both_formats_the_same_experiment_has_the_same_root(tmp_path: Path, small_commits: None, made: Path) -> None:
-    first, second = carry_out(tmp_path / "1", WHOLE, 1, version=1).head, open_for_answers(made).head
+    first, second = run_experiment(tmp_path / "1", WHOLE, 1, version=1).head, open_for_answers(made).head
     assert (first.size, first.root) == (second.size, second.root)
     assert second.commits > 2 * 18 / 2
     assert list(open_for_answers(tmp_path / "1").runs()) == list(open_for_answers(made).runs())
@@ -75,9 +75,9 @@ def test_a_simulation_that_is_interrupted_within_a_run_goes_on_with_that_run(
 
     monkeypatch.setattr(ChainWriter, "append", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        carry_out(tmp_path / "stopped", WHOLE, 1, version=2)
+        run_experiment(tmp_path / "stopped", WHOLE, 1, version=2)
     monkeypatch.setattr(ChainWriter, "append", append)
-    again = carry_out(tmp_path / "stopped", WHOLE, 1, version=2)
+    again = run_experiment(tmp_path / "stopped", WHOLE, 1, version=2)
     whole, found = open_for_answers(made), open_for_answers(tmp_path / "stopped")
     assert (found.head.size, found.head.root) == (whole.head.size, whole.head.root)
     assert again.held == WHOLE.size
@@ -87,11 +87,11 @@ def test_a_simulation_that_is_interrupted_within_a_run_goes_on_with_that_run(
 
 def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
     for workers in (1, 2):
-        carry_out(tmp_path / str(workers), WHOLE, workers, version=2)
+        run_experiment(tmp_path / str(workers), WHOLE, workers, version=2)
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
 
 
 def test_a_fleet_that_no_memory_holds_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(InvalidExperiment, match="fleet size: found 1000000000, expected at most 65536"):
-        carry_out(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], 1, fleet_size=10**9), 1, version=2)
+        run_experiment(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], 1, fleet_size=10**9), 1, version=2)
     assert not (tmp_path / "ledger").exists()

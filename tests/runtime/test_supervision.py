@@ -40,7 +40,7 @@ from fsar_ledger.runtime.handlers.supervision import (
     supervisor_for,
 )
 from tests.runtime.governed import H_F, governed
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, happen, types, window
 
 A, B = Robot("robot/A1"), Robot("robot/B1")
 H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
@@ -212,16 +212,14 @@ def test_an_answer_about_what_has_ended_is_rejected_as_it_would_name_nobody() ->
 
 def test_a_call_is_answered_once() -> None:
     state = given("fsar", *REQUESTED, REVIEW)
-    for event in respond_to_call(state, RespondToCall(H_F, ACTION, True)):
-        apply(state, event)
+    happen(state, *respond_to_call(state, RespondToCall(H_F, ACTION, True)))
     assert refusal(respond_to_call(state, RespondToCall(H_F, ACTION, True))).startswith("no open call")
     assert respond(state, Respond(1)) == ()
 
 
 def test_an_answer_to_one_call_leaves_another_about_the_same_action_open() -> None:
     state = failing(REVIEW, LOCAL)
-    for event in respond_to_call(state, RespondToCall(H_F, ACTION, True)):
-        apply(state, event)
+    happen(state, *respond_to_call(state, RespondToCall(H_F, ACTION, True)))
     assert list(state.supervision.calls.values()) == [LOCAL]
 
 
@@ -231,15 +229,13 @@ def test_an_answer_is_that_of_the_supervisor_who_gave_it_even_when_another_was_c
     second, *_ = respond(state, Respond(2))
     answers = [event.principals for event in (first, second) if isinstance(event, SupervisorResponded)]
     assert [(one.decided_by, one.supervised_by) for one in answers] == [(H_B, H_B), (H_F, H_F)]
-    for event in respond(state, Respond(1)):
-        apply(state, event)
+    happen(state, *respond(state, Respond(1)))
     assert respond(state, Respond(2)) == ()
 
 
 def test_a_late_answer_about_one_failure_does_not_resolve_the_next() -> None:
     state = failing(LOCAL)
-    for event in respond_to_call(state, RespondToCall(H_B, ACTION, True)):
-        apply(state, event)
+    happen(state, *respond_to_call(state, RespondToCall(H_B, ACTION, True)))
     apply(
         state,
         ExecutionFailed(

@@ -37,12 +37,11 @@ from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.experiment import Experiment, workflow_experiment
-from fsar_ledger.runtime.handler_tables import handler_table_of
 from fsar_ledger.runtime.handlers.commands import Respond
 from fsar_ledger.runtime.handlers.supervision import respond
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, handler_table_of, simulate_run
 from fsar_ledger.runtime.world.schedule import schedule
-from tests.runtime.histories import given, types, window
+from tests.runtime.histories import given, happen, types, window
 from tests.runtime.test_resume import assert_resumes
 
 SEEDS = (1, 2, 3, 42, 2026)
@@ -247,8 +246,7 @@ def competing(is_critical: tuple[bool, bool] = (True, False), *before: Event) ->
 def evaluated(state: State, action_id: str) -> tuple[Event, ...]:
     """What the executor decides about the request, which the state has taken in."""
     events = evaluate_request(state, EvaluateRequest(action_id))
-    for event in events:
-        apply(state, event)
+    happen(state, *events)
     return events
 
 

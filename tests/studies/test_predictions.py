@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import WriteFailed
-from fsar_ledger.events.configuration import CONFIGURATIONS, lacks
+from fsar_ledger.events.configuration import CONFIGURATIONS, removed_mechanisms
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies import predictions
@@ -27,7 +27,7 @@ def test_all_that_is_registered_is_played_and_nothing_twice() -> None:
 def test_ablations_are_those_of_the_paper_and_pairs_lack_two_mechanisms() -> None:
     assert [play.experiment.configurations for play in registered("ablation")] == [CONFIGURATIONS]
     (pairs,) = registered("pairs")
-    assert [len(lacks(one)) for one in pairs.experiment.configurations] == [2] * 6
+    assert [len(removed_mechanisms(one)) for one in pairs.experiment.configurations] == [2] * 6
 
 
 def test_fleets_are_the_papers_those_between_and_one_beyond_at_both_ends_of_the_load() -> None:

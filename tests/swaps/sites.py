@@ -6,6 +6,7 @@ A function that makes such a part from principals by name (`HELPERS`) counts as 
 import ast
 import copy
 from collections.abc import Iterator
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple, get_args, get_type_hints
@@ -49,6 +50,7 @@ class Swap(NamedTuple):
         return f"{self.file.relative_to(PACKAGE)}:{self.line} {self.name}"
 
 
+@cache
 def swaps() -> list[Swap]:
     """Return every swap of two arguments of the same declared type, or of two principals of any kind; not of equal
     ones."""

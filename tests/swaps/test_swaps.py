@@ -3,6 +3,7 @@ what it should."""
 
 import ast
 import inspect
+from functools import cache
 from itertools import islice
 from pathlib import Path
 
@@ -26,6 +27,7 @@ def named(name: str) -> Swap:
     return next(swap for swap in swaps() if name in str(swap))
 
 
+@cache
 def calls_of_names(source: str) -> list[tuple[str, ast.Call]]:
     return [(call.func.id, call) for call in calls(ast.parse(source)) if isinstance(call.func, ast.Name)]
 
@@ -40,6 +42,7 @@ def splats(source: str) -> list[str]:
     ]
 
 
+@cache
 def sources() -> dict[str, str]:
     return {str(file.relative_to(PACKAGE)): file.read_text() for file in sorted(Path(PACKAGE).rglob("*.py"))}
 

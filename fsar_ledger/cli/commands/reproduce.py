@@ -21,7 +21,7 @@ from fsar_ledger.cli.terminal import show
 from fsar_ledger.printable import counted
 
 if TYPE_CHECKING:
-    from fsar_ledger.runtime.experiment import Made
+    from fsar_ledger.runtime.experiment import SimulationResult
 
 EXAMPLES = examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper --only results --runs 20")
 SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
@@ -57,7 +57,7 @@ def reproduce(
     show(printable.joined(text, printable.lines("", took, str(found.report))))
 
 
-def beyond(made: "Made") -> list[str]:
+def beyond(made: "SimulationResult") -> list[str]:
     """Return a line on runs beyond those asked for, which are judged too; none where there are none."""
     more = made.held - made.asked
     return (

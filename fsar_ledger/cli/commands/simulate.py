@@ -30,7 +30,7 @@ from fsar_ledger.cli.terminal import show
 from fsar_ledger.printable import Shown, counted
 
 if TYPE_CHECKING:
-    from fsar_ledger.runtime.experiment import Made
+    from fsar_ledger.runtime.experiment import SimulationResult
 
 EXAMPLES = examples(
     "fsar-ledger simulate out/ledger",
@@ -111,7 +111,7 @@ def simulate(
     show(_text(out, made, [] if key is None else _signed(out, key), as_json=as_json))
 
 
-def _text(out: Path, made: "Made", signed: list[str], *, as_json: bool) -> Shown:
+def _text(out: Path, made: "SimulationResult", signed: list[str], *, as_json: bool) -> Shown:
     """Return the head of the ledger, what was there before, and its signature."""
     from fsar_ledger.cli.output import json_text
 
@@ -127,7 +127,7 @@ def _text(out: Path, made: "Made", signed: list[str], *, as_json: bool) -> Shown
     )
 
 
-def before(made: "Made") -> list[str]:
+def before(made: "SimulationResult") -> list[str]:
     """Return a line on the runs that were there already, if there were any."""
     more = made.held - made.asked
     others = f", and {more:,} more" if more else ""

@@ -6,7 +6,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.arrow import Columns, Mask, coded, numbers, places, taken, validity, whole
 from fsar_ledger.ledger.rows.runs import Flaw
 from fsar_ledger.ledger.rows.schema import (

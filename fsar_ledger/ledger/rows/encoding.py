@@ -8,7 +8,7 @@ from functools import partial, reduce
 from operator import or_
 from typing import Any, NamedTuple, TypeAlias
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.rows.schema import CONCERNED, ENVELOPE, LAYOUTS, OPENINGS, StoredType
 

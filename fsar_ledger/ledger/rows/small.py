@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 from fsar_ledger.errors import InvalidRun
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.blocks import Block
 from fsar_ledger.ledger.rows.check import disordered, unprintable
 from fsar_ledger.ledger.rows.codec import encode_coded, encode_lines

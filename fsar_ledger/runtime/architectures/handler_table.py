@@ -6,7 +6,27 @@ from typing import NamedTuple
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.runtime.handlers.commands import Actor, Actors, Command, Decide, Decides, PublicCommand, React
+from fsar_ledger.runtime.handlers import (
+    advertising,
+    authority,
+    execution,
+    fleet,
+    policy,
+    recovery,
+    registry,
+    request,
+    supervision,
+    task,
+    trust,
+    withdrawal,
+)
+from fsar_ledger.runtime.handlers.commands import Actor, Command, Decide, Handlers, PublicCommand, React
+
+COMMON = (task, execution, supervision, withdrawal)
+"""What every architecture has: tasks, bodies, supervisors, and what becomes of a task that is given up."""
+
+PUBLIC = (fleet, registry, advertising, request, authority, trust, policy, recovery)
+"""Commands from outside that need the registry, trust, policy and rights of FSAR."""
 
 
 class HandlerTable(msgspec.Struct, frozen=True, eq=False):
@@ -21,9 +41,12 @@ class HandlerTable(msgspec.Struct, frozen=True, eq=False):
 
     @classmethod
     def of(
-        cls, *handlers: ModuleType, own: Decides | None = None, instead: dict[React, React] | None = None
+        cls,
+        *modules: ModuleType,
+        own: dict[type[Command], Decide] | None = None,
+        instead: dict[React, React] | None = None,
     ) -> "HandlerTable":
-        """Collect the `DECIDES`, `REACTS` and `ACTORS` of the handler modules.
+        """Collect the `HANDLERS` of the modules.
 
         `own` are commands of shared modules that the architecture decides in its own way; `instead` maps shared
         reactions to the architecture's own.
@@ -34,17 +57,18 @@ class HandlerTable(msgspec.Struct, frozen=True, eq=False):
         """
         decides: dict[type[Command], Decide] = {}
         reacts: dict[type[Event], tuple[React, ...]] = {}
-        actors: Actors = {}
-        for module in handlers:
-            for command, decide in module.DECIDES.items():
-                if command in decides:
-                    raise ValueError(f"{module.__name__}: {command.__name__} is decided twice")
-                decides[command] = decide
-            for event, react in module.REACTS.items():
+        actors: dict[type[Command], Actor] = {}
+        replaced: set[React] = set()
+        for module in modules:
+            handlers: Handlers = module.HANDLERS
+            for command in handlers.decides.keys() & decides.keys():
+                raise ValueError(f"{module.__name__}: {command.__name__} is decided twice")
+            decides |= handlers.decides
+            actors |= handlers.actors
+            for event, react in handlers.reacts.items():
                 reacts[event] = (*reacts.get(event, ()), (instead or {}).get(react, react))
-            actors |= module.ACTORS
-        shared = {react for module in handlers for react in module.REACTS.values()}
-        missing = [react.__name__ for react in instead or {} if react not in shared]
+                replaced.add(react)
+        missing = [react.__name__ for react in instead or {} if react not in replaced]
         missing += [f"{command.__name__} by no module" for command in own or {} if command not in decides]
         missing += [
             f"{command.__name__} by nobody"

@@ -8,14 +8,7 @@ from collections.abc import Iterable
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import (
-    Availability,
-    OverrideLevel,
-    Robot,
-    Supervisor,
-    TrustScope,
-    Visibility,
-)
+from fsar_ledger.events.envelope import Availability, OverrideLevel, Robot, Supervisor, TrustScope, Visibility
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
     CapabilityAdvertised,
@@ -34,11 +27,11 @@ from fsar_ledger.projections.registry import (
     surface,
 )
 
-from .actors import named
-from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
+from .candidates import contradiction, version_of, weaker
+from .commands import Command, Handlers, PublicCommand, Scheduled, named, rejected, unknown_robot
 from .fleet import in_use, not_possessed
-from .matching import contradiction, version_of, weaker
-from .rejection import rejected, unknown_robot
+
+HANDLERS = Handlers()
 
 
 class AdvertiseCapability(PublicCommand):
@@ -112,6 +105,7 @@ class FinishRollOut(Command):
     availability: Availability = "ready"
 
 
+@HANDLERS.decide(AdvertiseCapability)
 def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Event, ...]:
     """Advertise what the robot possesses, in terms that its module keeps. Paper: eq:advertise."""
     robot, capability = command.robot, command.capability
@@ -145,6 +139,7 @@ def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Ev
     )
 
 
+@HANDLERS.decide(WithdrawCapability)
 def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Event, ...]:
     """Take the capability off the robot's surface."""
     wrong = unknown_robot(state.fleet, command.robot) or _not_advertised(
@@ -155,6 +150,7 @@ def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Even
     return (CapabilityWithdrawn(command.robot, command.capability, command.reason),)
 
 
+@HANDLERS.decide(ReportAvailability)
 def report_availability(state: State, command: ReportAvailability) -> tuple[Event, ...]:
     """Tell the registry how available the robot says it is. Paper: sec:architecture:registry."""
     robot, capability = command.robot, command.capability
@@ -174,6 +170,7 @@ def report_availability(state: State, command: ReportAvailability) -> tuple[Even
     )
 
 
+@HANDLERS.decide(DeprecateCapability)
 def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Event, ...]:
     """Deprecate the version: it is shown last, and to no query that another version satisfies.
 
@@ -197,6 +194,7 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
     )
 
 
+@HANDLERS.decide(UpgradeCapability)
 def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event, ...]:
     """Install the newer version; while it is rolled out, restrict what is advertised.
 
@@ -235,6 +233,7 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
     )
 
 
+@HANDLERS.decide(FinishRollOut, named)
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     """Advertise the new version on the terms of the old one, unless that was withdrawn or replaced.
 
@@ -312,6 +311,7 @@ def _not_newer(version: str, known: str) -> str | None:
     return f"version {version} is not newer than {known}" if before is not None and found <= before else None
 
 
+@HANDLERS.react(CapabilityInstalled)
 def _on_installation(state: State, event: CapabilityInstalled, _now_us: int) -> tuple[Scheduled, ...]:
     """Roll out what is advertised in another version.
 
@@ -319,15 +319,3 @@ def _on_installation(state: State, event: CapabilityInstalled, _now_us: int) -> 
     """
     record = _rolling_out(state.registry, event.robot, event.capability)
     return () if record is None else (Scheduled(FinishRollOut(event.robot, event.capability, record.availability)),)
-
-
-DECIDES: Decides = {
-    AdvertiseCapability: advertise_capability,
-    WithdrawCapability: withdraw_capability,
-    ReportAvailability: report_availability,
-    DeprecateCapability: deprecate_capability,
-    UpgradeCapability: upgrade_capability,
-    FinishRollOut: finish_roll_out,
-}
-ACTORS: Actors = {FinishRollOut: named}
-REACTS: Reacts = {CapabilityInstalled: _on_installation}

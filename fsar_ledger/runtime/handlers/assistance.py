@@ -10,10 +10,11 @@ from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import Ask
 
-from .actors import helping
-from .commands import Actors, Decides, EndAssistance, Reacts, Scheduled, StopAssistance, holds
+from .commands import EndAssistance, Handlers, Scheduled, StopAssistance, helping, holds
 from .execution import next_turn
 from .recovery import actuator_holds, open_failure
+
+HANDLERS = Handlers()
 
 
 def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -> tuple[Event, ...]:
@@ -31,6 +32,7 @@ def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -
             return ()
 
 
+@HANDLERS.decide(StopAssistance, helping)
 def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
     """End the help because something is in the helper's own way."""
     match _helped(state.execution, state.recovery, command.action_id, command.helper):
@@ -77,6 +79,7 @@ def _failed(action: Action, recovery: Recovery, who: Robot, cause: FailureCause)
     )
 
 
+@HANDLERS.react(AssistanceAdmitted)
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
     return (
         (Scheduled(StopAssistance(event.subject.action_id, event.helper)),)
@@ -85,6 +88,7 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
     )
 
 
+@HANDLERS.react(ObstructionAppeared)
 def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> tuple[Scheduled, ...]:
     holding = state.execution.current.get(event.robot, "")
     return (
@@ -92,15 +96,6 @@ def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> t
     )
 
 
+@HANDLERS.react(AssistanceEnded, AssistanceFailed)
 def _on_end(state: State, event: AssistanceEnded | AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
     return next_turn(state.execution, event.helper)
-
-
-DECIDES: Decides = {StopAssistance: stop_assistance}
-ACTORS: Actors = {StopAssistance: helping, EndAssistance: helping}
-REACTS: Reacts = {
-    AssistanceAdmitted: _on_assistance,
-    ObstructionAppeared: _on_obstruction,
-    AssistanceEnded: _on_end,
-    AssistanceFailed: _on_end,
-}

@@ -15,15 +15,7 @@ from fsar_ledger.events.authority import (
     AuthorityRevoked,
     RevocationReason,
 )
-from fsar_ledger.events.envelope import (
-    FLEET_SUPERVISOR,
-    TRUST,
-    Dimension,
-    OverrideLevel,
-    Principal,
-    Robot,
-    Supervisor,
-)
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel, Principal, Robot, Supervisor
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections.authority import LEVELS, Authority, Right
@@ -33,10 +25,24 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.trust import is_about
 
-from .actors import named, nobody
-from .commands import Actors, CloseExecution, Command, Decides, PublicCommand, Reacts, Scheduled
-from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_supervisor, unknown_word
+from .commands import (
+    CloseExecution,
+    Command,
+    Handlers,
+    PublicCommand,
+    Scheduled,
+    expired_context,
+    named,
+    nobody,
+    rejected,
+    unknown_capability,
+    unknown_robot,
+    unknown_supervisor,
+    unknown_word,
+)
 from .trust import trusts
+
+HANDLERS = Handlers()
 
 
 class GrantAuthority(PublicCommand):
@@ -103,6 +109,7 @@ def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...
     return tuple(AuthorityReleased(claim.subject, claim.dimension, claim.claimant, claim.reason) for claim in claims)
 
 
+@HANDLERS.decide(GrantAuthority)
 def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
     """Let the requester ask up to this level, by word of the executor's own supervisor or of H_F.
 
@@ -140,6 +147,7 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(RevokeAuthority)
 def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...]:
     """Stop the requester from asking this, by word of either robot's own supervisor or of H_F.
 
@@ -167,6 +175,7 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
     )
 
 
+@HANDLERS.decide(ReleaseAuthority)
 def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, ...]:
     """Release the dimension; the authority to execute ends with the execution only."""
     claims = state.authority.claims.get(command.action_id, ())
@@ -183,6 +192,7 @@ def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, .
     return released(held)
 
 
+@HANDLERS.decide(ExpireContext, nobody)
 def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevoked, ...]:
     """End the rights that were granted for the context. Paper: sec:model:authority (context expiration)."""
     return tuple(
@@ -198,6 +208,7 @@ def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevok
     )
 
 
+@HANDLERS.decide(RevokeDistrusted, named)
 def revoke_distrusted(state: State, command: RevokeDistrusted) -> tuple[AuthorityRevoked, ...]:
     """Revoke what the peer is no longer trusted with; what was admitted goes on.
 
@@ -298,6 +309,7 @@ def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
     return found
 
 
+@HANDLERS.react(TaskCompleted, TaskAbandoned)
 def _on_end(state: State, event: TaskCompleted | TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
     return (
         (Scheduled(ExpireContext(event.task_id)),)
@@ -306,21 +318,14 @@ def _on_end(state: State, event: TaskCompleted | TaskAbandoned, _now_us: int) ->
     )
 
 
+@HANDLERS.react(TrustSet)
 def _on_trust(state: State, event: TrustSet, _now_us: int) -> tuple[Scheduled, ...]:
     if not state.execution.actions or not _distrusted(state, event.robot, event.peer):
         return ()
     return (Scheduled(RevokeDistrusted(event.robot, event.peer)),)
 
 
-DECIDES: Decides = {
-    GrantAuthority: grant_authority,
-    RevokeAuthority: revoke_authority,
-    ReleaseAuthority: release_authority,
-    ExpireContext: expire_context,
-    RevokeDistrusted: revoke_distrusted,
-}
-
-
+@HANDLERS.react(RoleTrustSet)
 def _on_role_trust(state: State, event: RoleTrustSet, _now_us: int) -> tuple[Scheduled, ...]:
     """Revoke as `_on_trust` does, for each pair of these roles that has an action in hand."""
     asking = [
@@ -336,7 +341,3 @@ def _on_role_trust(state: State, event: RoleTrustSet, _now_us: int) -> tuple[Sch
         for robot, peer in pairs
         if is_about(state.trust, event, robot, peer) and _distrusted(state, robot, peer)
     )
-
-
-ACTORS: Actors = {ExpireContext: nobody, RevokeDistrusted: named}
-REACTS: Reacts = {TaskCompleted: _on_end, TaskAbandoned: _on_end, TrustSet: _on_trust, RoleTrustSet: _on_role_trust}

@@ -1,19 +1,25 @@
-"""Commands, and how a reaction schedules one.
+"""Commands: who carries them out, how a reaction schedules one, and how one is rejected.
+
+A command that cannot be executed is recorded and has no effect. Paper: sec:architecture:overview.
 
 A reaction cannot know how long a message takes: it asks at the ports (`ports.py`), and the kernel has the environment
 answer. A question is named by what it is about and by what it serves (action, failure, hop), so that every architecture
 that meets the same hop of the same action meets the same latency.
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol, TypeVar
 
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Operation, Robot
+from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Operation, Principal, Robot, Supervisor, robot_named
+from fsar_ledger.projections.context import Over
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import Registry
+from fsar_ledger.projections.task import Task
 from fsar_ledger.runtime.ports import Ask
 
 
@@ -48,14 +54,45 @@ class Scheduled(msgspec.Struct, frozen=True, gc=False):
 
 Decide = Callable[[State, Any], tuple[Event, ...]]
 React = Callable[[State, Any, int], tuple[Scheduled, ...]]
-Decides = dict[type[Command], Decide]
-Reacts = dict[type[Event], React]
 Actor = Callable[[State, Any], Robot | None]
 """The robot that carries out a command, as things stand when it is due.
 
 None is an actor that is never off: the world, a service, the coordinator, a human.
 """
-Actors = dict[type[Command], Actor]
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+class Handlers:
+    """The decisions and reactions of one module, which registers them with these decorators.
+
+    `decides`: the handler of each command type; `actors`: who carries it out, for all but public commands; `reacts`:
+    the reaction to each event type.
+    """
+
+    def __init__(self) -> None:
+        self.decides: dict[type[Command], Decide] = {}
+        self.actors: dict[type[Command], Actor] = {}
+        self.reacts: dict[type[Event], React] = {}
+
+    def decide(self, command: type[Command], actor: Actor | None = None) -> Callable[[_Function], _Function]:
+        """Register the decorated function as the handler of this command, which `actor` carries out."""
+
+        def register(function: _Function) -> _Function:
+            self.decides[command] = function
+            if actor is not None:
+                self.actors[command] = actor
+            return function
+
+        return register
+
+    def react(self, *events: type[Event]) -> Callable[[_Function], _Function]:
+        """Register the decorated function as the reaction to events of these types."""
+
+        def register(function: _Function) -> _Function:
+            self.reacts.update(dict.fromkeys(events, function))
+            return function
+
+        return register
 
 
 def message(sender: str | None, key: str, hop: int | str) -> Ask:
@@ -92,13 +129,18 @@ def holds(key: str) -> Ask:
 
 
 class BeginStep(Command):
-    """Turn to the task's next step, or to the same one after the attempt `after` has come to nothing.
+    """Turn to the task's next step, or to the same one after the attempt `after` failed.
 
     An empty `after`: no attempt of this step was made.
     """
 
     task_id: str
     after: str = ""
+
+
+def begin_again(fleet: Fleet, task_id: str, action_id: str) -> Scheduled:
+    """Schedule the step again, after this attempt failed and the back-off has passed."""
+    return Scheduled(BeginStep(task_id, action_id), fleet.structure.back_off_us)
 
 
 class ExpireTask(Command):
@@ -204,3 +246,136 @@ class DecideRoutine(Command):
 
     robot: Robot
     operation: Operation
+
+
+class _OfAction(Protocol):
+    @property
+    def action_id(self) -> str: ...
+
+
+class _OfRobot(Protocol):
+    @property
+    def robot(self) -> Robot: ...
+
+
+class _OfHelper(Protocol):
+    @property
+    def helper(self) -> Robot: ...
+
+
+def nobody(_state: State, _command: Command) -> None:
+    """Return None: a world, service, coordinator or human command has no actor that could be off."""
+
+
+def named(_state: State, command: _OfRobot) -> Robot:
+    """Return the robot that the command names."""
+    return command.robot
+
+
+def helping(_state: State, command: _OfHelper) -> Robot:
+    """Return the robot that helps."""
+    return command.helper
+
+
+def body(state: State, command: _OfAction) -> Robot | None:
+    """Return the robot that has the action."""
+    action = state.execution.actions.get(command.action_id)
+    return None if action is None else action.robot
+
+
+def requester(state: State, command: _OfAction) -> Robot | None:
+    """Return the robot whose step it is."""
+    request = state.request.open.get(command.action_id)
+    return None if request is None else request.requester
+
+
+def target(state: State, command: _OfAction) -> Robot | None:
+    """Return the robot picked to execute; for a step of its own, the robot whose step it is."""
+    request = state.request.open.get(command.action_id)
+    return None if request is None else request.target or request.requester
+
+
+def asked(state: State, command: _OfAction) -> Robot | None:
+    """Return the robot that the request goes to."""
+    request = state.request.open.get(command.action_id)
+    return request.candidates[0] if request is not None and request.candidates else None
+
+
+def relay(state: State, command: _OfAction) -> Robot | None:
+    """Return the peer that passes the request on."""
+    request = state.request.open.get(command.action_id)
+    return None if request is None else request.relay
+
+
+def next_in_task(state: State, command: BeginStep) -> Robot | None:
+    """Return the robot that acts in the next step of the task, if there is one left."""
+    task = state.task.get(command.task_id)
+    return None if task is None or task.step == len(task.steps) else acting(task, task.step)
+
+
+def acting(task: Task, step: int) -> Robot:
+    """Return the robot that acts in the step, counted from 0."""
+    return robot_named(task.steps[step].partition(" ")[0], task.team)
+
+
+# See docs/decisions/rejected-commands-are-events.md.
+def rejected(command: Command, subject: str, reason: str, issued_by: Principal | None = None) -> tuple[CommandRejected]:
+    """Return the one event of a command that named something unknown, over or impossible."""
+    return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)
+
+
+def unknown_robot(fleet: Fleet, *robots: str | None) -> str | None:
+    """Return why to reject a command that names a robot outside the fleet, or None (None names nobody)."""
+    for robot in robots:
+        if robot is not None and robot not in fleet.robots:
+            return f"unknown robot {robot}, expected a member of the fleet"
+    return None
+
+
+def unknown_supervisor(fleet: Fleet, supervisor: Supervisor | None) -> str | None:
+    """Return why to reject a command from a supervisor unknown in this fleet, or None."""
+    if supervisor == FLEET_SUPERVISOR or (
+        supervisor is not None and any(supervisor == robot.supervisor for robot in fleet.robots.values())
+    ):
+        return None
+    return f"unknown supervisor {supervisor}, expected {FLEET_SUPERVISOR} or a robot's own"
+
+
+def not_in_charge(
+    fleet: Fleet, supervisor: Supervisor | None, robot: Robot | None, is_fleet_matter: bool = False
+) -> str | None:
+    """Return why this supervisor may not give a command about this robot, or None.
+
+    A robot of None: the command is about nobody in particular. H_F may speak for every robot; H_i for its own alone,
+    and not where the matter is the fleet's. Paper: sec:model:supervision.
+    """
+    if (unknown := unknown_supervisor(fleet, supervisor)) is not None:
+        return unknown
+    if supervisor == FLEET_SUPERVISOR:
+        return None
+    if is_fleet_matter:
+        return f"{supervisor} supervises one robot, expected {FLEET_SUPERVISOR} for what concerns the fleet"
+    if robot is not None and fleet.robots[robot].supervisor != supervisor:
+        return (
+            f"{supervisor} does not supervise {robot}, "
+            f"expected {fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
+        )
+    return None
+
+
+def unknown_capability(registry: Registry, capability: str | None) -> str | None:
+    """Return why to reject a command about a capability that no robot possesses, or None (None names none)."""
+    if capability is None or any(capability in modules for modules in registry.modules.values()):
+        return None
+    return f"unknown capability {capability}, expected one that a member possesses"
+
+
+def unknown_word(what: str, found: str | None, known: Iterable[str]) -> str | None:
+    """Return why to reject a command with this word, or None if it is a known one."""
+    known = tuple(known)
+    return None if found in known else f"unknown {what} {found}, expected one of {', '.join(known)}"
+
+
+def expired_context(over: Over, context: str | None) -> str | None:
+    """Return why to reject a command in the context of a task that is over, or None (None is no context)."""
+    return f"task {context} is over, expected a context that is not" if context in over else None

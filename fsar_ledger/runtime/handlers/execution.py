@@ -23,28 +23,29 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import Ask
 
-from .actors import body, named, nobody
 from .attribution import is_injected, parties
 from .commands import (
-    Actors,
     Command,
     DecideRoutine,
-    Decides,
     DetectObstruction,
     FinishAttempt,
     HaltAction,
+    Handlers,
     PauseAction,
-    Reacts,
     ResumeAction,
     Scheduled,
     StartAction,
     TakeTurn,
+    body,
     holds,
     lasts,
+    nobody,
 )
 from .recovery import actuator_holds, failed
 
 NAVIGATION = "navigate.indoor"
+
+HANDLERS = Handlers()
 
 
 def start_action(action_id: str, capability: str, after_us: int = 1, waits: tuple[Ask, ...] = ()) -> Scheduled:
@@ -52,6 +53,7 @@ def start_action(action_id: str, capability: str, after_us: int = 1, waits: tupl
     return Scheduled(StartAction(action_id), after_us, waits, lasts(capability, action_id))
 
 
+@HANDLERS.react(ApproachStarted)
 def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
     """Start the action when the robot has arrived.
 
@@ -110,6 +112,7 @@ def approach(state: State, command: TakeTurn) -> tuple[Event, ...]:
     return (ApproachStarted(action.subject, action.robot),)
 
 
+@HANDLERS.decide(FinishAttempt, body)
 def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
     """Finish the execution, or fail it at its end where the degraded actuator does not hold."""
     action = state.execution.actions.get(command.action_id)
@@ -120,6 +123,7 @@ def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
     return (_finished(state.fleet, state.world, action),)
 
 
+@HANDLERS.decide(DetectObstruction, body)
 def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event, ...]:
     """Fail the running attempt because something is in the way."""
     action = state.execution.actions.get(command.action_id)
@@ -128,6 +132,7 @@ def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event,
     return (failed(action, "obstruction", command.now_us),)
 
 
+@HANDLERS.decide(PauseAction, body)
 def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
     """Stop the robot to replan, if it still executes."""
     action = state.execution.actions.get(command.action_id)
@@ -136,6 +141,7 @@ def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
     return (ExecutionPaused(action.subject, action.robot, action.ends_us - command.now_us),)
 
 
+@HANDLERS.decide(HaltAction, nobody)
 def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
     """Halt the execution of a robot that is off.
 
@@ -147,6 +153,7 @@ def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
     return (ExecutionHalted(action.subject, action.robot, max(0, action.ends_us - command.now_us)),)
 
 
+@HANDLERS.decide(ResumeAction, body)
 def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
     """Resume the rest of the execution; without a rest it has finished."""
     action = state.execution.actions.get(command.action_id)
@@ -187,6 +194,7 @@ def next_turn(execution: Execution, robot: Robot) -> tuple[Scheduled, ...]:
     return (start_action(action.action_id, action.capability),)
 
 
+@HANDLERS.react(ExecutionQueued, ExecutionFinished, ExecutionWithdrawn)
 def _on_queue(
     state: State, event: ExecutionQueued | ExecutionFinished | ExecutionWithdrawn, _now_us: int
 ) -> tuple[Scheduled, ...]:
@@ -195,6 +203,7 @@ def _on_queue(
     return next_turn(state.execution, event.robot)
 
 
+@HANDLERS.react(ExecutionStarted, ExecutionResumed)
 def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:
     segment = state.execution.actions[event.subject.action_id].segments
     ask = holds(f"{event.subject.action_id}/{segment}")
@@ -212,6 +221,7 @@ def _in_stage(
     return (Scheduled(command(action.action_id)),) if action is not None and action.stage == stage else ()
 
 
+@HANDLERS.react(ObstructionAppeared)
 def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> tuple[Scheduled, ...]:
     return _in_stage(state.execution, event.robot, "running", DetectObstruction)
 
@@ -221,50 +231,22 @@ def pause_running(state: State, event: ContextChanged, _now_us: int) -> tuple[Sc
     return _in_stage(state.execution, event.robot, "running", PauseAction)
 
 
+@HANDLERS.react(FailureResolved)
 def _on_resolved(_state: State, event: FailureResolved, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(ResumeAction(event.subject.action_id)),)
 
 
+@HANDLERS.react(RoutineDue)
 def _on_routine(state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the routine operation; a robot that is off misses it."""
     return () if event.robot in state.world.off else (Scheduled(DecideRoutine(event.robot, event.operation)),)
 
 
+@HANDLERS.react(RobotWentOff)
 def _on_off(state: State, event: RobotWentOff, _now_us: int) -> tuple[Scheduled, ...]:
     return _in_stage(state.execution, event.robot, "running", HaltAction)
 
 
+@HANDLERS.react(RobotCameBack)
 def _on_back(state: State, event: RobotCameBack, _now_us: int) -> tuple[Scheduled, ...]:
     return _in_stage(state.execution, event.robot, "halted", ResumeAction)
-
-
-DECIDES: Decides = {
-    FinishAttempt: finish_attempt,
-    DetectObstruction: detect_obstruction,
-    HaltAction: halt_action,
-    PauseAction: pause_action,
-    ResumeAction: resume_action,
-}
-ACTORS: Actors = {
-    TakeTurn: body,
-    StartAction: body,
-    FinishAttempt: body,
-    DetectObstruction: body,
-    HaltAction: nobody,
-    PauseAction: body,
-    ResumeAction: body,
-    DecideRoutine: named,
-}
-REACTS: Reacts = {
-    RoutineDue: _on_routine,
-    RobotWentOff: _on_off,
-    RobotCameBack: _on_back,
-    ApproachStarted: start_after_approach,
-    ExecutionQueued: _on_queue,
-    ExecutionFinished: _on_queue,
-    ExecutionWithdrawn: _on_queue,
-    ExecutionStarted: _on_running,
-    ExecutionResumed: _on_running,
-    ObstructionAppeared: _on_obstruction,
-    FailureResolved: _on_resolved,
-}

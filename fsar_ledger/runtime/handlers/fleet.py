@@ -16,11 +16,12 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, Registry, path_of, possesses, surface
 from fsar_ledger.projections.world import World
 
-from .commands import Actors, Decides, PublicCommand, Reacts
-from .matching import contradiction, version_of
-from .rejection import rejected, unknown_robot
+from .candidates import contradiction, version_of
+from .commands import Handlers, PublicCommand, rejected, unknown_robot
 
 ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
+
+HANDLERS = Handlers()
 
 
 class JoinFleet(PublicCommand):
@@ -82,6 +83,7 @@ def is_degraded(registry: Registry, world: World, robot: Robot) -> bool:
     return robot in world.degraded or any(record.availability == "degraded" for record in surface(registry, robot))
 
 
+@HANDLERS.decide(JoinFleet)
 def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
     """Make the robot a member; it neither possesses nor trusts anything yet."""
     robot, wrong = command.robot, None
@@ -117,6 +119,7 @@ def _is_robots_name(name: str) -> bool:
     return word != name and "/" not in word and word.split() == [word]
 
 
+@HANDLERS.decide(InstallCapability)
 def install_capability(state: State, command: InstallCapability) -> tuple[Event, ...]:
     """Install the capability, advertised to nobody. Paper: sec:model:capability."""
     robot, capability = command.robot, command.capability
@@ -146,6 +149,7 @@ def install_capability(state: State, command: InstallCapability) -> tuple[Event,
     )
 
 
+@HANDLERS.decide(RemoveCapability)
 def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, ...]:
     """Remove the capability and its advertisement."""
     robot, capability = command.robot, command.capability
@@ -171,8 +175,3 @@ def in_use(execution: Execution, robot: Robot, capability: str) -> str | None:
         if action is not None and action.capability == capability:
             return f"{capability} is in use by {name}, expected it to be over"
     return None
-
-
-DECIDES: Decides = {JoinFleet: join_fleet, InstallCapability: install_capability, RemoveCapability: remove_capability}
-ACTORS: Actors = {}
-REACTS: Reacts = {}

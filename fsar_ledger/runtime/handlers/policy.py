@@ -3,15 +3,7 @@
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import (
-    POLICY,
-    PolicyOutcome,
-    PolicyScope,
-    Principals,
-    Robot,
-    Subject,
-    Supervisor,
-)
+from fsar_ledger.events.envelope import POLICY, PolicyOutcome, PolicyScope, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
@@ -20,9 +12,19 @@ from fsar_ledger.projections.policy import Policy, ruled
 from fsar_ledger.projections.trust import is_within
 from fsar_ledger.projections.world import World, in_force, stricter
 
-from .commands import Actors, Decides, PublicCommand, Reacts
-from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot, unknown_word
+from .commands import (
+    Handlers,
+    PublicCommand,
+    expired_context,
+    not_in_charge,
+    rejected,
+    unknown_capability,
+    unknown_robot,
+    unknown_word,
+)
 from .supervision import supervisor_for
+
+HANDLERS = Handlers()
 
 
 class SetPolicyRule(PublicCommand):
@@ -125,6 +127,7 @@ def conflict(
     )
 
 
+@HANDLERS.decide(SetPolicyRule)
 def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
     """Set the rule: a robot's own by its own supervisor alone, the fleet's by H_F alone. Paper: app:foundations."""
     refused = (
@@ -147,6 +150,7 @@ def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(SetRolePolicyRule)
 def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Event, ...]:
     """Set the fleet's rule for the robots of the role.
 
@@ -194,8 +198,3 @@ def _unfit(fleet: Fleet, command: SetPolicyRule) -> str | None:
             f"expected {own}; a fleet rule composes with it"
         )
     return refused
-
-
-DECIDES: Decides = {SetPolicyRule: set_policy_rule, SetRolePolicyRule: set_role_policy_rule}
-ACTORS: Actors = {}
-REACTS: Reacts = {}

@@ -17,10 +17,21 @@ from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.world import World
 
-from .commands import Actors, Decides, EndAttempt, PublicCommand, Reacts, Scheduled, holds, lasts
-from .rejection import not_in_charge, rejected, unknown_robot
+from .commands import (
+    EndAttempt,
+    Handlers,
+    PublicCommand,
+    Scheduled,
+    holds,
+    lasts,
+    not_in_charge,
+    rejected,
+    unknown_robot,
+)
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
+
+HANDLERS = Handlers()
 
 
 class SetRecoveryBudget(PublicCommand):
@@ -61,6 +72,7 @@ def budget(budgets: Budgets, fleet: Fleet, robot: Robot, level: RecoveryLevel) -
             return Budget(structure.human_budget_us, structure.human_calls)
 
 
+@HANDLERS.decide(SetRecoveryBudget)
 def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event, ...]:
     """Set the level's budget, by word of the robot's own supervisor or of H_F. Paper: app:foundations."""
     refused = (
@@ -106,6 +118,7 @@ def failed(action: Action, cause: FailureCause, now_us: int) -> ExecutionFailed:
     )
 
 
+@HANDLERS.decide(ReportFailure)
 def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
     """Fail the running execution as its own robot reports; recovery begins from there. Paper: sec:model:recovery."""
     refused = unknown_robot(state.fleet, command.robot)
@@ -193,8 +206,3 @@ def _attempt_result(
         if achieved:
             return "partial", achieved
     return "failure", ()
-
-
-DECIDES: Decides = {SetRecoveryBudget: set_recovery_budget, ReportFailure: report_failure}
-ACTORS: Actors = {}
-REACTS: Reacts = {}

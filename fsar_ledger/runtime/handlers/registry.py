@@ -14,10 +14,10 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World
 
 from .attribution import recorded_by
-from .candidates import Answer, Query, candidates
-from .commands import Actors, Decides, PublicCommand, Reacts
-from .matching import is_range
-from .rejection import rejected, unknown_robot
+from .candidates import Answer, Query, candidates, is_range
+from .commands import Handlers, PublicCommand, rejected, unknown_robot
+
+HANDLERS = Handlers()
 
 
 def queried(
@@ -62,6 +62,7 @@ class CacheRegistry(PublicCommand):
     holder: Principal
 
 
+@HANDLERS.decide(ConsultRegistry)
 def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
     """Answer from the registry; finding nobody is an answer too."""
     query = command.query
@@ -99,17 +100,10 @@ def _malformed(query: Query) -> str | None:
     return None
 
 
+@HANDLERS.decide(CacheRegistry)
 def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
     """Give the holder a copy of the registry as it is now."""
     wrong = unknown_robot(state.fleet, command.holder)
     if wrong is not None:
         return rejected(command, command.holder, wrong, command.holder)
     return (RegistryCached(command.holder, command.now_us),)
-
-
-DECIDES: Decides = {
-    ConsultRegistry: consult_registry,
-    CacheRegistry: cache_registry,
-}
-ACTORS: Actors = {}
-REACTS: Reacts = {}

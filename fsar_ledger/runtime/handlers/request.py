@@ -17,9 +17,18 @@ from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.request import Request, Requests
 
 from .attribution import on_shift, parties, recorded_by
-from .commands import Actors, Decides, PublicCommand, Reacts
+from .commands import (
+    Handlers,
+    PublicCommand,
+    expired_context,
+    rejected,
+    unknown_capability,
+    unknown_robot,
+    unknown_word,
+)
 from .policy import own_policy
-from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_word
+
+HANDLERS = Handlers()
 
 
 class RequestCapability(PublicCommand):
@@ -58,6 +67,7 @@ class ReportResult(PublicCommand):
     achieved: tuple[str, ...] = ()
 
 
+@HANDLERS.decide(RequestCapability)
 def request_capability(state: State, command: RequestCapability) -> tuple[Event, ...]:
     """Record the gap and the request, which is then on its way to the executor. Paper: eq:request, phases 1 and 3."""
     reason = _impossible(state, command)
@@ -131,6 +141,7 @@ def _broken_chain(execution: Execution, requests: Requests, command: RequestCapa
     return None
 
 
+@HANDLERS.decide(AnswerOffer)
 def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
     """Take the offer, ask for other terms, or let go. Paper: sec:model:request (negotiate)."""
     request = state.request.open.get(command.action_id)
@@ -161,6 +172,7 @@ def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(ReportResult)
 def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
     """Finish the execution with this result. Paper: sec:model:request, phase 5."""
     action = state.execution.actions.get(command.action_id)
@@ -213,8 +225,3 @@ def _not_reportable(registry: Registry, action: Action, command: ReportResult) -
     return (
         f"{unknown[0]} is no postcondition of {action.capability}, expected {', '.join(promised)}" if unknown else None
     )
-
-
-DECIDES: Decides = {RequestCapability: request_capability, AnswerOffer: answer_offer, ReportResult: report_result}
-ACTORS: Actors = {}
-REACTS: Reacts = {}

@@ -21,10 +21,20 @@ from fsar_ledger.projections.supervision import Supervision, density
 from fsar_ledger.projections.world import World
 from fsar_ledger.runtime.ports import DISAPPROVES, PREFERS_OTHER, Ask
 
-from .actors import nobody
-from .commands import Actors, Decides, PublicCommand, Reacts, Respond, Scheduled, at_once
-from .rejection import not_in_charge, rejected, unknown_robot
+from .commands import (
+    Handlers,
+    PublicCommand,
+    Respond,
+    Scheduled,
+    at_once,
+    nobody,
+    not_in_charge,
+    rejected,
+    unknown_robot,
+)
 from .task import first_in_order
+
+HANDLERS = Handlers()
 
 
 class RespondToCall(PublicCommand):
@@ -77,6 +87,7 @@ NameRequester = Callable[[Request], Principal | None]
 """The requester that an architecture has on record before anything is executed."""
 
 
+@HANDLERS.decide(Respond, nobody)
 def respond(state: State, command: Respond, name_requester: NameRequester = requester_of) -> tuple[Event, ...]:
     """Approve the review or not, order the commands or resolve the failure, as the human answers.
 
@@ -92,6 +103,7 @@ def respond(state: State, command: Respond, name_requester: NameRequester = requ
     return _responded(state, call, approves, preferred, name_requester)
 
 
+@HANDLERS.decide(RespondToCall)
 def respond_to_call(
     state: State, command: RespondToCall, name_requester: NameRequester = requester_of
 ) -> tuple[Event, ...]:
@@ -164,6 +176,7 @@ def _responded(
     return (responded, resolved)
 
 
+@HANDLERS.decide(SetSupervisionDensity)
 def set_supervision_density(state: State, command: SetSupervisionDensity) -> tuple[Event, ...]:
     """Set the density: of a robot by its own supervisor or H_F, of every robot by H_F. Paper: sec:model:supervision."""
     subject = command.robot or "every robot"
@@ -181,6 +194,7 @@ def set_supervision_density(state: State, command: SetSupervisionDensity) -> tup
     )
 
 
+@HANDLERS.react(SupervisorCalled)
 def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the response to the executor's call; before there is an executor, the requester calls."""
     action, request = (
@@ -200,12 +214,3 @@ def awaiting(state: State, event: SupervisorCalled, caller: str | None) -> tuple
     key = f"{event.subject.action_id}/{event.purpose}/{ordinal}"
     response, verdict = Ask("human", "response", key, share), Ask("human", "verdict", key)
     return (Scheduled(Respond(state.supervision.called), 0, (response, at_once(caller)), verdict),)
-
-
-DECIDES: Decides = {
-    Respond: respond,
-    RespondToCall: respond_to_call,
-    SetSupervisionDensity: set_supervision_density,
-}
-ACTORS: Actors = {Respond: nobody}
-REACTS: Reacts = {SupervisorCalled: on_call}

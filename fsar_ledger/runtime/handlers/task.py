@@ -10,9 +10,24 @@ from fsar_ledger.projections.registry import possesses
 from fsar_ledger.projections.request import Requests
 from fsar_ledger.projections.task import Tasks, given_up_us
 
-from .actors import acting, next_in_task, nobody, requester
-from .commands import Actors, BeginStep, CompleteStep, Decides, ExpireTask, PublicCommand, Reacts, Scheduled, at_once
-from .rejection import rejected, unknown_capability, unknown_robot
+from .commands import (
+    BeginStep,
+    CompleteStep,
+    ExpireTask,
+    Handlers,
+    PublicCommand,
+    Scheduled,
+    acting,
+    at_once,
+    next_in_task,
+    nobody,
+    rejected,
+    requester,
+    unknown_capability,
+    unknown_robot,
+)
+
+HANDLERS = Handlers()
 
 
 class SubmitTask(PublicCommand):
@@ -26,6 +41,7 @@ class SubmitTask(PublicCommand):
     is_time_critical: bool = False
 
 
+@HANDLERS.decide(SubmitTask)
 def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
     """Record the task, whose first step will begin."""
     reason = unknown_robot(state.fleet, command.robot) or _impossible(state, command)
@@ -85,6 +101,7 @@ def _is_named(requests: Requests, task_id: str) -> bool:
     return any(request.task_id == task_id or name.startswith(task_id + "/") for name, request in requests.open.items())
 
 
+@HANDLERS.decide(BeginStep, next_in_task)
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
     """Begin the task's next step, complete the task, or give it up after so many budgets.
 
@@ -111,11 +128,13 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(ExpireTask, nobody)
 def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
     """Give up the task, if it is still open."""
     return () if state.task.get(command.task_id) is None else (TaskAbandoned(command.task_id),)
 
 
+@HANDLERS.decide(CompleteStep, requester)
 def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
     """Complete the step, unless it was already or its task was given up."""
     request = state.request.open.get(command.action_id)
@@ -142,6 +161,7 @@ def first_in_order(requests: Requests, tasks: Tasks, call: SupervisorCalled) -> 
     return call.competing if comes_before else call.subject.action_id
 
 
+@HANDLERS.react(StepCompleted)
 def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the next step; if another robot acts in it, the robot that acted in this one tells it."""
     task = state.task[event.subject.task_id]
@@ -151,6 +171,7 @@ def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled,
     return (Scheduled(BeginStep(event.subject.task_id), 1, told),)
 
 
+@HANDLERS.react(TaskArrived)
 def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the first step, and the time at which the task is given up.
 
@@ -158,13 +179,3 @@ def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Schedule
     """
     left_us = max(1, given_up_us(event, state.fleet.structure.expiry_budgets) - now_us)
     return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), left_us + 1))
-
-
-DECIDES: Decides = {
-    SubmitTask: submit_task,
-    BeginStep: begin_step,
-    CompleteStep: complete_step,
-    ExpireTask: expire_task,
-}
-ACTORS: Actors = {BeginStep: next_in_task, CompleteStep: requester, ExpireTask: nobody}
-REACTS: Reacts = {TaskArrived: _on_arrival, StepCompleted: _begin}

@@ -11,11 +11,24 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.trust import SCOPES, covers, follows_record, is_within, scope_of
 
-from .actors import named, nobody
-from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
-from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot, unknown_word
+from .commands import (
+    Command,
+    Handlers,
+    PublicCommand,
+    Scheduled,
+    expired_context,
+    named,
+    nobody,
+    not_in_charge,
+    rejected,
+    unknown_capability,
+    unknown_robot,
+    unknown_word,
+)
 
 BROADEST_BY_RECORD: TrustScope = "session"  # persistent trust is for an operator to give
+
+HANDLERS = Handlers()
 
 
 class SetTrust(PublicCommand):
@@ -90,6 +103,7 @@ def trusts(state: State, executor: Robot, requester: Robot, capability: str, con
     return covers(scope_of(state.trust, executor, requester, capability, context), required)
 
 
+@HANDLERS.decide(SetTrust)
 def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
     """Set the robot's trust in the peer, by word of its own supervisor or of H_F. Paper: eq:trust."""
     refused = unknown_robot(state.fleet, command.robot, command.peer) or not_in_charge(
@@ -118,6 +132,7 @@ def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(SetRoleTrust)
 def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
     """Set the trust between the roles, for pairs without an entry of their own. Paper: eq:trust."""
     members = state.fleet.robots.values()
@@ -149,6 +164,7 @@ def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(SetTrustThresholds)
 def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Event, ...]:
     """Let trust follow the record, by word of H_F. Paper: sec:model:trust."""
     refused = not_in_charge(state.fleet, command.issued_by, None, is_fleet_matter=True)
@@ -159,6 +175,7 @@ def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Eve
     return (TrustThresholdsSet(command.promote_after, command.downgrade_after, command.issued_by),)
 
 
+@HANDLERS.decide(AssessTrust, named)
 def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
     """Make trust one scope narrower or broader when the record has reached a threshold; none stays none.
 
@@ -187,6 +204,7 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(ExpireTrust, nobody)
 def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
     """End task-scoped trust that was given in the context of the finished task. Paper: sec:model:trust."""
     of_pairs = [
@@ -221,6 +239,7 @@ def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
     return (*of_pairs, *of_roles)
 
 
+@HANDLERS.react(RequestClosed, RequestDenied, ExecutionFailed, AuthorityRevoked)
 def _on_result(
     state: State, _event: RequestClosed | RequestDenied | ExecutionFailed | AuthorityRevoked, _now_us: int
 ) -> tuple[Scheduled, ...]:
@@ -230,23 +249,6 @@ def _on_result(
     return tuple(Scheduled(AssessTrust(*key)) for key in state.trust.judged)
 
 
+@HANDLERS.react(TaskCompleted, TaskAbandoned)
 def _on_task_over(state: State, event: TaskCompleted | TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(ExpireTrust(event.task_id)),) if event.task_id in state.trust.contexts else ()
-
-
-DECIDES: Decides = {
-    SetTrust: set_trust,
-    SetRoleTrust: set_role_trust,
-    SetTrustThresholds: set_trust_thresholds,
-    AssessTrust: assess_trust,
-    ExpireTrust: expire_trust,
-}
-ACTORS: Actors = {AssessTrust: named, ExpireTrust: nobody}
-REACTS: Reacts = {
-    RequestClosed: _on_result,
-    RequestDenied: _on_result,
-    ExecutionFailed: _on_result,
-    AuthorityRevoked: _on_result,
-    TaskCompleted: _on_task_over,
-    TaskAbandoned: _on_task_over,
-}

@@ -16,12 +16,13 @@ from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Requests
 
-from .actors import named, nobody
 from .authority import released
-from .commands import Actors, Command, Decides, Reacts, Scheduled, message
+from .commands import Command, Handlers, Scheduled, message, named, nobody
 from .execution import holds_robot
 
 WAITING = ("queued", "approaching", "held", "polling")
+
+HANDLERS = Handlers()
 
 
 class WithdrawTask(Command):
@@ -37,6 +38,7 @@ class EndClaims(Command):
     task_id: str
 
 
+@HANDLERS.decide(WithdrawTask, named)
 def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
     """Withdraw the actions of the task that the robot has not begun, and release every claim on them."""
     waiting = [
@@ -50,6 +52,7 @@ def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(EndClaims, nobody)
 def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
     """Release the claims on actions that no robot has."""
     never = {
@@ -89,6 +92,7 @@ def _is_step(requests: Requests, action: Action) -> bool:
     return request is None or not request.is_adhoc
 
 
+@HANDLERS.react(TaskAbandoned)
 def _on_abandoned(state: State, event: TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
     asked = {
         action.robot: action.requested_by or action.on_behalf_of
@@ -102,8 +106,3 @@ def _told(task_id: str, robot: Robot, by: str) -> Scheduled:
     if by == robot:
         return Scheduled(WithdrawTask(task_id, robot))
     return Scheduled(WithdrawTask(task_id, robot), 0, (message(by, task_id, f"given up/{robot}"),))
-
-
-DECIDES: Decides = {WithdrawTask: withdraw_task, EndClaims: end_claims}
-ACTORS: Actors = {WithdrawTask: named, EndClaims: nobody}
-REACTS: Reacts = {TaskAbandoned: _on_abandoned}

@@ -1,15 +1,16 @@
-"""Draws: pure functions of what they are used for.
+"""Draws: pure functions of what they are used for, and the environment that answers with them.
 
 A draw is the BLAKE2b hash of its name under the key of the run, so it does not depend on earlier draws, on any other
 stream, or on the architecture. No name contains an architecture or a configuration.
 """
 
 import struct
+from collections.abc import Sequence
 from hashlib import blake2b
 from math import log
 
-from fsar_ledger.constants import Range, WorldConstants
-from fsar_ledger.runtime.ports import AS_USUAL, Ask
+from fsar_ledger.constants import END_US, Range, WorldConstants
+from fsar_ledger.runtime.ports import AS_USUAL, Ask, Fact
 
 FOREVER_US = (
     10**15
@@ -94,3 +95,15 @@ class Draws:
         """Return the middle of the law by which a length is drawn. Units: microseconds."""
         low_us, scale = self._laws[ask.what]
         return round(min(low_us + scale / (2 * _SHARE), FOREVER_US)) * ask.share_ppm // 1_000_000
+
+
+class SimulatedEnvironment:
+    """A world in which these facts happen and these draws answer."""
+
+    __slots__ = ("answer", "facts", "latest_us", "middle")
+
+    def __init__(self, facts: Sequence[Fact], draws: Draws) -> None:
+        self.facts = facts
+        self.latest_us: int | None = 2 * END_US  # no simulated run is longer: one that is still busy then is a bug
+        self.answer = draws.answer
+        self.middle = draws.middle

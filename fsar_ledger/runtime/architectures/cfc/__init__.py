@@ -1,10 +1,9 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
-from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
+from fsar_ledger.runtime.architectures.handler_table import COMMON, Growth, HandlerTable
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers.shared import COMMON
 
-from . import answers, coordinator, execution, recovery, request
+from . import coordinator, execution, recovery, request
 
 CFC: HandlerTable = HandlerTable.of(
     *COMMON,
@@ -13,8 +12,8 @@ CFC: HandlerTable = HandlerTable.of(
     request,
     execution,
     recovery,
-    own=answers.OWN,
-    instead=answers.INSTEAD,
+    own=coordinator.OWN,
+    instead=coordinator.INSTEAD,
 )
 
 GROWTH = Growth(6, 350, 0, 12, 190, 0)

@@ -1,8 +1,9 @@
 """CFC: one coordinator serves all work in order of arrival and reads periodically synced copies.
 
-Paper: sec:evaluation:baselines.
+It calls supervisors, and records their answers without naming who asked. Paper: sec:evaluation:baselines.
 """
 
+from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import (
     COORDINATOR,
     FLEET_SUPERVISOR,
@@ -15,6 +16,7 @@ from fsar_ledger.events.envelope import (
 )
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.request import GapDetected, RequestDenied
+from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import SyncPhaseSet
 from fsar_ledger.projections.fleet import Fleet
@@ -24,12 +26,15 @@ from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.world import in_force
-from fsar_ledger.runtime.handlers.actors import nobody
+from fsar_ledger.runtime.handlers import supervision
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import Command, Decide, Handlers, React, Respond, Scheduled, nobody
+from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.ports import Ask
 
 NO_TIME = "no time left"  # why a step is denied whose task would be given up before the coordinator comes to it
+
+HANDLERS = Handlers()
 
 
 class Sync(Command):
@@ -88,6 +93,7 @@ def candidates_of(fleet: Fleet, registry: Registry, request: Request) -> tuple[R
     return (request.requester,)
 
 
+@HANDLERS.decide(Sync, nobody)
 def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
     """Copy the robots as they are now; keep the last copy of those that do not answer."""
     robots, copy = state.fleet.robots, state.knowledge.copy
@@ -112,6 +118,7 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
     )
 
 
+@HANDLERS.decide(ReachCoordinator, nobody)
 def reach_coordinator(
     state: State, command: ReachCoordinator
 ) -> tuple[GapDetected | WorkQueued | RequestDenied | TaskAbandoned, ...]:
@@ -156,10 +163,12 @@ def reach_coordinator(
     return queued
 
 
+@HANDLERS.react(SyncPhaseSet)
 def _first_sync(state: State, event: SyncPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(Sync(), max(1, event.phase_ppm * state.fleet.structure.sync_period_us // 1_000_000)),)
 
 
+@HANDLERS.react(CopySynced)
 def _next_sync(state: State, _event: CopySynced, now_us: int) -> tuple[Scheduled, ...]:
     structure = state.fleet.structure
     if now_us > structure.watch_us and not state.task:
@@ -167,14 +176,28 @@ def _next_sync(state: State, _event: CopySynced, now_us: int) -> tuple[Scheduled
     return (Scheduled(Sync(), structure.sync_period_us),)
 
 
+@HANDLERS.react(WorkQueued)
 def _on_work(_state: State, event: WorkQueued, now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(ProcessWork(event.subject.action_id, event.item), max(1, event.ready_us - now_us)),)
 
 
-DECIDES: Decides = {Sync: sync, ReachCoordinator: reach_coordinator}
-ACTORS: Actors = {
-    Sync: nobody,
-    ReachCoordinator: nobody,
-    ProcessWork: nobody,
-}
-REACTS: Reacts = {SyncPhaseSet: _first_sync, CopySynced: _next_sync, WorkQueued: _on_work}
+def _nobody(_request: Request) -> None:
+    return None
+
+
+def respond(state: State, command: Respond) -> tuple[Event, ...]:
+    """Record the answer that the called supervisor gave the coordinator, which does not know the requester."""
+    return supervision.respond(state, command, _nobody)
+
+
+def respond_to_call(state: State, command: RespondToCall) -> tuple[Event, ...]:
+    """Let the supervisor who was called answer the open call."""
+    return supervision.respond_to_call(state, command, _nobody)
+
+
+def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
+    return supervision.awaiting(state, event, COORDINATOR)
+
+
+INSTEAD: dict[React, React] = {supervision.on_call: _on_call}
+OWN: dict[type[Command], Decide] = {Respond: respond, RespondToCall: respond_to_call}

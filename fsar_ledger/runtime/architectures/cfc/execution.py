@@ -20,25 +20,27 @@ from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed
 from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Requests
-from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.authority import made_for, released
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
     Command,
     DecideRoutine,
-    Decides,
-    Reacts,
+    Handlers,
     ResumeAction,
     Scheduled,
     StartAction,
     TakeTurn,
     at_once,
+    body,
     message,
+    named,
+    nobody,
 )
 from fsar_ledger.runtime.handlers.execution import approach, pause_running, started, waiting
 
 from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_next_sync_us
+
+HANDLERS = Handlers()
 
 
 class SafeStop(Command):
@@ -54,12 +56,14 @@ class EndWatch(Command):
     window: str
 
 
+@HANDLERS.decide(StartAction, body)
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the execution."""
     action = waiting(state.execution, command.action_id)
     return () if action is None else (started(state.fleet, state.world, action, command),)
 
 
+@HANDLERS.decide(SafeStop, named)
 def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
     """Let the robot claim override over its actions, and both supervisors claim supervision where a window opened."""
     claimed: list[Event] = []
@@ -91,11 +95,13 @@ def _held(authority: Authority, requests: Requests, robot: Robot) -> list[str]:
     return held
 
 
+@HANDLERS.decide(EndWatch, nobody)
 def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
     """Release what the local supervisor watched over in this window."""
     return released(made_for(state.authority, command.window))
 
 
+@HANDLERS.decide(DecideRoutine, named)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; withhold a motion that the last copy of policy or rule forbids."""
     robot = command.robot
@@ -106,6 +112,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     return (RoutinePerformed(principals, robot, command.operation),)
 
 
+@HANDLERS.react(ContextChanged)
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
     paused = pause_running(state, event, now_us)
     if not _held(state.authority, state.request, event.robot):
@@ -113,10 +120,12 @@ def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Sched
     return (*paused, Scheduled(SafeStop(event.robot, event.window)))
 
 
+@HANDLERS.react(PolicyWindowClosed)
 def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(EndWatch(event.window)),) if made_for(state.authority, event.window) else ()
 
 
+@HANDLERS.react(ExecutionPaused)
 def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:
     """Tell the coordinator about the pause at the next sync."""
     return (
@@ -128,6 +137,7 @@ def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Schedu
     )
 
 
+@HANDLERS.react(ReplanOrdered)
 def _on_replan(state: State, event: ReplanOrdered, _now_us: int) -> tuple[Scheduled, ...]:
     task = state.task.get(event.task_id)
     if task is None:  # given up meanwhile
@@ -137,20 +147,4 @@ def _on_replan(state: State, event: ReplanOrdered, _now_us: int) -> tuple[Schedu
     return (Scheduled(ResumeAction(task.action_id), state.fleet.structure.replan_us, (plan,)),)
 
 
-DECIDES: Decides = {
-    TakeTurn: approach,
-    StartAction: start,
-    SafeStop: safe_stop,
-    EndWatch: end_watch,
-    DecideRoutine: decide_routine,
-}
-ACTORS: Actors = {
-    SafeStop: named,
-    EndWatch: nobody,
-}
-REACTS: Reacts = {
-    ContextChanged: _on_context,
-    PolicyWindowClosed: _on_window_closed,
-    ExecutionPaused: _on_pause,
-    ReplanOrdered: _on_replan,
-}
+HANDLERS.decide(TakeTurn, body)(approach)

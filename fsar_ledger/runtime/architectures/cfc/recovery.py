@@ -22,23 +22,25 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers.actors import body, helping, nobody
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
     Command,
-    Decides,
     EndAssistance,
     EndAttempt,
-    Reacts,
+    Handlers,
     Scheduled,
+    body,
+    helping,
     holds,
     lasts,
     message,
+    nobody,
 )
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
 from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, copied_policy, reach_coordinator, to_coordinator
+
+HANDLERS = Handlers()
 
 
 class ReachHelper(Command):
@@ -115,6 +117,7 @@ def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event
     )
 
 
+@HANDLERS.decide(EndAttempt, body)
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """End the ordered retry, which resolved the failure or did not."""
     failure = open_failure(state.execution, state.recovery, command.action_id)
@@ -130,6 +133,7 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(ReachHelper, helping)
 def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
     """Admit the request for help, or decline it while the helper is busy."""
     failure = open_failure(state.execution, state.recovery, command.action_id)
@@ -158,6 +162,7 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(GoOnWithoutHelp, nobody)
 def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, ...]:
     """Give the coordinator the failure again when the helper has not answered in time. Reading: R44."""
     failure = open_failure(state.execution, state.recovery, command.action_id)
@@ -166,6 +171,7 @@ def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, .
     return reach_coordinator(state, ReachCoordinator(command.action_id, NO_ANSWER, now_us=command.now_us))
 
 
+@HANDLERS.decide(EndAssistance, helping)
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
     """Free the helper, which resolved the failure or could not."""
     return assistance.end_assistance(state, command, "fleet")
@@ -182,20 +188,24 @@ def _report(
     return (to_coordinator(action_id, item, message(sender, f"{action_id}/{event.failure}", hop)),)
 
 
+@HANDLERS.react(ExecutionFailed)
 def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
     return _report(event, event.robot, "failure", "report")
 
 
+@HANDLERS.react(RecoveryAttempted)
 def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     order = (message(COORDINATOR, key, "order"), lasts("retry", key))
     return (Scheduled(EndAttempt(event.failed_action, event.number), 0, order, holds("retry/" + key)),)
 
 
+@HANDLERS.react(RecoveryAttemptFailed)
 def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
     return _report(event, event.robot, "retry-failed", "retry-report")
 
 
+@HANDLERS.react(AssistanceRequested)
 def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
     order = message(COORDINATOR, f"{event.failed_action}/{event.failure}", f"order/{event.helper}")
     late = GoOnWithoutHelp(event.failed_action, event.helper, event.failure)
@@ -205,35 +215,16 @@ def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[S
     )
 
 
+@HANDLERS.react(AssistanceDeclined)
 def _on_decline(_state: State, event: AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
     return _report(event, event.helper, "declined", f"decline/{event.helper}")
 
 
+@HANDLERS.react(AssistanceAdmitted)
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
     return (assistance.end_of(event, state.fleet.structure.assistance_us),)
 
 
+@HANDLERS.react(AssistanceFailed)
 def _on_no_help(_state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
     return _report(event, event.helper, "no help", f"no help/{event.helper}")
-
-
-DECIDES: Decides = {
-    EndAttempt: end_attempt,
-    ReachHelper: reach_helper,
-    GoOnWithoutHelp: go_on_without_help,
-    EndAssistance: end_assistance,
-}
-ACTORS: Actors = {
-    EndAttempt: body,
-    ReachHelper: helping,
-    GoOnWithoutHelp: nobody,
-}
-REACTS: Reacts = {
-    ExecutionFailed: _on_failure,
-    RecoveryAttempted: _on_attempt,
-    RecoveryAttemptFailed: _on_attempt_failed,
-    AssistanceRequested: _on_order,
-    AssistanceDeclined: _on_decline,
-    AssistanceAdmitted: _on_assistance,
-    AssistanceFailed: _on_no_help,
-}

@@ -29,19 +29,19 @@ from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request, Requests
 from fsar_ledger.projections.world import in_force, stricter
-from fsar_ledger.runtime.handlers.actors import named, nobody, target
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
 from fsar_ledger.runtime.handlers.authority import made_for, release, released
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
     CloseExecution,
     Command,
     CompleteStep,
-    Decides,
-    Reacts,
+    Handlers,
     Scheduled,
     at_once,
     message,
+    named,
+    nobody,
+    target,
 )
 from fsar_ledger.runtime.handlers.execution import queued
 
@@ -58,6 +58,8 @@ from .coordinator import (
 )
 
 AGAIN = "assigned again: "
+
+HANDLERS = Handlers()
 
 
 class CommandReviewed(Command):
@@ -92,6 +94,7 @@ class DenyOutsider(Command):
     action_id: str
 
 
+@HANDLERS.decide(ProcessWork, nobody)
 def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
     """Process one item of the coordinator's work."""
     match command.item:
@@ -126,6 +129,7 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     return (*records, *_commanded(request, robot, not idle))
 
 
+@HANDLERS.decide(CommandReviewed, nobody)
 def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...]:
     """Command the approved step, or deny one that was not approved."""
     request = state.request.open.get(command.action_id)
@@ -161,6 +165,7 @@ def _commanding(executor: Robot | None) -> Principals:
     return parties.decided(COORDINATOR)
 
 
+@HANDLERS.decide(ReceiveCommand, named)
 def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
     """Queue the command at the robot; ask H_F for the order where it would be a second delegation.
 
@@ -181,6 +186,7 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(GoOnWithout, nobody)
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     """Take back a command that no robot confirmed in time, and match its step again. Reading: R44."""
     request = state.request.open.get(command.action_id)
@@ -192,6 +198,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(QueueOrdered, target)
 def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     """Queue the second command and release its claim on the running action."""
     request = state.request.open.get(command.action_id)
@@ -208,6 +215,7 @@ def _queued(request: Request, robot: Robot) -> ExecutionQueued:
     return queued(request, parties, robot)
 
 
+@HANDLERS.decide(CloseExecution, nobody)
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
     """End every claim on the execution, except the coordinator's override, which ends with the completion."""
     claims = state.authority.claims.get(command.action_id, ())
@@ -225,6 +233,7 @@ def _complete(requests: Requests, command: ProcessWork) -> tuple[Event, ...]:
     return (RequestClosed(request.request_subject, _commanding(request.target)), closed)
 
 
+@HANDLERS.decide(DenyOutsider, nobody)
 def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
     """Deny the outsider's request for lack of trust."""
     request = state.request.open[command.action_id]
@@ -238,10 +247,12 @@ def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.react(StepBegan)
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
     return (to_coordinator(event.subject.action_id, "step", message(event.robot, event.subject.action_id, 0)),)
 
 
+@HANDLERS.react(RequestDenied, RequestUnanswered)
 def _on_denial(state: State, event: RequestDenied | RequestUnanswered, now_us: int) -> tuple[Scheduled, ...]:
     task = state.task.get(event.subject.task_id or "")
     if task is None or (isinstance(event, RequestDenied) and event.reason == NO_TIME):
@@ -251,6 +262,7 @@ def _on_denial(state: State, event: RequestDenied | RequestUnanswered, now_us: i
     )
 
 
+@HANDLERS.react(SupervisorResponded)
 def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "review":
         return (Scheduled(CommandReviewed(event.subject.action_id)),)
@@ -261,6 +273,7 @@ def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tup
     )
 
 
+@HANDLERS.react(CommandIssued)
 def _on_command(state: State, event: CommandIssued, _now_us: int) -> tuple[Scheduled, ...]:
     received = Scheduled(
         ReceiveCommand(event.subject.action_id, event.robot), 0, (message(COORDINATOR, event.subject.action_id, 1),)
@@ -268,6 +281,7 @@ def _on_command(state: State, event: CommandIssued, _now_us: int) -> tuple[Sched
     return (received, Scheduled(GoOnWithout(event.subject.action_id, event.robot), state.fleet.answer_us))
 
 
+@HANDLERS.react(OwnStepDecided)
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     task = state.task.get(event.subject.task_id)
     if task is None:  # given up meanwhile
@@ -282,6 +296,7 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
     )
 
 
+@HANDLERS.react(ExecutionFinished)
 def _on_finish(_state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
     close = Scheduled(CloseExecution(event.subject.action_id))
     return (
@@ -290,6 +305,7 @@ def _on_finish(_state: State, event: ExecutionFinished, _now_us: int) -> tuple[S
     )
 
 
+@HANDLERS.react(AuthorityReleased)
 def _on_release(state: State, event: AuthorityReleased, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the completion of the step, unless its command was taken back."""
     request = state.request.open.get(event.subject.action_id)
@@ -299,35 +315,6 @@ def _on_release(state: State, event: AuthorityReleased, _now_us: int) -> tuple[S
     return (Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(COORDINATOR),)),)
 
 
+@HANDLERS.react(OutsiderRequestInjected)
 def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(DenyOutsider(event.task_id), 0, (message(event.robot, event.task_id, 0),)),)
-
-
-DECIDES: Decides = {
-    ProcessWork: process,
-    CommandReviewed: command_reviewed,
-    ReceiveCommand: receive_command,
-    GoOnWithout: go_on_without,
-    QueueOrdered: queue_ordered,
-    CloseExecution: close_execution,
-    DenyOutsider: deny_outsider,
-}
-ACTORS: Actors = {
-    CommandReviewed: nobody,
-    ReceiveCommand: named,
-    GoOnWithout: nobody,
-    QueueOrdered: target,
-    CloseExecution: nobody,
-    DenyOutsider: nobody,
-}
-REACTS: Reacts = {
-    StepBegan: _on_step,
-    RequestDenied: _on_denial,
-    RequestUnanswered: _on_denial,
-    SupervisorResponded: _on_response,
-    CommandIssued: _on_command,
-    OwnStepDecided: _on_own_step,
-    ExecutionFinished: _on_finish,
-    AuthorityReleased: _on_release,
-    OutsiderRequestInjected: _on_outsider,
-}

@@ -1,30 +1,131 @@
-"""DHMA: every robot is four fleet-visible agents that pass work to each other. Paper: sec:evaluation:baselines."""
+"""DHMA: every robot is four fleet-visible agents that talk and pass work to each other.
 
+A talk is the row of agents through which the work goes. Each hop in it takes the latency of an internal message and
+leaves one record, in every phase; what is decided at its end has these agents as its path. Paper:
+sec:evaluation:baselines. Reading: R21.
+"""
+
+from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Agent, PolicyOutcome, Robot, agent
+from fsar_ledger.events.envelope import Agent, AgentKind, PolicyOutcome, Robot, agent
 from fsar_ledger.events.knowledge import PlannerEngaged, SnapshotTaken
-from fsar_ledger.events.request import ContractQuestioned
+from fsar_ledger.events.request import ContractQuestioned, GapDetected, InternalHandoff
+from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, SnapshotPhaseSet
 from fsar_ledger.projections.authority import Authority
 from fsar_ledger.projections.execution import Action, Execution
+from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.knowledge import Knowledge
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force
-from fsar_ledger.runtime.handlers.actors import named, nobody
-from fsar_ledger.runtime.handlers.attribution import is_injected
+from fsar_ledger.runtime.handlers.attribution import is_injected, recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
-from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import (
+    CloseExecution,
+    Command,
+    Handlers,
+    Scheduled,
+    hop,
+    hops,
+    named,
+    nobody,
+    requester,
+)
 from fsar_ledger.runtime.handlers.execution import pause_running
+from fsar_ledger.runtime.ports import Ask
+
+Talk = tuple[AgentKind, ...]
+TalkPlan = tuple[tuple[Ask, ...], Scheduled]
+
+CALL: Talk = ("planning", "communication")  # the planner wants another robot asked
+EVALUATION: Talk = (
+    "communication",
+    "planning",
+    "execution",
+)  # a call comes in, is judged, and the means for it are confirmed
+RELAY: Talk = ("communication", "planning")  # word from another robot reaches the planner
+TO_PLANNING: Talk = ("communication", "planning")  # an award goes from agent to agent ...
+TO_EXECUTION: Talk = ("planning", "execution")
+FROM_PLANNING: Talk = ("planning", "communication")  # ... and each acknowledges it
+FROM_EXECUTION: Talk = ("execution", "planning")
+SETTLEMENT: Talk = ("communication", "planning", "execution", "communication")  # what a double booking comes to
+VOIDING: Talk = ("execution", "communication", "planning", "communication")  # a contract that no longer holds
+OWN_STEP: Talk = ("planning", "execution")
+OWN_RESULT: Talk = ("execution", "planning")
+RESULT: Talk = ("execution", "communication")
+RECOVERY: Talk = (
+    "execution",
+    "recovery",
+    "planning",
+    "recovery",
+)  # a failure, or how an attempt ended: recovery hears of it and asks the planner
+REPLANNING: Talk = ("execution", "planning", "execution", "planning")  # the change, the new plan, its confirmation
+RENEGOTIATION: Talk = (
+    "communication",
+    "planning",
+    "communication",
+    "planning",
+    "communication",
+)  # the other robot agrees to it
+
+HANDLERS = Handlers()
+
+
+class HandOver(Command):
+    """Record a talk between the agents of a robot."""
+
+    robot: Robot
+    agents: Talk
+
+
+@HANDLERS.decide(HandOver, named)
+def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
+    """Record each hop, without a requester: no message between agents names one."""
+    names = path(command.robot, command.agents)
+    parties = recorded_by(state.fleet, state.world, command.robot, requested_by=None, executed_by=command.robot)
+    # See docs/decisions/dhma-hops-are-records.md.
+    return tuple([InternalHandoff(parties, sender, receiver) for sender, receiver in pairwise(names)])
+
+
+def talk(
+    fleet: Fleet,
+    robot: Robot,
+    agents: Talk,
+    key: str,
+    name: int | str,
+    before: tuple[Ask, ...] = (),
+    after_us: int = 0,
+) -> TalkPlan:
+    """Return how long these agents talk, and schedule the record of it.
+
+    The talk begins after what comes `before` it, and after `after_us`.
+    """
+    said = (hop(fleet, key, name),) if len(agents) == 2 else hops(fleet, key, str(name), len(agents) - 1)
+    lengths = (*before, *said)
+    return lengths, Scheduled(HandOver(robot, agents), after_us, lengths)
+
+
+@lru_cache(1 << 15)  # a talk of every robot of a large fleet: most of its events are hops
+def path(robot: Robot, agents: Talk) -> tuple[Agent, ...]:
+    """Return the path of a decision that went through these agents of the robot, decider last."""
+    return tuple(agent(robot, kind) for kind in agents)
 
 
 class TakeSnapshot(Command):
     """Refresh a planner's snapshot of the robot's own policy."""
 
     robot: Robot
+
+
+class DetectGap(Command):
+    """Detect that the step needs another robot."""
+
+    action_id: str
 
 
 class EngagePlanner(Command):
@@ -43,11 +144,24 @@ def snapshot(knowledge: Knowledge, robot: Robot) -> PolicyOutcome:
     return knowledge.snapshot.get(robot, "allow")
 
 
+@HANDLERS.decide(TakeSnapshot, named)
 def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
     """Refresh the planner's snapshot with the policy as it is now."""
     return (SnapshotTaken(command.robot, in_force(state.world.local, command.robot)),)
 
 
+@HANDLERS.decide(DetectGap, requester)
+def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
+    """Record the planner's finding that the step needs another robot."""
+    request = state.request.open.get(command.action_id)
+    if request is None:
+        return ()
+    robot = request.requester
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=None)
+    return (GapDetected(request.subject, parties, request.capability),)
+
+
+@HANDLERS.decide(EngagePlanner, named)
 def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
     """Make every agent that is party to an open action of the robot claim override until the action ends."""
     robot = command.robot
@@ -94,6 +208,7 @@ def claims(
     ]
 
 
+@HANDLERS.react(SnapshotPhaseSet)
 def _first_snapshot(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:
     return (
         Scheduled(
@@ -102,6 +217,7 @@ def _first_snapshot(state: State, event: SnapshotPhaseSet, _now_us: int) -> tupl
     )
 
 
+@HANDLERS.react(SnapshotTaken)
 def _next_snapshot(state: State, event: SnapshotTaken, now_us: int) -> tuple[Scheduled, ...]:
     structure = state.fleet.structure
     if now_us > structure.watch_us and not state.task:
@@ -109,14 +225,14 @@ def _next_snapshot(state: State, event: SnapshotTaken, now_us: int) -> tuple[Sch
     return (Scheduled(TakeSnapshot(event.robot), structure.snapshot_period_us),)
 
 
+@HANDLERS.react(StepBegan)
+def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(DetectGap(event.subject.action_id)),) if event.target_role is not None else ()
+
+
+@HANDLERS.react(ContextChanged)
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
     return (*pause_running(state, event, now_us), Scheduled(EngagePlanner(event.robot)))
 
 
-DECIDES: Decides = {TakeSnapshot: take_snapshot, EngagePlanner: engage_planner, CloseExecution: close_execution}
-ACTORS: Actors = {
-    TakeSnapshot: named,
-    EngagePlanner: named,
-    CloseExecution: nobody,
-}
-REACTS: Reacts = {SnapshotPhaseSet: _first_snapshot, SnapshotTaken: _next_snapshot, ContextChanged: _on_context}
+HANDLERS.decide(CloseExecution, nobody)(close_execution)

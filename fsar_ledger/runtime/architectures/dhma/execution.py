@@ -1,9 +1,14 @@
-"""DHMA: the robot's agents plan, start and repair execution among themselves. Paper: sec:evaluation:baselines."""
+"""DHMA: agents pass execution authority on, and plan, start and repair execution among themselves.
+
+Each agent keeps authority until the next acknowledges. Paper: sec:evaluation:baselines.
+"""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, RequestSubject
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, AgentKind, Parties, RequestSubject, agent
 from fsar_ledger.events.execution import (
     ExecutionPaused,
+    ExecutionQueued,
     ExecutionWithdrawn,
     OwnStepDecided,
     RoutinePerformed,
@@ -11,31 +16,200 @@ from fsar_ledger.events.execution import (
     RoutineWithheld,
 )
 from fsar_ledger.events.knowledge import PlannerEngaged
-from fsar_ledger.events.request import ContractVoided, RequestDenied
+from fsar_ledger.events.request import ContractVoided, RequestAdmitted, RequestDenied, RequestIssued
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.world import OutsiderRequestInjected
+from fsar_ledger.projections.execution import Action, Execution
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.handlers.actors import requester
+from fsar_ledger.projections.request import Requests
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
-    BeginStep,
     Command,
     DecideRoutine,
-    Decides,
-    Reacts,
+    Handlers,
     ResumeAction,
     Scheduled,
     StartAction,
     TakeTurn,
     at_once,
+    begin_again,
+    body,
     message,
+    named,
+    requester,
+    target,
 )
 from fsar_ledger.runtime.handlers.execution import approach, queued, started, waiting
 
-from .agents import snapshot
-from .talk import OWN_STEP, RENEGOTIATION, REPLANNING, path, talk
+from .agents import (
+    CALL,
+    FROM_EXECUTION,
+    FROM_PLANNING,
+    OWN_STEP,
+    RENEGOTIATION,
+    REPLANNING,
+    SETTLEMENT,
+    TO_EXECUTION,
+    TO_PLANNING,
+    TalkPlan,
+    path,
+    snapshot,
+    talk,
+)
+
+HANDLERS = Handlers()
+
+
+class PassExecution(Command):
+    """Deliver the work to the executor's next agent."""
+
+    action_id: str
+    round: int
+    sender: AgentKind
+    receiver: AgentKind
+
+
+class AcknowledgeExecution(Command):
+    """Deliver the receiver's acknowledgement to the sender."""
+
+    action_id: str
+    round: int
+    sender: AgentKind
+
+
+class SettleBooking(Command):
+    """Settle the double booking that the two agents have agreed about."""
+
+    action_id: str
+
+
+class RunOutsider(Command):
+    """Run an out-of-trust request that a nested query has carried past visibility."""
+
+    action_id: str
+
+
+def _under_contract(execution: Execution, requests: Requests, action_id: str, contract: int) -> Action | None:
+    """Return the action while this round's contract holds it."""
+    action, request = execution.actions.get(action_id), requests.open.get(action_id)
+    if action is None or request is None or request.round != contract or action.stage == "withdrawn":
+        return None
+    return action
+
+
+@HANDLERS.decide(PassExecution, body)
+def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
+    """Let the receiver claim execution as well."""
+    action = _under_contract(state.execution, state.request, command.action_id, command.round)
+    if action is None:
+        return ()
+    receiver = agent(action.robot, command.receiver)
+    return (AuthorityClaimed(action.subject, "execution", receiver, command.receiver),)
+
+
+@HANDLERS.decide(AcknowledgeExecution, body)
+def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[Event, ...]:
+    """Release the sender's claim on execution."""
+    action = _under_contract(state.execution, state.request, command.action_id, command.round)
+    if action is None:
+        return ()
+    sender = agent(action.robot, command.sender)
+    return tuple(
+        AuthorityReleased(claim.subject, "execution", sender, claim.reason)
+        for claim in state.authority.claims.get(command.action_id, ())
+        if (claim.dimension, claim.claimant) == ("execution", sender)
+    )
+
+
+@HANDLERS.decide(SettleBooking, body)
+def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
+    """Resolve the double booking."""
+    return release(state.authority, command.action_id, "double booking")
+
+
+@HANDLERS.decide(RunOutsider, target)
+def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
+    """Run the request unchecked, without an executor or a supervisor on record."""
+    request = state.request.open.get(command.action_id)
+    if request is None or request.target is None:
+        return ()
+    robot, peer, subject = request.requester, request.target, request.request_subject
+    unnamed = Parties(requested_by=robot, executed_by=None, supervised_by=None)
+    return (
+        RequestIssued(subject=subject, principals=unnamed.decided(*path(robot, CALL)), capability=request.capability),
+        RequestAdmitted(subject=subject, principals=unnamed.decided(*path(peer, ("communication",))), outcome="allow"),
+        ExecutionQueued(
+            subject=request.subject,
+            principals=unnamed,
+            robot=peer,
+            on_behalf_of=robot,
+            capability=request.capability,
+            step=0,
+            attempt=1,
+            is_delegated=False,
+            has_approach=False,
+            is_supervised=False,
+        ),
+    )
+
+
+@HANDLERS.react(AuthorityClaimed)
+def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple[Scheduled, ...]:
+    """Pass execution from communication to planning to the execution agent.
+
+    Each link takes one hop, and so does each acknowledgement.
+    """
+    request = state.request.open.get(event.subject.action_id)
+    if request is None or request.target is None:
+        return ()
+    key, robot = f"{event.subject.action_id}/{request.round}", request.target
+    contract = (event.subject.action_id, request.round)
+    match event.reason:
+        case "double booking" if event.claimant == agent(robot, "execution"):
+            said, record = talk(state.fleet, robot, SETTLEMENT, key, "settle")
+            return (
+                Scheduled(
+                    SettleBooking(event.subject.action_id),
+                    0,
+                    (*said, message(robot, key, "settle"), message(request.requester, key, "settled")),
+                ),
+                record,
+            )
+        case "acceptance":
+            return _heard(
+                talk(state.fleet, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING)
+            )
+        case "planning":
+            acknowledged = _heard(
+                talk(state.fleet, robot, FROM_PLANNING, key, "acknowledged"),
+                AcknowledgeExecution(*contract, "communication"),
+            )
+            return (
+                *acknowledged,
+                *_heard(
+                    talk(state.fleet, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)
+                ),
+            )
+        case "execution":
+            return _heard(
+                talk(state.fleet, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning")
+            )
+        case _:
+            return ()
+
+
+def _heard(said: TalkPlan, command: Command) -> tuple[Scheduled, ...]:
+    """Schedule what follows once the agents have talked, and the record of their talk."""
+    lengths, record = said
+    return (Scheduled(command, 0, lengths), record)
+
+
+@HANDLERS.react(OutsiderRequestInjected)
+def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
+    said, record = talk(state.fleet, event.robot, CALL, event.task_id, "query")
+    return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.robot, event.task_id, 0))), record)
 
 
 class PlanOwnStep(Command):
@@ -50,6 +224,7 @@ class QueueOwnStep(Command):
     action_id: str
 
 
+@HANDLERS.decide(PlanOwnStep, requester)
 def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     """Decide to do the step, unless the planner's snapshot forbids it for now."""
     request = state.request.open.get(command.action_id)
@@ -66,6 +241,7 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     return (OwnStepDecided(request.subject, principals, request.capability),)
 
 
+@HANDLERS.decide(QueueOwnStep, requester)
 def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     """Queue the step for the robot."""
     request = state.request.open.get(command.action_id)
@@ -76,6 +252,7 @@ def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     return (queued(request, parties, robot),)
 
 
+@HANDLERS.decide(StartAction, body)
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the execution, or void the contract if a party's context has changed since the award."""
     action = waiting(state.execution, command.action_id)
@@ -91,6 +268,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     return (started(state.fleet, state.world, action, command),)
 
 
+@HANDLERS.decide(DecideRoutine, named)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation: sensing by one agent, a motion by the planner.
 
@@ -109,16 +287,19 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.react(StepBegan)
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(PlanOwnStep(event.subject.action_id)),) if event.target_role is None else ()
 
 
+@HANDLERS.react(RequestDenied)
 def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
     if event.reason != "own step" or event.subject.task_id is None or event.subject.action_id is None:
         return ()
-    return (Scheduled(BeginStep(event.subject.task_id, event.subject.action_id), state.fleet.structure.back_off_us),)
+    return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
 
 
+@HANDLERS.react(SupervisorResponded)
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.open.get(event.subject.action_id)
     if event.purpose != "review" or request is None or request.is_delegated:
@@ -126,6 +307,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     return (Scheduled(PlanOwnStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
 
 
+@HANDLERS.react(OwnStepDecided)
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.subject.action_id is not None
     said, record = talk(
@@ -138,6 +320,7 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
     return (Scheduled(QueueOwnStep(event.subject.action_id), 0, said), record)
 
 
+@HANDLERS.react(ExecutionPaused)
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
     """Replan through the robot's agents; a delegated action also needs the other robot's agents."""
     structure = state.fleet.structure
@@ -161,21 +344,4 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     )
 
 
-DECIDES: Decides = {
-    PlanOwnStep: plan_own_step,
-    QueueOwnStep: queue_own_step,
-    TakeTurn: approach,
-    StartAction: start,
-    DecideRoutine: decide_routine,
-}
-ACTORS: Actors = {
-    PlanOwnStep: requester,
-    QueueOwnStep: requester,
-}
-REACTS: Reacts = {
-    StepBegan: _on_step,
-    RequestDenied: _on_denial,
-    SupervisorResponded: _on_response,
-    OwnStepDecided: _on_own_step,
-    ExecutionPaused: _on_pause,
-}
+HANDLERS.decide(TakeTurn, body)(approach)

@@ -15,16 +15,16 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import parties
 from fsar_ledger.runtime.handlers.authority import release
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, EndAttempt, Reacts, Scheduled, holds, lasts
+from fsar_ledger.runtime.handlers.commands import Command, EndAttempt, Handlers, Scheduled, body, holds, lasts
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, attempted, open_failure
 
-from .agents import claims, planner
-from .talk import RECOVERY, Talk, path, talk
+from .agents import RECOVERY, Talk, claims, path, planner, talk
 
 DISPUTE = "dispute"
+
+HANDLERS = Handlers()
 
 
 class Dispute(Command):
@@ -53,6 +53,7 @@ def _is_disputed(authority: Authority, action_id: str) -> bool:
     return any(claim.reason == DISPUTE for claim in authority.claims.get(action_id, ()))
 
 
+@HANDLERS.decide(Dispute, body)
 def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
     """Let the recovery and the planning agent both claim override until the failure is over."""
     match open_failure(state.execution, state.recovery, command.action_id):
@@ -63,6 +64,7 @@ def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
             return ()
 
 
+@HANDLERS.decide(StartRecovery, body)
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """Start the first attempt to recover."""
     match open_failure(state.execution, state.recovery, command.action_id):
@@ -77,6 +79,7 @@ def _attempted(fleet: Fleet, world: World, action: Action, recovery: Recovery) -
     return attempted(action, recovery, _heard_by(fleet, world, action), deadline_us)
 
 
+@HANDLERS.decide(EndAttempt, body)
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """Resolve the failure or start the next attempt.
 
@@ -100,6 +103,7 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
             return ()
 
 
+@HANDLERS.decide(Escalate, body)
 def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
     """Call H_F."""
     match open_failure(state.execution, state.recovery, command.action_id):
@@ -129,6 +133,7 @@ def _escalated(
     )
 
 
+@HANDLERS.react(ExecutionFailed)
 def _on_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.subject.action_id}/{event.failure}"
     told, record = talk(state.fleet, event.robot, RECOVERY, key, "told")
@@ -138,6 +143,7 @@ def _on_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Sche
     return (start, record)
 
 
+@HANDLERS.react(PlannerEngaged)
 def _on_engagement(state: State, event: PlannerEngaged, _now_us: int) -> tuple[Scheduled, ...]:
     engagement_us = state.fleet.structure.engagement_us
     return tuple(
@@ -147,6 +153,7 @@ def _on_engagement(state: State, event: PlannerEngaged, _now_us: int) -> tuple[S
     )
 
 
+@HANDLERS.react(RecoveryAttempted)
 def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end = EndAttempt(event.failed_action, event.number)
@@ -155,20 +162,6 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
     return (Scheduled(end, preparation_us, length, holds("retry/" + key)), record)
 
 
+@HANDLERS.react(RecoveryAttemptFailed)
 def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(Escalate(event.subject.action_id), state.fleet.structure.dispute_timeout_us),)
-
-
-DECIDES: Decides = {Dispute: dispute, StartRecovery: start_recovery, EndAttempt: end_attempt, Escalate: escalate}
-ACTORS: Actors = {
-    Dispute: body,
-    StartRecovery: body,
-    EndAttempt: body,
-    Escalate: body,
-}
-REACTS: Reacts = {
-    ExecutionFailed: _on_failure,
-    PlannerEngaged: _on_engagement,
-    RecoveryAttempted: _on_attempt,
-    RecoveryAttemptFailed: _on_attempt_failed,
-}

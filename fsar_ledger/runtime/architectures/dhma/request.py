@@ -5,11 +5,13 @@ from typing import Any
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, PolicyOutcome, Principal, Robot, agent
+from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
     AwardMade,
     BidSubmitted,
+    ContractVoided,
     GapDetected,
     RequestAccepted,
     RequestAdmitted,
@@ -19,31 +21,33 @@ from fsar_ledger.events.request import (
     RequestIssued,
     RequestUnanswered,
 )
-from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.world import World, is_linked
-from fsar_ledger.runtime.handlers.actors import named, requester, target
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, pending_of_other_task, recorded_by
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
+    CloseExecution,
     CloseRequest,
     Command,
-    Decides,
-    Reacts,
+    CompleteStep,
+    Handlers,
+    Scheduled,
+    at_once,
+    begin_again,
+    message,
+    named,
+    requester,
+    target,
 )
 from fsar_ledger.runtime.handlers.execution import queued
+from fsar_ledger.runtime.ports import Ask
 
-from .agents import snapshot
-from .talk import CALL, EVALUATION, path
+from .agents import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, path, snapshot, talk
 
-
-class DetectGap(Command):
-    """Detect that the step needs another robot."""
-
-    action_id: str
+HANDLERS = Handlers()
 
 
 class CallForProposals(Command):
@@ -106,15 +110,7 @@ def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
     return None
 
 
-def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
-    """Record the planner's finding that the step needs another robot."""
-    request = state.request.open.get(command.action_id)
-    if request is None:
-        return ()
-    parties = _parties(state.fleet, state.world, request, request.requester, None)
-    return (GapDetected(request.subject, parties, request.capability),)
-
-
+@HANDLERS.decide(CallForProposals, requester)
 def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
     """Call every capable robot."""
     request = state.request.open.get(command.action_id)
@@ -135,6 +131,7 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
     )
 
 
+@HANDLERS.decide(EvaluateBid, named)
 def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     """Bid by the snapshot of the candidate's planner, without naming the agent that would execute."""
     request = state.request.open.get(command.action_id)
@@ -143,24 +140,22 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     robot, outcome = command.robot, snapshot(state.knowledge, command.robot)
     parties = _parties(state.fleet, state.world, request, robot, None)  # a candidate is not yet the executor
     judging = parties.decided(*path(robot, EVALUATION))
-    decided: Event
+    submitted = BidSubmitted(request.task_id, parties, robot, outcome)
     if outcome == "deny":
-        decided = RequestDenied(request.request_subject, judging, "bid")
-    else:
-        decided = RequestAdmitted(subject=request.request_subject, principals=judging, outcome=outcome)
-    return (decided, BidSubmitted(request.task_id, parties, robot, outcome))
+        return (RequestDenied(request.request_subject, judging, "bid"), submitted)
+    return (RequestAdmitted(subject=request.request_subject, principals=judging, outcome=outcome), submitted)
 
 
+@HANDLERS.decide(ReceiveBid, requester)
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
     """Record the bid at the requester's planner."""
     request = state.request.open.get(command.action_id)
-    return (
-        ()
-        if request is None or request.is_unanswered
-        else (BidReceived(request.subject, command.robot, command.outcome),)
-    )
+    if request is None or request.is_unanswered:
+        return ()
+    return (BidReceived(request.subject, command.robot, command.outcome),)
 
 
+@HANDLERS.decide(Award, requester)
 def award(state: State, command: Award) -> tuple[Event, ...]:
     """Award the contract, or put the best bid before H_F."""
     request = state.request.open.get(command.action_id)
@@ -178,6 +173,7 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
     return (AwardMade(request.task_id, parties, best[0]),)
 
 
+@HANDLERS.decide(CloseBidding, requester)
 def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
     """Count robots that the call did not reach in time as refusals, and award to the best of the others.
 
@@ -208,6 +204,7 @@ def _may_answer(world: World, request: Request) -> bool:
     )
 
 
+@HANDLERS.decide(GoOnWithout, requester)
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     """Void an award that was not accepted in time; the step is tried again later. Reading: R44."""
     request = state.request.open.get(command.action_id)
@@ -222,6 +219,7 @@ def _unanswered(fleet: Fleet, world: World, request: Request, executor: Robot | 
     return RequestUnanswered(request.subject, principals, request.capability)
 
 
+@HANDLERS.decide(AcceptAward, target)
 def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
     """Commit the executor; its communication agent claims execution until the planner acknowledges."""
     request = state.request.open.get(command.action_id)
@@ -235,9 +233,8 @@ def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
         made.append(RequestDeferred(request.request_subject, principals))
     made.append(_claim(request, "execution", agent(robot, "communication"), "acceptance"))
     if pending_of_other_task(state.execution, robot, request.task_id) is not None:
-        made += [
-            _claim(request, "override", agent(robot, kind), "double booking") for kind in ("communication", "execution")
-        ]
+        made.append(_claim(request, "override", agent(robot, "communication"), "double booking"))
+        made.append(_claim(request, "override", agent(robot, "execution"), "double booking"))
     return (*made, queued(request, parties, robot))
 
 
@@ -250,6 +247,7 @@ def _parties(fleet: Fleet, world: World, request: Request, near: Robot, executor
     return recorded_by(fleet, world, near, requested_by=request.requester, executed_by=executor)
 
 
+@HANDLERS.decide(CloseRequest, requester)
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     """Close the request at the requester's communication agent."""
     request = state.request.open.get(command.action_id)
@@ -260,26 +258,122 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     return (RequestClosed(request.request_subject, principals),)
 
 
-DECIDES: Decides = {
-    DetectGap: detect_gap,
-    CallForProposals: call_for_proposals,
-    EvaluateBid: evaluate_bid,
-    ReceiveBid: receive_bid,
-    Award: award,
-    CloseBidding: close_bidding,
-    GoOnWithout: go_on_without,
-    AcceptAward: accept_award,
-    CloseRequest: close_request,
-}
-ACTORS: Actors = {
-    DetectGap: requester,
-    CallForProposals: requester,
-    EvaluateBid: named,
-    ReceiveBid: requester,
-    Award: requester,
-    CloseBidding: requester,
-    GoOnWithout: requester,
-    AcceptAward: target,
-    CloseRequest: requester,
-}
-REACTS: Reacts = {}
+LONGEST = 3  # a call that is delivered within the answer time, and two hops, are over after so many of them
+
+
+def call(fleet: Fleet, request: Request, robot: Robot, before: tuple[Ask, ...] = ()) -> tuple[Scheduled, ...]:
+    """Deliver the call to the candidate, whose agents work out a bid. The waits `before` come first."""
+    key = f"{request.action_id}/{request.round}/{robot}"
+    said, record = talk(fleet, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
+    return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
+
+
+@HANDLERS.react(GapDetected)
+def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
+    assert event.subject.action_id is not None
+    robot = state.request.open[event.subject.action_id].requester
+    said, record = talk(state.fleet, robot, CALL, event.subject.action_id, 0)
+    return (Scheduled(CallForProposals(event.subject.action_id), 0, said), record)
+
+
+@HANDLERS.react(RegistryQueried)
+def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
+    assert event.subject.action_id is not None
+    request = state.request.open[event.subject.action_id]
+    calls = tuple(scheduled for robot in event.candidates for scheduled in call(state.fleet, request, robot))
+    return (*calls, *_closing(state.fleet, request, (at_once(request.requester),)))
+
+
+def _closing(fleet: Fleet, request: Request, waits: tuple[Ask, ...]) -> tuple[Scheduled, ...]:
+    """Schedule both ends of bidding.
+
+    The first is when the calls should have been delivered; the last is later by the longest time that agents take to
+    judge a delivered call.
+    """
+    answer_us = fleet.answer_us
+    last = CloseBidding(request.action_id, request.round, is_last=True)
+    return (
+        Scheduled(CloseBidding(request.action_id, request.round), answer_us, waits),
+        Scheduled(last, LONGEST * answer_us, waits),
+    )
+
+
+@HANDLERS.react(BidSubmitted)
+def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request.open.get(state.task[event.task_id].action_id) if event.task_id in state.task else None
+    if request is None:
+        return ()
+    key = f"{request.action_id}/{request.round}/{event.robot}"
+    received = ReceiveBid(request.action_id, event.robot, event.outcome)
+    said, record = talk(state.fleet, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
+    return (Scheduled(received, 0, said), record)
+
+
+@HANDLERS.react(BidReceived)
+def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request.open[event.subject.action_id]
+    if len(request.bids) < len(request.candidates):  # it may have been the last one that was waited for
+        return _closing(state.fleet, request, (at_once(request.requester),))
+    if best_bid(request) is None:
+        return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
+    return (Scheduled(Award(event.subject.action_id)),)
+
+
+@HANDLERS.react(SupervisorResponded)
+def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request.open.get(event.subject.action_id)
+    if event.purpose != "review" or request is None or not request.is_delegated:
+        return ()
+    return (Scheduled(Award(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
+
+
+@HANDLERS.react(AwardMade)
+def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
+    task = state.task.get(event.task_id)
+    if task is None:  # given up meanwhile
+        return ()
+    request = state.request.open[task.action_id]
+    award_message = message(request.requester, request.action_id, f"award/{request.round}")
+    return (
+        Scheduled(AcceptAward(request.action_id), 0, (award_message,)),
+        Scheduled(GoOnWithout(request.action_id, request.round), state.fleet.answer_us, (at_once(request.requester),)),
+    )
+
+
+@HANDLERS.react(RequestUnanswered)
+def _on_unanswered(state: State, event: RequestUnanswered, _now_us: int) -> tuple[Scheduled, ...]:
+    return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
+
+
+@HANDLERS.react(ContractVoided)
+def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
+    """Let both sides' agents agree that the contract is void, and negotiate again under the same action."""
+    request = state.request.open[event.subject.action_id]
+    key = f"{request.action_id}/{request.round}/void"
+    said, record = talk(state.fleet, event.robot, VOIDING, key, "void")
+    heard = (*said, message(event.robot, key, "void"))
+    agreed, other = talk(state.fleet, request.requester, RELAY, key, "again", heard)
+    calls = tuple(scheduled for robot in request.candidates for scheduled in call(state.fleet, request, robot, agreed))
+    return (*calls, record, other, *_closing(state.fleet, request, agreed))
+
+
+@HANDLERS.react(ExecutionFinished)
+def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request.open.get(event.subject.action_id)
+    close = Scheduled(CloseExecution(event.subject.action_id))
+    if request is None or request.step == 0:
+        return (close,)
+    agents = RESULT if request.is_delegated else OWN_RESULT
+    said, record = talk(state.fleet, event.robot, agents, event.subject.action_id, "result")
+    if not request.is_delegated:
+        return (close, Scheduled(CompleteStep(event.subject.action_id), 0, said), record)
+    return (
+        close,
+        Scheduled(CloseRequest(event.subject.action_id), 0, (*said, message(event.robot, event.subject.action_id, 4))),
+        record,
+    )
+
+
+@HANDLERS.react(RequestClosed)
+def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(CompleteStep(event.subject.action_id)),)

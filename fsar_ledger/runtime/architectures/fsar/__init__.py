@@ -3,18 +3,16 @@
 Paper: eq:federation, eq:fleet-model.
 """
 
-from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
+from fsar_ledger.runtime.architectures.handler_table import COMMON, PUBLIC, Growth, HandlerTable
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers.shared import COMMON, PUBLIC
 
-from . import authority, availability, discovery, execution, recovery, request, request_reactions
+from . import authority, availability, discovery, execution, recovery, request
 
 FSAR: HandlerTable = HandlerTable.of(
     *COMMON,
     assistance,
     discovery,
     request,
-    request_reactions,
     execution,
     authority,
     recovery,

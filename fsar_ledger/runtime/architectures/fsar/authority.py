@@ -11,11 +11,12 @@ from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, Pe
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.world import is_linked
-from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.authority import close_execution
 from fsar_ledger.runtime.handlers.candidates import Query, rejecting_filter
-from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Handlers, Scheduled, message, named, nobody
+
+HANDLERS = Handlers()
 
 
 class Revoke(Command):
@@ -37,6 +38,7 @@ class RememberPeer(Command):
     peer: Robot
 
 
+@HANDLERS.decide(Revoke, named)
 def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
     """Let the requester claim override over what runs for it, until the next request boundary."""
     revoked: list[Event] = []
@@ -55,6 +57,7 @@ def _claimed(state: State, robot: Robot) -> list[str]:
     return found if len(found) < 2 else [action for action in state.authority.claims if action in found]
 
 
+@HANDLERS.decide(AnswerOutsider, nobody)
 def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
     """Deny what the registry does not show; without trust evaluation, run the request."""
     request = state.request.open.get(command.action_id)
@@ -113,6 +116,7 @@ def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: 
     )
 
 
+@HANDLERS.decide(RememberPeer, named)
 def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
     """Let both robots know each other for a while."""
     until_us = command.now_us + state.fleet.structure.encounter_memory_us
@@ -122,6 +126,7 @@ def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.react(ExecutionFinished)
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
     return (
         (Scheduled(CloseExecution(event.subject.action_id)),)
@@ -130,14 +135,17 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     )
 
 
+@HANDLERS.react(ContextChanged)
 def _on_context(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(Revoke(event.robot)),) if _claimed(state, event.robot) else ()
 
 
+@HANDLERS.react(OutsiderRequestInjected)
 def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(AnswerOutsider(event.task_id), 0, (message(event.robot, event.task_id, 0),)),)
 
 
+@HANDLERS.react(PeersMet)
 def _on_meeting(state: State, event: PeersMet, _now_us: int) -> tuple[Scheduled, ...]:
     """Let two robots that meet remember each other, if both are linked."""
     if "shared-registry" not in state.fleet.without or not all(
@@ -147,21 +155,4 @@ def _on_meeting(state: State, event: PeersMet, _now_us: int) -> tuple[Scheduled,
     return (Scheduled(RememberPeer(event.robot, event.peer)),)
 
 
-DECIDES: Decides = {
-    CloseExecution: close_execution,
-    Revoke: revoke,
-    AnswerOutsider: answer_outsider,
-    RememberPeer: remember_peer,
-}
-ACTORS: Actors = {
-    CloseExecution: nobody,
-    Revoke: named,
-    AnswerOutsider: nobody,
-    RememberPeer: named,
-}
-REACTS: Reacts = {
-    ExecutionFinished: _on_finish,
-    ContextChanged: _on_context,
-    OutsiderRequestInjected: _on_outsider,
-    PeersMet: _on_meeting,
-}
+HANDLERS.decide(CloseExecution, nobody)(close_execution)

@@ -19,8 +19,9 @@ from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import NO_ANSWER, Registry, surface
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handlers.actors import nobody
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message, nobody
+
+HANDLERS = Handlers()
 
 
 class ReportActuator(Command):
@@ -46,6 +47,7 @@ def found_silent(fleet: Fleet, registry: Registry, robots: Iterable[Robot]) -> t
     )
 
 
+@HANDLERS.decide(ReportBack, nobody)
 def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged, ...]:
     """Restore the availability from before the robot was found silent.
 
@@ -74,6 +76,7 @@ def _present(
     )
 
 
+@HANDLERS.decide(ReportActuator, nobody)
 def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
     """Set what the robot advertises to degraded, or back to ready, except what it restricted or took offline.
 
@@ -95,6 +98,7 @@ def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.react(ExecutionFailed)
 def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
     if event.cause != "degradation" or "shared-registry" in state.fleet.without:
         return ()
@@ -107,6 +111,7 @@ def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Sch
     )
 
 
+@HANDLERS.react(ActuatorServiced)
 def _on_service(state: State, event: ActuatorServiced, now_us: int) -> tuple[Scheduled, ...]:
     if "shared-registry" in state.fleet.without:
         return ()
@@ -117,20 +122,8 @@ def _on_service(state: State, event: ActuatorServiced, now_us: int) -> tuple[Sch
     )
 
 
+@HANDLERS.react(RobotCameBack, LinkCameUp)
 def _on_back(state: State, event: RobotCameBack | LinkCameUp, now_us: int) -> tuple[Scheduled, ...]:
     if event.robot not in state.registry.silent:
         return ()
     return (Scheduled(ReportBack(event.robot), 0, (message(event.robot, f"{event.robot}/{now_us}", "back"),)),)
-
-
-DECIDES: Decides = {ReportActuator: report_actuator, ReportBack: report_back}
-ACTORS: Actors = {
-    ReportActuator: nobody,
-    ReportBack: nobody,
-}
-REACTS: Reacts = {
-    ExecutionFailed: _on_failure,
-    ActuatorServiced: _on_service,
-    RobotCameBack: _on_back,
-    LinkCameUp: _on_back,
-}

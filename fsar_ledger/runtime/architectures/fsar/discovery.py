@@ -13,14 +13,15 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry, advertisement, offers
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import World
-from fsar_ledger.runtime.handlers.actors import nobody, requester
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, recorded_by
 from fsar_ledger.runtime.handlers.candidates import Answer, Query, candidates, rejecting_filter
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Command, Handlers, Scheduled, message, nobody, requester
 from fsar_ledger.runtime.handlers.registry import queried
 from fsar_ledger.runtime.handlers.trust import trusts
 
 Found = tuple[tuple[Robot, ...], Robot | None]  # candidates, relay
+
+HANDLERS = Handlers()
 
 
 class DetectGap(Command):
@@ -100,6 +101,7 @@ def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
     ]
 
 
+@HANDLERS.decide(DetectGap, requester)
 def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     """Record that the requester needs another robot; without a registry, search the peers it met."""
     request = state.request.open.get(command.action_id)
@@ -167,6 +169,7 @@ def _met(
     return queried(fleet, world, query, answer, request.task_id, request.action_id, relay)
 
 
+@HANDLERS.decide(QueryRegistry, nobody)
 def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
     """Answer the query from the registry, governed by trust and visibility."""
     request = state.request.open.get(command.action_id)
@@ -177,10 +180,12 @@ def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
     return (queried(state.fleet, state.world, query, answer, request.task_id, request.action_id, relay),)
 
 
+@HANDLERS.react(StepBegan)
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(DetectGap(event.subject.action_id)),) if event.target_role is not None else ()
 
 
+@HANDLERS.react(GapDetected)
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     if (
         "shared-registry" in state.fleet.without
@@ -196,11 +201,3 @@ def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, 
             (message(event.principals.requested_by, event.subject.action_id, 0),),
         ),
     )
-
-
-DECIDES: Decides = {DetectGap: detect_gap, QueryRegistry: query_registry}
-ACTORS: Actors = {
-    DetectGap: requester,
-    QueryRegistry: nobody,
-}
-REACTS: Reacts = {StepBegan: _on_step, GapDetected: _on_gap}

@@ -1,8 +1,10 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY, PolicyOutcome, Principal, Principals, Robot
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import POLICY, PolicyOutcome, Principal, Principals, RequestSubject, Robot
 from fsar_ledger.events.execution import (
+    ApproachStarted,
     ExecutionHeld,
     ExecutionPaused,
     OwnStepDecided,
@@ -11,28 +13,32 @@ from fsar_ledger.events.execution import (
 )
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
+from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.execution import Action, Execution, in_hand
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, in_force
-from fsar_ledger.runtime.handlers.actors import named, requester
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
     Command,
     DecideRoutine,
-    Decides,
-    Reacts,
+    Handlers,
     ResumeAction,
     Scheduled,
     StartAction,
+    TakeTurn,
+    body,
     message,
+    named,
+    requester,
 )
 from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, queued, start_action, started
 from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_policy
+
+HANDLERS = Handlers()
 
 
 class DecideOwnStep(Command):
@@ -49,6 +55,7 @@ class LearnFleetRule(Command):
     as_of_us: int
 
 
+@HANDLERS.decide(DecideOwnStep, requester)
 def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
     """Decide to do the step, and queue it at the robot itself."""
     request = state.request.open.get(command.action_id)
@@ -73,6 +80,32 @@ def ready(execution: Execution, action_id: str) -> Action | None:
     return action
 
 
+@HANDLERS.decide(TakeTurn, body)
+def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
+    """Accept the request, claim execution and override, and approach.
+
+    A request that was preempted comes back as accepted. Paper: eq:auth.
+    """
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state.execution, action):
+        return ()
+    robot = action.robot
+    approach = ApproachStarted(action.subject, robot)
+    if any(
+        claim.claimant == robot and claim.dimension == "execution"
+        for claim in state.authority.claims.get(action.action_id, ())
+    ):
+        return (approach,)
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=action.requested_by, executed_by=robot)
+    return (
+        RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
+        AuthorityClaimed(action.subject, "execution", robot, "acceptance"),
+        AuthorityClaimed(action.subject, "override", robot, "acceptance"),
+        approach,
+    )
+
+
+@HANDLERS.decide(StartAction, body)
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """Start the action, unless the robot's own policy holds it.
 
@@ -109,6 +142,7 @@ def _held(
     return ExecutionHeld(action.subject, principals, action.robot, outcome, reason)
 
 
+@HANDLERS.decide(DecideRoutine, named)
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """Perform the routine operation; a motion only if the robot's policy and the fleet's rule are clear."""
     robot = command.robot
@@ -122,6 +156,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     return (RoutinePerformed(principals, robot, command.operation),)
 
 
+@HANDLERS.decide(LearnFleetRule, named)
 def learn_fleet_rule(state: State, command: LearnFleetRule) -> tuple[Event, ...]:
     """Record the rule at the robot, unless newer word has overtaken this one."""
     if command.as_of_us < state.knowledge.fleet_rule_as_of_us.get(command.robot, 0):
@@ -129,10 +164,12 @@ def learn_fleet_rule(state: State, command: LearnFleetRule) -> tuple[Event, ...]
     return (FleetRuleLearned(command.robot, command.outcome, command.as_of_us),)
 
 
+@HANDLERS.react(StepBegan)
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(DecideOwnStep(event.subject.action_id)),) if event.target_role is None else ()
 
 
+@HANDLERS.react(ExecutionHeld)
 def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Scheduled, ...]:
     if event.reason != "fleet-rule":
         return ()
@@ -140,10 +177,12 @@ def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Schedule
     return (start_action(event.subject.action_id, capability, state.fleet.structure.poll_us),)
 
 
+@HANDLERS.react(PolicyWindowClosed)
 def _on_window_closed(state: State, event: PolicyWindowClosed, now_us: int) -> tuple[Scheduled, ...]:
     return _on_fleet_rule(state, event, now_us) if event.scope == "fleet" else _let_go(state, event.robot)
 
 
+@HANDLERS.react(PolicyRuleSet, RolePolicyRuleSet)
 def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: int) -> tuple[Scheduled, ...]:
     """Retry actions that wait for a robot's own policy; those that wait for the fleet's rule poll by themselves."""
     if event.scope == "fleet":
@@ -164,6 +203,7 @@ def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
     return (start_action(action.action_id, action.capability),)
 
 
+@HANDLERS.react(PolicyWindowOpened)
 def _on_fleet_rule(state: State, event: PolicyWindowOpened | PolicyWindowClosed, now_us: int) -> tuple[Scheduled, ...]:
     if event.scope != "fleet":
         return ()
@@ -172,27 +212,9 @@ def _on_fleet_rule(state: State, event: PolicyWindowOpened | PolicyWindowClosed,
     return (Scheduled(word, 0, (message(POLICY, event.window, edge),)),)
 
 
+@HANDLERS.react(ExecutionPaused)
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(ResumeAction(event.subject.action_id), state.fleet.structure.replan_us),)
 
 
-DECIDES: Decides = {
-    DecideOwnStep: decide_own_step,
-    StartAction: start,
-    DecideRoutine: decide_routine,
-    LearnFleetRule: learn_fleet_rule,
-}
-ACTORS: Actors = {
-    DecideOwnStep: requester,
-    LearnFleetRule: named,
-}
-REACTS: Reacts = {
-    StepBegan: _on_step,
-    ExecutionHeld: _on_hold,
-    PolicyWindowOpened: _on_fleet_rule,
-    PolicyWindowClosed: _on_window_closed,
-    PolicyRuleSet: _on_rule,
-    RolePolicyRuleSet: _on_rule,
-    ExecutionPaused: _on_pause,
-    ContextChanged: pause_running,
-}
+HANDLERS.react(ContextChanged)(pause_running)

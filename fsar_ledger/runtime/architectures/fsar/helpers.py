@@ -43,7 +43,7 @@ _ALL = 6  # checks of a candidate (see `_first`)
 ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does not cover assistance
 
 
-class Found(NamedTuple):
+class HelperChoice(NamedTuple):
     """The helper, or the reason why there is none, and the silent robots that would come before it."""
 
     robot: Robot | None
@@ -63,13 +63,13 @@ class Candidate(NamedTuple):
 
 
 # See docs/decisions/peer-recovery-composes-policies.md.
-def peer(state: State, action: Action, recovery: Recovery) -> Found:
+def peer(state: State, action: Action, recovery: Recovery) -> HelperChoice:
     """Return the nearest idle peer that can help, is trusted and is allowed to, among those not asked before.
 
     Its own policy and the asking robot's must both allow it.
     """
     if "shared-registry" in state.fleet.without:
-        return Found(None, "no shared registry")
+        return HelperChoice(None, "no shared registry")
     found = _bodies(state, action) if recovery.cause == "obstruction" else _stand_ins(state, action, action.robot)
     return _first(state, action, action.robot, (one for one in found if one.robot not in recovery.tried), "peer")
 
@@ -104,11 +104,11 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
     )
 
 
-def reassignee(state: State, action: Action) -> Found:
+def reassignee(state: State, action: Action) -> HelperChoice:
     """Return the nearest idle robot that may execute the step: able, trusted, and allowed by all three policies."""
     request = state.request.open.get(action.action_id)
     if action.capability == NAVIGATION or request is None:
-        return Found(None, "the robot's own way")
+        return HelperChoice(None, "the robot's own way")
     found = (one for one in _stand_ins(state, action, action.on_behalf_of) if one.robot != action.on_behalf_of)
     return _first(state, action, action.on_behalf_of, found, "robot", request.carried)
 
@@ -164,7 +164,7 @@ def _first(
     candidates: Iterable[Candidate],
     kind: str,
     carried: PolicyOutcome | None = None,
-) -> Found:
+) -> HelperChoice:
     """Return the nearest idle candidate that answers and passes every check, or the check that left nobody."""
     furthest = 0
     silent: dict[Robot, bool] = {}  # robots that do not answer, and whether nothing else leaves them out
@@ -177,10 +177,10 @@ def _first(
         else:
             passed = _passed(state, action, asking, one, carried)
         if passed == _ALL:
-            return Found(one.robot, "", tuple([robot for robot, is_fit in silent.items() if is_fit]))
+            return HelperChoice(one.robot, "", tuple([robot for robot, is_fit in silent.items() if is_fit]))
         furthest = max(furthest, passed)
     reasons = (f"no capable {kind}", NO_ANSWER, f"no trusted {kind}", "authority", "policy", f"{kind} busy")
-    return Found(None, reasons[furthest], tuple(silent))
+    return HelperChoice(None, reasons[furthest], tuple(silent))
 
 
 def _passed(state: State, action: Action, asking: Robot, one: Candidate, carried: PolicyOutcome | None) -> int:

@@ -24,19 +24,19 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recoveries, Recovery
 from fsar_ledger.projections.task import checkpoint
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers.actors import body, nobody
 from fsar_ledger.runtime.handlers.attribution import is_cross_robot, parties, recorded_by, supervisor_of
 from fsar_ledger.runtime.handlers.authority import release
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
     Command,
-    Decides,
     EndAssistance,
     EndAttempt,
-    Reacts,
+    Handlers,
     Scheduled,
     at_once,
+    body,
+    helping,
     message,
+    nobody,
 )
 from fsar_ledger.runtime.handlers.recovery import (
     attempt_failed,
@@ -50,9 +50,11 @@ from fsar_ledger.runtime.handlers.supervision import supervisor_for
 from fsar_ledger.runtime.ports import Ask
 
 from .availability import found_silent
-from .helpers import Found, peer, peer_query, reassignee
+from .helpers import HelperChoice, peer, peer_query, reassignee
 
 EXHAUSTED = "budget exhausted"
+
+HANDLERS = Handlers()
 
 
 class StartRecovery(Command):
@@ -114,6 +116,7 @@ def _escalated(
     )
 
 
+@HANDLERS.decide(StartRecovery, body)
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """Start the robot's own recovery, if it may; without layered recovery, call H_F at once.
 
@@ -134,6 +137,7 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
             return ()
 
 
+@HANDLERS.decide(EndAttempt, body)
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """Resolve the failure, start the next attempt, or turn to the peers once the budget is spent."""
     match open_failure(state.execution, state.recovery, command.action_id):
@@ -157,6 +161,7 @@ def _is_exhausted(
     return spent_us > allowed.t_max_us or spent >= allowed.n_max
 
 
+@HANDLERS.decide(AskPeers, nobody)
 def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
     """Let a trusted idle peer help, or turn to the fleet. Paper: sec:model:recovery, level 2."""
     match open_failure(state.execution, state.recovery, command.action_id):
@@ -208,11 +213,13 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
             return ()
 
 
+@HANDLERS.decide(EndAssistance, helping)
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
     """Free the peer, which resolved the failure or could not."""
     return assistance.end_assistance(state, command, "peer")
 
 
+@HANDLERS.decide(ConsiderReassignment, nobody)
 def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[Event, ...]:
     """Hand the step to another robot from a declared checkpoint, or call a supervisor.
 
@@ -226,7 +233,7 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
                 return _to_human(state, action, recovery, EXHAUSTED)
             resume_at = checkpoint(state.task, action.task_id, action.step)
             helper, reason, silent = (
-                reassignee(state, action) if resume_at is not None else Found(None, "no checkpoint")
+                reassignee(state, action) if resume_at is not None else HelperChoice(None, "no checkpoint")
             )
             if silent and not command.is_last:
                 return ()
@@ -296,6 +303,7 @@ def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> 
     return (_escalated(action, recovery, principals, "human", reason), called)
 
 
+@HANDLERS.decide(CallNext, nobody)
 def call_next(state: State, command: CallNext) -> tuple[Event, ...]:
     """Call H_F after a supervisor who has not resolved the failure in time, while the level's budget lasts."""
     match open_failure(state.execution, state.recovery, command.action_id):
@@ -307,14 +315,17 @@ def call_next(state: State, command: CallNext) -> tuple[Event, ...]:
             return ()
 
 
+@HANDLERS.react(ExecutionFailed)
 def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(StartRecovery(event.subject.action_id)),)
 
 
+@HANDLERS.react(RecoveryAttempted)
 def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
     return (end_of_attempt(state.fleet, event),)
 
 
+@HANDLERS.react(RecoveryEscalated)
 def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}"
     if event.to_level == "peer":
@@ -338,11 +349,13 @@ def _asking(
     return (Scheduled(AskPeers(action_id, since_us, asked), 0, told), last)
 
 
+@HANDLERS.react(AssistanceAdmitted)
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
     answer = message(event.helper, f"{event.subject.action_id}/{event.failure}", "answer")
     return (assistance.end_of(event, state.fleet.structure.assistance_us, (answer, at_once(event.robot))),)
 
 
+@HANDLERS.react(AssistanceFailed)
 def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
     """Tell the robot, which turns to the next peer while the level's budget lasts."""
     recovery, key = state.recovery[event.subject.action_id], f"{event.subject.action_id}/{event.failure}"
@@ -353,6 +366,7 @@ def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Sc
     return _asking(state.fleet, state.recovery, event.subject.action_id, recovery.since_us, told)
 
 
+@HANDLERS.react(SupervisorCalled)
 def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
     match open_failure(state.execution, state.recovery, event.subject.action_id):
         case action, recovery if event.purpose == "recovery":
@@ -360,28 +374,3 @@ def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Sched
             return (Scheduled(late, budget(state.budget, state.fleet, action.robot, "human").t_max_us),)
         case _:
             return ()
-
-
-DECIDES: Decides = {
-    StartRecovery: start_recovery,
-    EndAttempt: end_attempt,
-    AskPeers: ask_peers,
-    EndAssistance: end_assistance,
-    ConsiderReassignment: consider_reassignment,
-    CallNext: call_next,
-}
-ACTORS: Actors = {
-    StartRecovery: body,
-    EndAttempt: body,
-    AskPeers: nobody,
-    ConsiderReassignment: nobody,
-    CallNext: nobody,
-}
-REACTS: Reacts = {
-    ExecutionFailed: _on_failure,
-    RecoveryAttempted: _on_attempt,
-    RecoveryEscalated: _on_escalation,
-    AssistanceAdmitted: _on_assistance,
-    AssistanceFailed: _on_no_help,
-    SupervisorCalled: _on_call,
-}

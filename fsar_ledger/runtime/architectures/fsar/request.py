@@ -1,17 +1,12 @@
 """FSAR: a delegated step is a governed request between two robots. Paper: sec:model:request, eq:admissible."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import (
-    COORDINATION,
-    FLEET_SUPERVISOR,
-    Parties,
-    RequestSubject,
-    Robot,
-)
-from fsar_ledger.events.execution import ApproachStarted, ExecutionPreempted
+from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR, REGISTRY, Parties, Robot
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionPreempted
+from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
-    RequestAccepted,
+    OfferAnswered,
+    PeerSought,
     RequestAdmitted,
     RequestClosed,
     RequestCountered,
@@ -19,8 +14,9 @@ from fsar_ledger.events.request import (
     RequestDenied,
     RequestIssued,
     RequestRelayed,
+    RequestUnanswered,
 )
-from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.execution import Execution
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
@@ -28,25 +24,32 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.task import Tasks
 from fsar_ledger.projections.world import World, stricter
-from fsar_ledger.runtime.handlers.actors import asked, nobody, relay, requester
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
 from fsar_ledger.runtime.handlers.attribution import recorded_by
 from fsar_ledger.runtime.handlers.commands import (
-    Actors,
     CloseRequest,
     Command,
-    Decides,
-    Reacts,
-    TakeTurn,
+    CompleteStep,
+    Handlers,
+    Scheduled,
+    asked,
+    at_once,
+    begin_again,
+    message,
+    nobody,
+    relay,
+    requester,
 )
-from fsar_ledger.runtime.handlers.execution import holds_robot, queued
+from fsar_ledger.runtime.handlers.execution import queued
 from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
 from fsar_ledger.runtime.handlers.trust import trusts
 
 from .availability import ReportBack, found_silent, report_back
-from .contention import put_in_order
+from .contention import held_up, in_order, put_in_order
 from .discovery import unanswered
+
+HANDLERS = Handlers()
 
 
 class IssueRequest(Command):
@@ -84,6 +87,7 @@ class AdmitReviewed(Command):
     approves: bool = True
 
 
+@HANDLERS.decide(IssueRequest, requester)
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     """Send the request with the requester's own policy; back off without a candidate."""
     request = state.request.open.get(command.action_id)
@@ -104,6 +108,7 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     )
 
 
+@HANDLERS.decide(RelayRequest, relay)
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     """Pass the request on with the relay's policy added, or let the relay deny it. Paper: eq:nontransitive."""
     request = state.request.open.get(command.action_id)
@@ -124,6 +129,7 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     return (RequestRelayed(subject, principals, carried),)
 
 
+@HANDLERS.decide(EvaluateRequest, asked)
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
     """Admit, counter or deny the request at the executor, or ask H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.open.get(command.action_id)
@@ -138,6 +144,7 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
     return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
 
 
+@HANDLERS.decide(AdmitReviewed, asked)
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
     """Admit the approved request if all but policy still holds, or deny one that was not approved."""
     request = state.request.open.get(command.action_id)
@@ -151,6 +158,7 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
     return _judged(state, request, found, command.now_us, is_reviewed=True)
 
 
+@HANDLERS.decide(GoOnWithout, requester)
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     """Record that the request was not delivered in time, and tell the registry who was silent.
 
@@ -237,30 +245,7 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
     return (admitted, ExecutionPreempted(interrupted.subject, executor, request.action_id, remaining_us), waiting)
 
 
-def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
-    """Accept the request, claim execution and override, and approach.
-
-    A request that was preempted comes back as accepted. Paper: eq:auth.
-    """
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state.execution, action):
-        return ()
-    robot = action.robot
-    approach = ApproachStarted(action.subject, robot)
-    if any(
-        claim.claimant == robot and claim.dimension == "execution"
-        for claim in state.authority.claims.get(action.action_id, ())
-    ):
-        return (approach,)
-    parties = recorded_by(state.fleet, state.world, robot, requested_by=action.requested_by, executed_by=robot)
-    return (
-        RequestAccepted(RequestSubject(action.task_id, action.action_id, action.action_id), parties.decided(robot)),
-        AuthorityClaimed(action.subject, "execution", robot, "acceptance"),
-        AuthorityClaimed(action.subject, "override", robot, "acceptance"),
-        approach,
-    )
-
-
+@HANDLERS.decide(CloseRequest, nobody)
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     """Close the request at the coordination engine. Paper: sec:architecture:fleet."""
     request = state.request.open.get(command.action_id)
@@ -272,21 +257,125 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     return (RequestClosed(request.request_subject, parties.decided(COORDINATION), request.result or "success"),)
 
 
-DECIDES: Decides = {
-    IssueRequest: issue_request,
-    RelayRequest: relay_request,
-    EvaluateRequest: evaluate_request,
-    GoOnWithout: go_on_without,
-    AdmitReviewed: admit_reviewed,
-    TakeTurn: take_turn,
-    CloseRequest: close_request,
-}
-ACTORS: Actors = {
-    IssueRequest: requester,
-    RelayRequest: relay,
-    EvaluateRequest: asked,
-    GoOnWithout: requester,
-    AdmitReviewed: asked,
-    CloseRequest: nobody,
-}
-REACTS: Reacts = {}
+def _is_step(tasks: Tasks, request: Request | None) -> bool:
+    """Tell whether the request is a step of an open task, not an outsider's or a robot's own."""
+    return request is not None and not request.is_adhoc and request.task_id in tasks
+
+
+@HANDLERS.react(RegistryQueried)
+def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
+    if (
+        event.subject.task_id not in state.task or event.subject.action_id in state.recovery
+    ):  # an outsider's request is nobody's step; recovery asks for itself
+        return ()
+    assert event.subject.action_id is not None
+    if "shared-registry" in state.fleet.without:
+        return (Scheduled(IssueRequest(event.subject.action_id)),)
+    return (Scheduled(IssueRequest(event.subject.action_id), 0, (message(REGISTRY, event.subject.action_id, 1),)),)
+
+
+@HANDLERS.react(RequestIssued)
+def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Scheduled, ...]:
+    assert event.subject.action_id is not None
+    request = state.request.open.get(event.subject.action_id)
+    if request is None or not (request.is_adhoc or _is_step(state.task, request)):
+        return ()
+    next_one: Command = (
+        RelayRequest(event.subject.action_id) if event.relay else EvaluateRequest(event.subject.action_id)
+    )
+    asked = Scheduled(next_one, 0, (message(request.requester, event.subject.action_id, 2),))
+    return (
+        asked,
+        Scheduled(GoOnWithout(event.subject.action_id), state.fleet.answer_us, (at_once(request.requester),)),
+    )
+
+
+@HANDLERS.react(RequestRelayed)
+def _on_relay(state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
+    asked = Scheduled(
+        EvaluateRequest(event.subject.action_id), 0, (message(event.principals.decided_by, event.subject.action_id, 3),)
+    )
+    late = GoOnWithout(event.subject.action_id, is_relayed=True)
+    return (asked, Scheduled(late, state.fleet.answer_us, (at_once(event.principals.requested_by),)))
+
+
+@HANDLERS.react(RequestDenied)
+def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Scheduled, ...]:
+    return (*_again(state, event.subject.action_id), *_let_pass(state, event, now_us))
+
+
+@HANDLERS.react(RequestAdmitted, RequestCountered)
+def _let_pass(
+    state: State, event: RequestAdmitted | RequestCountered | RequestDenied, _now_us: int
+) -> tuple[Scheduled, ...]:
+    """Evaluate again the requests that waited for one that H_F let go first."""
+    if not state.contention.orders:
+        return ()
+    return tuple(
+        Scheduled(EvaluateRequest(name), place)
+        for place, name in enumerate(held_up(state.contention, event.subject.action_id), start=1)
+    )
+
+
+@HANDLERS.react(OfferAnswered)
+def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Scheduled, ...]:
+    """Evaluate the changed request again, or retry a step whose requester let go."""
+    assert event.subject.action_id is not None
+    if event.override is None:
+        return _again(state, event.subject.action_id)
+    return (
+        Scheduled(
+            EvaluateRequest(event.subject.action_id),
+            0,
+            (message(event.principals.requested_by, event.subject.action_id, f"offer{event.round}"),),
+        ),
+    )
+
+
+def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
+    request = state.request.open.get(action_id or "")
+    if request is None or not _is_step(state.task, request):
+        return ()
+    return (begin_again(state.fleet, request.task_id, request.action_id),)
+
+
+@HANDLERS.react(RequestUnanswered, PeerSought)
+def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us: int) -> tuple[Scheduled, ...]:
+    return (begin_again(state.fleet, event.subject.task_id, event.subject.action_id),)
+
+
+@HANDLERS.react(SupervisorResponded)
+def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+    if event.purpose == "ordering":
+        waiting = in_order(state.contention, event.subject.action_id, event.preferred)
+        return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
+    return (
+        (Scheduled(AdmitReviewed(event.subject.action_id, event.approves), 1, (at_once(event.principals.decided_by),)),)
+        if event.purpose == "review"
+        else ()
+    )
+
+
+@HANDLERS.react(ExecutionFinished)
+def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request.open.get(event.subject.action_id)
+    if request is None or not (request.is_adhoc or _is_step(state.task, request)):
+        return ()
+    if event.robot != request.requester:
+        return (
+            Scheduled(CloseRequest(event.subject.action_id), 0, (message(event.robot, event.subject.action_id, 4),)),
+        )
+    return (
+        (Scheduled(CompleteStep(event.subject.action_id)),)
+        if event.result == "success"
+        else _again(state, event.subject.action_id)
+    )
+
+
+@HANDLERS.react(RequestClosed)
+def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
+    """Complete the step, or retry later a step that did not succeed."""
+    if not _is_step(state.task, state.request.open.get(event.subject.action_id)):
+        return ()
+    done = Scheduled(CompleteStep(event.subject.action_id), 1, (at_once(event.principals.decided_by),))
+    return (done,) if event.result == "success" else _again(state, event.subject.action_id)

@@ -11,11 +11,20 @@ from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.runtime.change_texts import fact_of, fact_text
+from fsar_ledger.runtime.changeable import (
+    CALL,
+    KINDS,
+    RESPONSE,
+    FactPositions,
+    Question,
+    answer_of,
+    facts_by_name,
+    matching_names,
+    numbers_of_calls,
+)
 from fsar_ledger.runtime.changes import Add, Answer, AnyChange, Changes, Commanded, Drop, Move, Set, seconds_text
-from fsar_ledger.runtime.forks import Forked, edited_environment, fork, made_again, parts_at
-from fsar_ledger.runtime.happenings import Happenings, happenings, meant
-from fsar_ledger.runtime.questions import CALL, KINDS, RESPONSE, Asked, answer_of, numbers_of_calls
-from fsar_ledger.runtime.recipes import Recipe, Unmade, recorded_recipe
+from fsar_ledger.runtime.forks import Fork, edited_environment, fork, parts_at, run_again
+from fsar_ledger.runtime.recipes import CannotReplay, Recipe, recorded_recipe
 from fsar_ledger.runtime.simulation import founding_of
 
 LIST = "`whatif LEDGER --run RUN --list` lists all"
@@ -29,9 +38,9 @@ class Base(NamedTuple):
     root: str
 
     @property
-    def happenings(self) -> Happenings:
+    def facts_by_name(self) -> FactPositions:
         """Return the places of the facts of its world, by name."""
-        return happenings(tuple(edited_environment(self.recipe).facts))
+        return facts_by_name(tuple(edited_environment(self.recipe).facts))
 
 
 class Changeable(msgspec.Struct, frozen=True):
@@ -48,17 +57,17 @@ class Changeable(msgspec.Struct, frozen=True):
     is_now: str
 
 
-class Repeated(NamedTuple):
+class Rerun(NamedTuple):
     """A base that was made again as recorded, and what it asked at its ports, in order."""
 
     base: Base
-    asked: list[Asked]
+    asked: list[Question]
 
     def changeable(self) -> list[Changeable]:
         """Return the facts of the world in order of time, and then the questions in the order of asking, each once."""
         facts = edited_environment(self.base.recipe).facts
         found = []
-        for name, places in self.base.happenings.items():
+        for name, places in self.base.facts_by_name.items():
             (begins_us, fact), (ends_us, _) = facts[places[0]], facts[places[-1]]
             ends_s = ends_us / 1_000_000 if len(places) > 1 else None
             found.append(Changeable(name, None, begins_us / 1_000_000, ends_s, fact_text(fact)))
@@ -68,11 +77,11 @@ class Repeated(NamedTuple):
             found.append(Changeable(one.name, None if number is None else f"{one.kind}:{number}", None, None, one.text))
         return found
 
-    def fork(self, changes: Changes) -> Forked:
+    def fork(self, changes: Changes) -> Fork:
         """Return the fork with these changes; what a name does not mean here changes nothing. Raises: UsageError."""
         return fork(self.base.recipe, self.base.record, self.base.root, changes)
 
-    def fork_with_effect(self, changes: Changes) -> Forked:
+    def fork_with_effect(self, changes: Changes) -> Fork:
         """Return the fork with these changes. Raises: UsageError if one of them does nothing."""
         for change in changes:
             _require_meant(self, change)
@@ -101,14 +110,14 @@ def base_of_record(record: LedgerRun, root: str) -> Base:
         )
     try:
         return Base(record, recorded_recipe(started, len(record.events)), root)
-    except Unmade as found:
+    except CannotReplay as found:
         raise UsageError(f"run {run}: {found}; only such a run can be made again with a change") from found
 
 
-def repeated(base: Base) -> Repeated:
+def rerun(base: Base) -> Rerun:
     """Return the base, made again. Raises: UsageError naming the first event that the record has otherwise."""
     try:
-        made, asked = made_again(base.recipe)
+        made, asked = run_again(base.recipe)
     except (LookupError, ValueError, RuntimeError, TypeError) as error:
         raise UsageError(
             f"run {printable.value(base.record.run_id)}: it cannot be made again ({error!s:.300}); run "
@@ -120,12 +129,12 @@ def repeated(base: Base) -> Repeated:
             f"run {printable.value(base.record.run_id)}, event {at or 0}: the record is not what its world and its "
             "handlers make, so nothing forks from it; run `fsar-ledger verify --replay`, which says what differs"
         )
-    return Repeated(base, asked)
+    return Rerun(base, asked)
 
 
-def _played(repeated: Repeated, changes: Changes) -> Forked:
+def _played(rerun: Rerun, changes: Changes) -> Fork:
     try:
-        return repeated.fork(changes)
+        return rerun.fork(changes)
     except (LookupError, ValueError, RuntimeError, TypeError) as error:
         added = [one for one in changes if isinstance(one, Add)]
         if isinstance(error, UsageError) or not added:
@@ -136,14 +145,14 @@ def _played(repeated: Repeated, changes: Changes) -> Forked:
         ) from error
 
 
-def _require_meant(repeated: Repeated, change: AnyChange) -> None:
+def _require_meant(rerun: Rerun, change: AnyChange) -> None:
     """Check that a change means something in the run. Raises: UsageError, with the nearest name."""
-    base = repeated.base
+    base = rerun.base
     last_us = base.record.times_us[-1]
     match change:
         case Drop() | Move():
-            names = base.happenings
-            if not meant(change.fact, names):
+            names = base.facts_by_name
+            if not matching_names(change.fact, names):
                 raise _unknown("fact", change, change.fact, list(names))
         case Add():
             _require_members(base, change)
@@ -185,17 +194,17 @@ def _require_answer(change: Answer) -> None:
         raise UsageError(f"change {change}: found {printable.value(change.answer)}, expected {expected}")
 
 
-def _require_used(repeated: Repeated, change: Answer, forked: Forked) -> None:
+def _require_used(rerun: Rerun, change: Answer, forked: Fork) -> None:
     """Check that a question was answered otherwise. Raises: UsageError, saying why it was not."""
     if change.question in forked.used:
         return
-    names = {one.name: one for one in repeated.asked}
-    calls = numbers_of_calls(repeated.asked)
+    names = {one.name: one for one in rerun.asked}
+    calls = numbers_of_calls(rerun.asked)
     short = {
         f"{kind}:{number}": f"{kind}{name.removeprefix(CALL)}" for name, number in calls.items() for kind in _SHORT
     }
     full = short.get(change.question, change.question)
-    found = [names[name] for name in meant(full, list(names))]
+    found = [names[name] for name in matching_names(full, list(names))]
     if not found and full not in short.values():
         raise _unknown("question", change, change.question, [*short, *names])
     if not found:
@@ -219,7 +228,7 @@ def _unknown(what: str, change: AnyChange, asked: str, names: Sequence[str]) -> 
     )
 
 
-def _rejected(base: Base, forked: Forked) -> CommandRejected | None:
+def _rejected(base: Base, forked: Fork) -> CommandRejected | None:
     """Return the first rejection in a fork that its base does not have."""
     known = {event for event in base.record.events if isinstance(event, CommandRejected)}
     found = (event for event in forked.record.events if isinstance(event, CommandRejected) and event not in known)

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import msgspec
 
-from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events import CONCERNS
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.world import PolicyWindowOpened
 from fsar_ledger.ledger.rows.codec import LedgerRun
@@ -22,7 +22,7 @@ from fsar_ledger.projections.task import Task
 _T = TypeVar("_T")
 
 
-class Seen:
+class Coverage:
     """What the source of a run observes. `lacking` are the concerns that it does not."""
 
     def __init__(self, record: LedgerRun) -> None:
@@ -159,7 +159,7 @@ class RuleNow(msgspec.Struct, frozen=True):
     outcome: str
 
 
-class Standing(msgspec.Struct, frozen=True, kw_only=True):
+class Situation(msgspec.Struct, frozen=True, kw_only=True):
     """How things stand after an event of a run. None: not observed, as `not_observed` says."""
 
     robots: tuple[RobotNow, ...] | None
@@ -174,7 +174,7 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
     not_observed: tuple[str, ...]
 
 
-def standing(record: LedgerRun, seq: int, state: State, robot: str | None = None) -> Standing:
+def situation(record: LedgerRun, seq: int, state: State, robot: str | None = None) -> Situation:
     """Return how things stand after this event; with `robot`, only what that robot has a part in."""
     robots = [name for name in state.fleet.robots if robot in (None, name)]
     requests = [
@@ -188,8 +188,8 @@ def standing(record: LedgerRun, seq: int, state: State, robot: str | None = None
     def is_about(action_id: str) -> bool:
         return robot is None or action_id in names
 
-    seen = Seen(record)
-    return Standing(
+    seen = Coverage(record)
+    return Situation(
         robots=seen.all("fleet", (_robot(record, seq, state, name, seen) for name in robots)),
         requests=seen.all("request", requests),
         claims=seen.all(
@@ -256,7 +256,7 @@ def _rules(state: State, robot: str | None) -> Iterator[RuleNow]:
         yield RuleNow(scope, f"role {role}{where}", capability, task, outcome)
 
 
-def _robot(record: LedgerRun, seq: int, state: State, name: Robot, seen: Seen) -> RobotNow:
+def _robot(record: LedgerRun, seq: int, state: State, name: Robot, seen: Coverage) -> RobotNow:
     world, member = state.world, state.fleet.robots[name]
     offers: dict[str, tuple[str, ...]] = {}
     for one in surface(state.registry, name):

@@ -1,6 +1,7 @@
-"""A walk through a run, event by event: to the next, to the next of a kind, to the cause."""
+"""The states of a run at any time of it, without folding all events before, and a walk through its events."""
 
 import re
+from bisect import bisect_right
 from collections.abc import Callable
 
 from fsar_ledger import printable
@@ -11,6 +12,35 @@ from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.recovery import AssistanceDeclined
 from fsar_ledger.events.request import RequestCountered, RequestDenied, RequestUnanswered
 from fsar_ledger.ledger.rows.codec import LedgerRun
+from fsar_ledger.projections.fold import State, apply
+
+EVERY = 256
+"""Events between two states that are kept; they share all that did not change."""
+
+
+class Timeline:
+    """A run with its states. Building it folds all events once; then each moment takes at most `EVERY` of them."""
+
+    def __init__(self, record: LedgerRun) -> None:
+        self.record = record
+        state = State()
+        self._kept = [state.copy()]
+        for seq, event in enumerate(record.events, start=1):
+            apply(state, event)
+            if seq % EVERY == 0:
+                self._kept.append(state.copy())
+
+    def seq_at(self, time_us: int) -> int:
+        """Return the last event that has happened by then, which may be event 0."""
+        return max(0, bisect_right(self.record.times_us, time_us) - 1)
+
+    def after(self, seq: int) -> State:
+        """Return the state after this event."""
+        state = self._kept[(seq + 1) // EVERY].copy()
+        for event in self.record.events[(seq + 1) // EVERY * EVERY : seq + 1]:
+            apply(state, event)
+        return state
+
 
 REFUSALS = (RequestDenied, RequestCountered, RequestUnanswered, AssistanceDeclined, CommandRejected)
 MOVES = {

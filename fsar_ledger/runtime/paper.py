@@ -15,9 +15,8 @@ import msgspec
 from fsar_ledger.constants import Constants, Load
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, MECHANISMS_OF, Configuration, without
 from fsar_ledger.ledger.log.note import Signer
-
-from .experiment import ORIGIN, WORKFLOWS_ORIGIN, Experiment, workflow_experiment
-from .simulation import ARCHITECTURES, SCENARIOS
+from fsar_ledger.runtime.experiment import ORIGIN, WORKFLOWS_ORIGIN, Experiment, workflow_experiment
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
 
 Name = Literal["results", "ablation", "scaling", "workflows"]
 NAMES: tuple[Name, ...] = get_args(Name)
@@ -47,7 +46,7 @@ _ORIGINS: dict[Name, str] = {
 }
 
 
-class Named(msgspec.Struct, frozen=True):
+class PaperLedger(msgspec.Struct, frozen=True):
     """One ledger to make: its name, its origin, and its experiments in order."""
 
     name: Name
@@ -69,14 +68,14 @@ class Named(msgspec.Struct, frozen=True):
         )
 
 
-def named(name: Name, seed: int, runs: int | None = None) -> Named:
+def paper_ledger(name: Name, seed: int, runs: int | None = None) -> PaperLedger:
     """Return the experiment of this name with this many runs of each scenario, by default as in `RUNS`.
 
     The workflows are scripts and always have one run.
     """
     many = RUNS[name] if runs is None or name == "workflows" else runs
     parts = {"results": _results, "ablation": _ablation, "scaling": _scaling, "workflows": _workflows}[name]
-    return Named(name, _ORIGINS[name], tuple(parts(seed, many)))
+    return PaperLedger(name, _ORIGINS[name], tuple(parts(seed, many)))
 
 
 def _results(seed: int, runs: int) -> Iterator[Experiment]:

@@ -9,16 +9,15 @@ from typing import NamedTuple
 
 import msgspec
 
+from fsar_ledger.analysis.causes import Outcome
+from fsar_ledger.analysis.fork_base import Rerun
 from fsar_ledger.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
 from fsar_ledger.garbage import without_collection
+from fsar_ledger.runtime.changeable import facts_by_name
 from fsar_ledger.runtime.forks import kernel_of
-from fsar_ledger.runtime.happenings import happenings
 from fsar_ledger.runtime.ports import Ask, Environment, Fact
 from fsar_ledger.runtime.simulation import environment_of
-
-from .bases import Repeated
-from .outcomes import Outcome
 
 Progress = Callable[[int, int], None]
 MOMENTS = 24
@@ -59,7 +58,7 @@ class Curve(msgspec.Struct, frozen=True):
     closing_seq: int | None
 
 
-class _Changing(NamedTuple):
+class _FutureEnvironment(NamedTuple):
     """An environment with these facts."""
 
     facts: Sequence[Fact]
@@ -68,7 +67,7 @@ class _Changing(NamedTuple):
 
 
 def curve(
-    repeated: Repeated,
+    repeated: Rerun,
     outcome: Outcome,
     futures: int = FUTURES,
     moments: int = MOMENTS,
@@ -107,11 +106,11 @@ class _Chances:
     """The chances from moments on, each found once over the same other worlds."""
 
     def __init__(
-        self, repeated: Repeated, outcome: Outcome, futures: int, moments: int, progress: Progress | None
+        self, repeated: Rerun, outcome: Outcome, futures: int, moments: int, progress: Progress | None
     ) -> None:
         self.found: dict[int, Chance] = {}
         self._repeated, self._outcome, self._progress = repeated, outcome, progress
-        self._worlds = [_other(repeated, number) for number in range(futures)]
+        self._worlds = [_other_world(repeated, number) for number in range(futures)]
         self._played, self._total = 0, (moments + STEPS) * futures
 
     @property
@@ -135,28 +134,28 @@ class _Chances:
         self.found |= {at_us: _chance(at_us, one) for at_us, one in avoided.items()}
 
 
-def _other(repeated: Repeated, number: int) -> Environment:
+def _other_world(repeated: Rerun, number: int) -> Environment:
     """Return the world of another seed, under the same constants."""
     recipe = repeated.base.recipe
     return environment_of(msgspec.structs.replace(recipe.spec, seed=recipe.spec.seed + 1 + number), recipe.constants)
 
 
 def _played(
-    repeated: Repeated, at_us: int, world: Environment
+    repeated: Rerun, at_us: int, world: Environment
 ) -> tuple[Sequence[int], Sequence[int | None], Sequence[object]]:
     """Play one future from this moment on."""
     recipe = repeated.base.recipe
     own = environment_of(recipe.spec, recipe.constants)
-    kernel = kernel_of(recipe, _Changing(_facts(own.facts, world.facts, at_us), own.latest_us, own.answer))
+    kernel = kernel_of(recipe, _FutureEnvironment(_facts(own.facts, world.facts, at_us), own.latest_us, own.answer))
     kernel.run(at_us)
-    kernel.answered_by(world)
+    kernel.set_environment(world)
     kernel.run()
     return kernel.times_us, kernel.caused_by, kernel.events
 
 
 def _facts(own: Sequence[Fact], other: Sequence[Fact], at_us: int) -> tuple[Fact, ...]:
     """Return what has begun by then, each with its end, the tasks at their times, and the other world's later facts."""
-    places = happenings(tuple(own))
+    places = facts_by_name(tuple(own))
     is_kept = {
         at
         for its in places.values()
@@ -167,7 +166,7 @@ def _facts(own: Sequence[Fact], other: Sequence[Fact], at_us: int) -> tuple[Fact
     names = {name for name, its in places.items() if its[0] in is_kept}
     later = [
         other[at]
-        for name, its in happenings(tuple(other)).items()
+        for name, its in facts_by_name(tuple(other)).items()
         if other[its[0]][0] > at_us and name not in names
         for at in its
     ]

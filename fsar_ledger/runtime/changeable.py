@@ -1,0 +1,190 @@
+"""What a change can name: the facts of a run's world and the questions that the run asks at its ports.
+
+Facts with their ends: `window:fleet/B1/0` and `window:local/A1/3` (a policy window, opened and closed),
+`obstruction:B1/0`, `crowding:B1/0`, `off:B1/0`, `link:B1/0`, `absence:A1/0`. Facts alone: `context:A1/3`,
+`degradation:B1/0`, `routine:A1/7`, `encounter:A1/B1/0`, `task:A1-1`, `outsider:injected-1-1`, `sync:0`,
+`snapshot:A1/0`. Numbers count from 0 in order of time. Questions, and the answers that they take:
+
+| name | who is asked | answer |
+|---|---|---|
+| `call:2`, `call:A1-1/2.1/review/0` | the supervisor of the second call, or of this one | `approve`, `deny`, `other` |
+| `response:A1-1/2.1/review/0` | how long that takes | a length, `never` |
+| `attempt:A1-1/2.1/1` | whether a degraded actuator holds | `hold`, `fail` |
+| `approach:KEY`, `retry:KEY`, `execution:KEY` | how long a robot's body takes | a length, `never` |
+| `message:KEY` | how long a message takes | a length, `never` |
+
+`deny` is no to a review; `other` puts the other of two competing actions first. To any other call they mean nothing.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.world import (
+    ActuatorDegraded,
+    ContextChanged,
+    LinkCameUp,
+    LinkWentDown,
+    ObstructionAppeared,
+    ObstructionCleared,
+    OutsiderRequestInjected,
+    PeersMet,
+    PolicyWindowClosed,
+    PolicyWindowOpened,
+    RobotCameBack,
+    RobotWentOff,
+    RoutineDue,
+    SnapshotPhaseSet,
+    SupervisorLeft,
+    SupervisorReturned,
+    SyncPhaseSet,
+    TaskArrived,
+)
+from fsar_ledger.runtime.changes import NEVER, seconds_text
+from fsar_ledger.runtime.ports import AS_USUAL, DISAPPROVES, PREFERS_OTHER, Ask, Environment, Fact
+from fsar_ledger.runtime.world.draws import FOREVER_US
+
+FactPositions = dict[str, tuple[int, ...]]
+"""By name, the places of its facts among all facts of the run: one, or a beginning and an end."""
+
+
+def _short(principal: str) -> str:
+    return principal.partition("/")[2]
+
+
+_WHOLE: dict[type[Event], Callable[[Any], str]] = {
+    PolicyWindowOpened: lambda fact: f"window:{fact.window}",
+    PolicyWindowClosed: lambda fact: f"window:{fact.window}",
+    ObstructionAppeared: lambda fact: fact.obstruction.replace("/", ":", 1),
+    ObstructionCleared: lambda fact: fact.obstruction.replace("/", ":", 1),
+    TaskArrived: lambda fact: f"task:{fact.task_id}",
+    OutsiderRequestInjected: lambda fact: f"outsider:{fact.task_id}",
+}
+"""Facts that have a name of their own; an end has that of its beginning."""
+_COUNTED: dict[type[Event], Callable[[Any], str]] = {
+    SyncPhaseSet: lambda _: "sync:",
+    SnapshotPhaseSet: lambda fact: f"snapshot:{_short(fact.robot)}/",
+    ContextChanged: lambda fact: f"context:{_short(fact.robot)}/",
+    ActuatorDegraded: lambda fact: f"degradation:{_short(fact.robot)}/",
+    RobotWentOff: lambda fact: f"off:{_short(fact.robot)}/",
+    LinkWentDown: lambda fact: f"link:{_short(fact.robot)}/",
+    SupervisorLeft: lambda fact: f"absence:{_short(fact.supervisor)}/",
+    RoutineDue: lambda fact: f"routine:{_short(fact.robot)}/",
+    PeersMet: lambda fact: f"encounter:{_short(fact.robot)}/{_short(fact.peer)}/",
+}
+"""Facts that are counted: what their names begin with."""
+_ENDS: dict[type[Event], Callable[[Any], str]] = {
+    RobotCameBack: lambda fact: f"off:{_short(fact.robot)}/",
+    LinkCameUp: lambda fact: f"link:{_short(fact.robot)}/",
+    SupervisorReturned: lambda fact: f"absence:{_short(fact.supervisor)}/",
+}
+"""Ends of the last counted spell: what the names of those begin with."""
+
+
+@lru_cache(maxsize=64)
+def facts_by_name(facts: tuple[Fact, ...]) -> FactPositions:
+    """Return the places of the facts by name."""
+    found: dict[str, tuple[int, ...]] = {}
+    counts: Counter[str] = Counter()
+    for at, (_, fact) in enumerate(facts):
+        kind = type(fact)
+        if kind in _WHOLE:
+            name = _WHOLE[kind](fact)
+        elif kind in _COUNTED:
+            stem = _COUNTED[kind](fact)
+            name = f"{stem}{counts[stem]}"
+            counts[stem] += 1
+        else:
+            stem = _ENDS[kind](fact)
+            name = f"{stem}{max(0, counts[stem] - 1)}"
+        found[name] = (*found.get(name, ()), at)
+    return found
+
+
+def matching_names(pattern: str, names: Sequence[str] | FactPositions) -> list[str]:
+    """Return the names that a pattern with `*` means, in their order; the name alone where it has none."""
+    if "*" not in pattern:
+        return [pattern] if pattern in names else []
+    plain = pattern.replace("[", "[[]").replace("?", "[?]")
+    return [name for name in names if fnmatchcase(name, plain)]
+
+
+CALL, RESPONSE, ATTEMPT, EXECUTION = "call", "response", "attempt", "execution"
+_KINDS = {"verdict": CALL, "reliability": ATTEMPT}
+_NAMED = ("message", RESPONSE, "approach", "retry")
+KINDS = ("message", RESPONSE, "approach", "retry", EXECUTION, ATTEMPT, CALL)
+
+WORDS: dict[str, dict[str, int]] = {
+    CALL: {"approve": AS_USUAL, "deny": DISAPPROVES, "other": PREFERS_OTHER},
+    ATTEMPT: {"hold": 1, "fail": 0},
+}
+"""By kind of question, the words that answer it; all others are answered by a length."""
+
+
+class Question(NamedTuple):
+    """A question that a run asked, by name, with the environment's answer; lengths in microseconds."""
+
+    name: str
+    answer: int
+
+    @property
+    def kind(self) -> str:
+        """Return what kind of question it is: the name up to the colon."""
+        return self.name.partition(":")[0]
+
+    @property
+    def text(self) -> str:
+        """Return the answer as `answer` takes it."""
+        words = WORDS.get(self.kind)
+        if words is not None:
+            return next(word for word, answer in words.items() if answer == self.answer)
+        return NEVER if self.answer >= FOREVER_US else seconds_text(self.answer / 1_000_000)
+
+
+def name_of(ask: Ask) -> str | None:
+    """Return the name of a question; None for what takes no time and has no name."""
+    if not ask.key:
+        return None
+    what = ask.what
+    return f"{_KINDS.get(what) or (what if what in _NAMED else EXECUTION)}:{ask.key}"
+
+
+def answer_of(kind: str, text: str) -> int | None:
+    """Return the answer that this text gives to a question of this kind; None if it gives none.
+
+    Units: microseconds for lengths.
+    """
+    words = WORDS.get(kind)
+    if words is not None:
+        return words.get(text)
+    if text == NEVER:
+        return FOREVER_US
+    number = text.removesuffix("s")
+    return round(float(number) * 1_000_000) if text.endswith("s") and number.replace(".", "", 1).isdigit() else None
+
+
+class QuestionRecorder:
+    """An environment that notes what is asked and answered, in order."""
+
+    def __init__(self, environment: Environment) -> None:
+        self.facts: tuple[Fact, ...] = tuple(environment.facts)
+        self.latest_us = environment.latest_us
+        self.asked: list[Question] = []
+        self._answer = environment.answer
+
+    def answer(self, ask: Ask) -> int:
+        """Answer as the environment does, and note it."""
+        answer = self._answer(ask)
+        name = name_of(ask)
+        if name is not None:
+            self.asked.append(Question(name, answer))
+        return answer
+
+
+def numbers_of_calls(asked: Sequence[Question]) -> dict[str, int]:
+    """Return the number of each call by its name, from 1: the call of that number is `call:1` for short."""
+    names = [CALL + one.name.removeprefix(RESPONSE) for one in asked if one.kind == RESPONSE]
+    return {name: number for number, name in reversed([*enumerate(names, start=1)])}
