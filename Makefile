@@ -185,6 +185,7 @@ bench: $(READY_TEST)
 	$(BIN)/python benchmarks/trust.py
 	$(BIN)/python benchmarks/growth.py --maps
 	$(BIN)/python benchmarks/every_command.py --events 200000
+	$(BIN)/python benchmarks/page.py || true  # where Chromium or Playwright is lacking
 	$(BIN)/python benchmarks/table.py "$$FSAR_LEDGER_BENCH"
 
 docs: reproduce $(READY_TEST)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import msgspec
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.garbage import without_collection
+from fsar_ledger.memory import without_collection
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.happenings import happenings
 from fsar_ledger.runtime.ports import Ask, Fact

@@ -11,7 +11,7 @@ import msgspec
 
 from fsar_ledger.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
-from fsar_ledger.garbage import without_collection
+from fsar_ledger.memory import without_collection
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.happenings import happenings
 from fsar_ledger.runtime.ports import Ask, Environment, Fact

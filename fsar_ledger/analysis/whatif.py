@@ -8,11 +8,11 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.writing import open_writer
+from fsar_ledger.memory import without_collection
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import typed
 from fsar_ledger.metrics.sides import beside

@@ -22,10 +22,9 @@ from fsar_ledger.ledger.store.view import Head
 
 from .functions import NAMES, register
 from .library import Library, Query, library
-from .macros import FOR_OLDER, statements
+from .own_sql import FOR_OLDER, SHOWN, check_columns, statements
 from .paths import literal, quoted
 from .query_parameters import values
-from .showable import SHOWN, check_columns
 
 LOCK = (
     "threads = 1",

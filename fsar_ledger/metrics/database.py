@@ -23,7 +23,7 @@ from .connection import (
     plain_rows,
     with_all_columns,
 )
-from .showable import SHOWN
+from .own_sql import SHOWN
 from .verified import is_verified, is_verified_for_runs
 
 __all__ = [

@@ -1,7 +1,7 @@
 """Typeset the evaluation as a PDF, with its tables and figures beside the paper's.
 
 `gather` runs the queries, `findings` defines what they yield, `printing` and `figures` render it by the specs of
-`reports/`, `document` lays it out, and `typeset` makes the PDF. Heavy imports wait until they are needed.
+`reports/`, `document` lays it out, and `build` makes the PDF. Heavy imports wait until they are needed.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,17 +1,23 @@
-"""Make the report of a ledger: gather, lay out, typeset, publish."""
+"""Make the report of a ledger: gather, lay out, typeset, publish.
 
+Data reaches the Typst template as JSON and is never read as markup; only the packaged texts of `reports/` are. The same
+input gives the same bytes.
+"""
+
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from fsar_ledger.errors import WriteFailed
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.effects import open_effects
 from fsar_ledger.metrics.progress import Showing, unseen
 from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.metrics.verified import required_look
 from fsar_ledger.publishing import publish, require_another, require_place
-from fsar_ledger.report import document, figures, typeset
+from fsar_ledger.report import document, figures, specs
 from fsar_ledger.report.gather import gather
-from fsar_ledger.report.reproduction import reproduction
+from fsar_ledger.report.numbers import reproduction
 from fsar_ledger.report.sensitivity import section
 
 
@@ -72,7 +78,7 @@ def write_report(
     effects = section(given, findings.model_version, findings.parameters)
     record = packaged(Calibration)
     laid_out = document.encoded(document.data(findings, record, effects))
-    made = {out: typeset.pdf(laid_out, document.drawings(findings, effects))}
+    made = {out: pdf(laid_out, document.drawings(findings, effects))}
     if numbers_out is not None:
         made[numbers_out] = reproduction(findings, document.counted(findings, record))
     for place, content in made.items():  # replace nothing before everything is made
@@ -95,3 +101,33 @@ def result_figure_png(ledger: Path, out: Path) -> None:
     """Write the figure "Evaluation results" of the ledger as PNG. Raises: as `write_report`."""
     require_outside(out, str(out))
     publish(out, figures.evaluation_results(gather(ledger).cells, "png"))
+
+
+def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:
+    """Return the report as a PDF. `data` is JSON, `figures` are SVG by file name.
+
+    Raises: WriteFailed if the folder for temporary files is full.
+    """
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            root = Path(folder)
+            (root / "report.typ").write_text(specs.text("templates", "report.typ"), encoding="utf-8")
+            (root / "data.json").write_bytes(data)
+            for name, svg in figures.items():
+                (root / name).write_bytes(svg)
+            return _compiled(root)
+    except OSError as error:
+        raise WriteFailed(
+            f"{tempfile.gettempdir()}: temporary files cannot be written: {error.strerror}. Nothing was changed; free "
+            "space or set TMPDIR."
+        ) from error
+
+
+def _compiled(root: Path) -> bytes:
+    """Compile `report.typ` in this folder; it can read nothing outside, and only Typst's own fonts."""
+    import typst
+
+    compiled: bytes = typst.compile(
+        root / "report.typ", root=root, timestamp=0, font_paths=typst.Fonts(include_system_fonts=False)
+    )
+    return compiled

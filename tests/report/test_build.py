@@ -12,7 +12,7 @@ import pytest
 
 from fsar_ledger.errors import NotALedger, UsageError, WriteFailed
 from fsar_ledger.publishing import publish
-from fsar_ledger.report import result_figure_png, result_figure_svg, typeset, write_report
+from fsar_ledger.report import build, result_figure_png, result_figure_svg, write_report
 
 Make = Callable[..., Path]
 REPORT = """
@@ -132,4 +132,4 @@ def test_disk_that_takes_no_more_leaves_the_old_file(tmp_path: Path) -> None:
 
 def test_full_folder_for_temporary_files_is_said() -> None:
     with small_files(), pytest.raises(WriteFailed, match="temporary files"):
-        typeset.pdf(bytes(5000), {})
+        build.pdf(bytes(5000), {})
