@@ -183,8 +183,8 @@ def _box(
 ) -> None:
     from matplotlib.patches import FancyBboxPatch
 
-    edge = {"edgecolor": "#444444", "linewidth": 0.8, "linestyle": style}
-    shape = {"boxstyle": "round,pad=0,rounding_size=0.05", "facecolor": fill, "zorder": 4}
+    edge: dict[str, Any] = {"edgecolor": "#444444", "linewidth": 0.8, "linestyle": style}
+    shape: dict[str, Any] = {"boxstyle": "round,pad=0,rounding_size=0.05", "facecolor": fill, "zorder": 4}
     axes.add_patch(FancyBboxPatch((x - width / 2, y - height / 2), width, height, **edge, **shape))
     axes.text(x, y, words, ha="center", va="center", zorder=5, weight=weight, linespacing=1.1, **TEXT)
 
