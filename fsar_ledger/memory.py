@@ -128,7 +128,7 @@ def bytes_installed() -> int:
 
 @contextmanager
 def without_collection() -> Iterator[None]:
-    """Collect no garbage inside."""
+    """Disable the cyclic garbage collector for code that creates no cycles."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

@@ -175,7 +175,7 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
     shares = _shares(database, name, [row for row in table if _place_of(name, row) in printed(name)], runs)
     cells: list[Row] = []
     for place, paper in printed(name).items():
-        row, said = ours.get(place), registration().said_of(name, place._asdict())
+        row, said = ours.get(place), registration().declaration_for(name, place._asdict())
         cell: Row = {
             **place._asdict(),
             "paper": paper.value,
@@ -229,8 +229,10 @@ def _shares(
 
     Cells with fewer runs than the paper's experiment are left out.
     """
-    said = registration()
-    cells = {place: paper for place, paper in printed(name).items() if said.said_of(name, place._asdict()).dial is None}
+    declaration_for = registration().declaration_for
+    cells = {
+        place: paper for place, paper in printed(name).items() if declaration_for(name, place._asdict()).dial is None
+    }
     held = {place: runs.get((place.architecture, place.configuration, place.fleet_size), {}) for place in cells}
     enough = {place for place, found in held.items() if _count(found, place) >= PAPER_RUNS}
     drawn: dict[Place, list[float | None]] = {}

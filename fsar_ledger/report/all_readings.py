@@ -14,9 +14,9 @@ from fsar_ledger.metrics.library import READINGS, library
 from fsar_ledger.metrics.multiverse import (
     CONDITIONS,
     Cell,
-    Chosen,
     Multiverse,
     Reading,
+    ReadingNames,
     Universe,
     cells,
     rankings,
@@ -101,7 +101,7 @@ def orders(found: Multiverse) -> list[Row]:
     ]
 
 
-def _sets(found: Multiverse, sets: Sequence[Chosen] | None) -> str | None:
+def _sets(found: Multiverse, sets: Sequence[ReadingNames] | None) -> str | None:
     """Name the smallest combinations under which FSAR is not the best, those of fewest readings first."""
     if not sets:
         return None
@@ -161,7 +161,7 @@ SMALL = 6.5  # points
 OURS: dict[str, Any] = {"color": "#999999", "linewidth": 0.8, "linestyle": (0, (3, 2)), "zorder": 1}
 PAPER: dict[str, Any] = figures.DIAMOND | {"markersize": 3.5, "markeredgewidth": 0.8, "zorder": 4}
 
-Column = tuple[Chosen, dict[str, float]]
+Column = tuple[ReadingNames, dict[str, float]]
 """A combination of readings, and the mean of each architecture under it."""
 
 
@@ -205,7 +205,7 @@ def ordered(universes: Sequence[Universe], spec: Metric) -> list[Column]:
     """
     mine = [one for one in universes if one.metric == spec.name]
     place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
-    means: dict[Chosen, dict[str, float]] = {}
+    means: dict[ReadingNames, dict[str, float]] = {}
     for one in mine:
         if [getattr(one, name) for name in CONDITIONS] == place:
             found = means.setdefault(one.readings, {})

@@ -13,7 +13,7 @@ from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.effects import open_effects
 from fsar_ledger.metrics.progress import Showing, unseen
 from fsar_ledger.metrics.study_results import Calibration, packaged
-from fsar_ledger.metrics.verified import required_look
+from fsar_ledger.metrics.verified import ensure_verified
 from fsar_ledger.publishing import publish, require_another, require_place
 from fsar_ledger.report import document, figures, specs
 from fsar_ledger.report.gather import gather
@@ -53,7 +53,7 @@ def write_report(
             how to make it.
         reads_every_way: Whether the cells are also shown under every reading of the text.
         numbers_out: Where the same numbers are written for programs (`reproduction`); None: nowhere.
-        demanded: The newest record of the ledger, if `required_look` has just checked it; None checks it now.
+        demanded: The newest record of the ledger, if `ensure_verified` has just checked it; None checks it now.
 
     Raises:
         UsageError: The ledger of workflows holds no workflow, one beside it has nothing for the report, `out` lies
@@ -86,9 +86,9 @@ def write_report(
 
 
 def _compared(ledger: Path, workers: int, showing: Showing) -> str:
-    """Compare all rows with their root; return the newest record. Raises: As `required_look`."""
+    """Compare all rows with their root; return the newest record. Raises: As `ensure_verified`."""
     with showing("verified", "segments") as progress:
-        return required_look(ledger, workers, progress)
+        return ensure_verified(ledger, workers, progress)
 
 
 def result_figure_svg(ledger: Path, out: Path) -> None:

@@ -74,7 +74,7 @@ def numbers(findings: Findings, *, is_fitted: bool = True) -> tuple[Row, ...]:
 def _class(row: Row, *, is_fitted: bool) -> str:
     kind = (
         registration()
-        .said_of("results", {"metric": row["metric"], "architecture": row["architecture"]})
+        .declaration_for("results", {"metric": row["metric"], "architecture": row["architecture"]})
         .kind.replace("_", " ")
     )
     return INFORMED if kind == FITTED and not is_fitted else kind

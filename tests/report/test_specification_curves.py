@@ -7,10 +7,10 @@ import pytest
 
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.definitions import metric_named, metrics
-from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, readings
+from fsar_ledger.metrics.multiverse import Multiverse, ReadingNames, Universe, cells, readings
 from fsar_ledger.report import all_readings
 
-MEANS: dict[Chosen, tuple[float | None, float, float]] = {
+MEANS: dict[ReadingNames, tuple[float | None, float, float]] = {
     (): (0.07, 0.29, 0.2),
     ("level_four_is_fleet",): (0.3, 0.29, 0.2),
     ("reviews_are_no_interventions",): (0.03, 0.24, 0.18),
@@ -19,7 +19,7 @@ MEANS: dict[Chosen, tuple[float | None, float, float]] = {
 
 
 def found(
-    means: dict[Chosen, tuple[float | None, float, float]] = MEANS, metric: str = "human_intervention"
+    means: dict[ReadingNames, tuple[float | None, float, float]] = MEANS, metric: str = "human_intervention"
 ) -> Multiverse:
     """One metric of three architectures under these combinations, and once more for another seed, under which FSAR is
     the worst."""
