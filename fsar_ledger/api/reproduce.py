@@ -12,7 +12,7 @@ from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.progress import Showing
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.metrics.verified import ensure_verified
-from fsar_ledger.report import write_report
+from fsar_ledger.report.build import write_report
 from fsar_ledger.runtime.experiment import Made, carry_out
 from fsar_ledger.runtime.experiments import NAMES, SEED, Name, Named, named
 

@@ -193,20 +193,17 @@ def dialled_rows(database: Database, *, pools_seeds: bool = False) -> list[Diall
     return typed(rows, DialledRow)
 
 
-def statistic_rows(database: Database, defined_only: bool = False, *, pools_seeds: bool = False) -> list[StatisticRow]:
-    """Return the pairwise tests of each seed, or of all together.
+def statistic_rows(database: Database, *, pools_seeds: bool = False) -> list[StatisticRow]:
+    """Return the pairwise tests by the published convention (n is all pairs), of each seed or of all together.
 
-    They follow the published convention (n is all pairs), or with `defined_only` take only pairs where the metric is
-    defined in both runs. Raises: as `Database.rows`.
+    Raises: as `Database.rows`.
     """
-    basis = "defined" if defined_only else "published"
-    others = f"""(
-        SELECT * EXCLUDE (basis, pools_seeds) FROM all_pairwise_tests
-        WHERE basis = '{basis}' AND pools_seeds = {pools_seeds}
+    pooled = """(
+        SELECT * EXCLUDE (basis, pools_seeds) FROM all_pairwise_tests WHERE basis = 'published' AND pools_seeds
     )"""
     rows = database.rows(f"""
         SELECT * EXCLUDE (position)
-        FROM {others if defined_only or pools_seeds else "pairwise_tests"}
+        FROM {pooled if pools_seeds else "pairwise_tests"}
         ORDER BY
             family NOT LIKE 'architectures%', {SETTINGS},
             position, metric, list_position(['fsar-cfc', 'fsar-dhma', 'cfc-dhma'], comparison), comparison

@@ -32,7 +32,6 @@ def write_report(
     beside: Sequence[Path] = (),
     pools_seeds: bool = False,
     sensitivity: Path | None = None,
-    reads_every_way: bool = True,
     numbers_out: Path | None = None,
 ) -> None:
     """Write the PDF and its numbers about the present heads of the ledger and of the ledgers beside it.
@@ -51,7 +50,6 @@ def write_report(
         pools_seeds: Whether the tables take the runs of all seeds together.
         sensitivity: The file of `fsar-ledger study run sensitivity`. If it is of other runs, or None, the report says
             how to make it.
-        reads_every_way: Whether the cells are also shown under every reading of the text.
         numbers_out: Where the same numbers are written for programs (`reproduction`); None: nowhere.
         demanded: The newest record of the ledger, if `ensure_verified` has just checked it; None checks it now.
 
@@ -73,7 +71,7 @@ def write_report(
     demanded = demanded or _compared(ledger, workers, showing)
     theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
     findings = gather(
-        ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way, showing=showing
+        ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=True, showing=showing
     )
     effects = section(given, findings.model_version, findings.parameters)
     record = packaged(Calibration)
@@ -94,13 +92,7 @@ def _compared(ledger: Path, workers: int, showing: Showing) -> str:
 def result_figure_svg(ledger: Path, out: Path) -> None:
     """Write the figure "Evaluation results" of the ledger as SVG. Raises: as `write_report`."""
     require_outside(out, str(out))
-    publish(out, figures.evaluation_results(gather(ledger).cells, "svg"))
-
-
-def result_figure_png(ledger: Path, out: Path) -> None:
-    """Write the figure "Evaluation results" of the ledger as PNG. Raises: as `write_report`."""
-    require_outside(out, str(out))
-    publish(out, figures.evaluation_results(gather(ledger).cells, "png"))
+    publish(out, figures.evaluation_results(gather(ledger).cells))
 
 
 def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:

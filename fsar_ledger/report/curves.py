@@ -54,7 +54,7 @@ COSTS = {
 """What is counted for each request, and the title of its panel."""
 
 
-def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
+def ablation(rows: Sequence[Row]) -> bytes:
     """Draw "Without one mechanism": six panels, five configurations, the paper's values marked.
 
     `rows` are the cells of the ablation table.
@@ -100,10 +100,10 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
         ]
         handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
         legend_below(figure, handles)
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
-def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") -> bytes:
+def encounters(curve: Sequence[Row], printed: Sequence[Row]) -> bytes:
     """Draw "Success without a registry": success over how often robots meet.
 
     A diamond marks where a curve has the paper's value.
@@ -129,10 +129,10 @@ def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") 
         panel.set_ylim(0, 100)
         panel.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
         panel.legend(frameon=False)
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
-def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
+def scaling(curve: Sequence[Row], cells: Sequence[Row]) -> bytes:
     """Draw "Larger fleets": each metric over the number of robots, with all teams working and with one.
 
     The paper's points are marked; it has none beyond 16 robots.
@@ -164,10 +164,10 @@ def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> by
             panel.set_xlim(sizes[0] / 1.19, sizes[-1] * 1.19)
             _titled(panel, spec, "robots")
         _legend(axes.flat[len(SCALED)], (("-", "all teams work"), ("--", "one team works")))
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
-def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
+def loads(curve: Sequence[Row], cells: Sequence[Row]) -> bytes:
     """Draw "How much there is to do": each metric over the number of working teams, at the paper's largest fleet.
 
     A diamond marks where a curve has the paper's value.
@@ -189,10 +189,10 @@ def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> byte
             panel.set_xticks(sorted({row["teams_working"] for row in at_size}))
             _titled(panel, spec, "teams working")
         _legend(axes.flat[len(SCALED)], (("-", "this ledger"), (":", "the paper's number")))
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
-def coordination_cost(costs: Sequence[Row], kind: str = "svg") -> bytes:
+def coordination_cost(costs: Sequence[Row]) -> bytes:
     """Draw "What coordination costs": counts for each request over the number of robots, on logarithmic scales.
 
     Where an architecture completes less than half of its tasks in time, the points are hollow. Grey lines grow with the
@@ -228,7 +228,7 @@ def coordination_cost(costs: Sequence[Row], kind: str = "svg") -> bytes:
         growths: tuple[tuple[Any, str], ...] = ((":", "grows as $n$"), ("--", "grows as $\\log n$"))
         handles += [Line2D([], [], color="#999999", ls=style, label=label) for style, label in growths]
         legend_below(figure, handles)
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
 def is_broken(row: Row) -> bool:

@@ -101,7 +101,7 @@ def _glyphs() -> frozenset[int]:
     return frozenset(get_font(findfont(STYLE["font.family"])).get_charmap())
 
 
-def rendered(figure: Any, kind: str) -> bytes:
+def rendered(figure: Any, kind: str = "svg") -> bytes:
     """Return the open figure as a file of this kind (svg, png, pdf), without date or creator."""
     buffer = io.BytesIO()
     if kind == "pdf":
@@ -174,7 +174,7 @@ def _panel(axes: Any, spec: Metric, rows: Sequence[Row]) -> None:
     from_zero(axes, spec.factor * max(drawn))
 
 
-def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
+def evaluation_results(rows: Sequence[Row]) -> bytes:
     """Draw the figure "Evaluation results": eight panels, three architectures, the paper's values. Paper: fig:eval.
 
     Each row holds metric, architecture, mean, ci_low, ci_high (None: no value) and paper, all in stored units.
@@ -191,7 +191,7 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
         handles.append(Line2D([], [], color="black", marker="|", markersize=9, linestyle="none", label="95 % interval"))
         handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
         legend_below(figure, handles, handletextpad=0.5, columnspacing=1.6)
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
 def _first_less_second(comparison: str) -> str:
@@ -211,7 +211,7 @@ def _effect_legend(figure: Any) -> None:
     legend_below(figure, handles, handletextpad=0.5, columnspacing=1.6)
 
 
-def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
+def effects(rows: Sequence[Row]) -> bytes:
     """Draw "Effect sizes": Cohen's d of each pairwise test with its 95 % interval. Paper: tab:significance.
 
     The paper's d are drawn with the sign of its t. Each row holds metric, comparison, cohens_d, d_ci_low, d_ci_high
@@ -253,7 +253,7 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
         panel.tick_params(axis="y", length=0)
         panel.set_xlabel("effect in standard deviations, first minus second (linear up to 1, logarithmic beyond)")
         _effect_legend(figure)
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
 PANELS: dict[str, tuple[str, ...]] = {
@@ -274,7 +274,7 @@ SPREAD = 0.76
 """The part of a metric's line over which its numbers are spread."""
 
 
-def overview_figure(rows: Sequence[Row], kind: str = "svg") -> bytes:
+def overview_figure(rows: Sequence[Row]) -> bytes:
     """Draw a panel for each table that has runs: a point for each number, in margins of its metric.
 
     Each has its 90 % interval, or the range of an open dial. `rows` are those of `numbers.numbers`.
@@ -313,7 +313,7 @@ def overview_figure(rows: Sequence[Row], kind: str = "svg") -> bytes:
             handletextpad=0.4,
             columnspacing=1.3,
         )
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
 def _grounds(panel: Any, lines: int) -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.study_results import Calibration, packaged
-from fsar_ledger.report import document, write_report
+from fsar_ledger.report import document
+from fsar_ledger.report.build import write_report
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.numbers import reproduction, tally
 from tests.report.test_specification_curves import found
