@@ -185,11 +185,12 @@ bench: $(READY_TEST)
 	$(BIN)/python benchmarks/trust.py
 	$(BIN)/python benchmarks/growth.py --maps
 	$(BIN)/python benchmarks/every_command.py --events 200000
+	$(BIN)/python benchmarks/page.py || true  # where Chromium or Playwright is lacking
 	$(BIN)/python benchmarks/table.py "$$FSAR_LEDGER_BENCH"
 
 docs: reproduce $(READY_TEST)
 	$(BIN)/python docs/write.py
-	$(BIN)/python -c 'import os; from pathlib import Path; from fsar_ledger.report import result_figure_svg; \
+	$(BIN)/python -c 'import os; from pathlib import Path; from fsar_ledger.report.build import result_figure_svg; \
 		result_figure_svg(Path(os.environ["OUT"]) / "results", Path("docs/results.svg"))'
 
 # The script and the style of the page that `fsar-ledger view` writes, from their sources.

@@ -27,7 +27,7 @@ from fsar_ledger.ledger.rows import canonical, joining
 from fsar_ledger.ledger.rows.segment import read_table
 from fsar_ledger.ledger.store.walk import Names, check_manifest
 from fsar_ledger.ledger.verify.segment import examine, examine_some
-from fsar_ledger.metrics.second_reader import ReadAgain
+from fsar_ledger.metrics.duckdb_check import ReadAgain
 from fsar_ledger.runtime.experiment import run_experiment
 
 from benchmarks.metrics import experiment  # isort: skip

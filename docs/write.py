@@ -32,7 +32,7 @@ from typer.main import get_command
 
 from fsar_ledger.api.ledger import Ledger
 from fsar_ledger.cli.app import app, run
-from fsar_ledger.constants import Constants, Load, Outages
+from fsar_ledger.constants import WORDS, Constants, Load, Outages, origins
 from fsar_ledger.events.configuration import MECHANISMS_OF
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -51,7 +51,6 @@ from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.metrics.multiverse import readings
 from fsar_ledger.report.printing import flat
-from fsar_ledger.report.provenance import WORDS, origins
 
 DOCS = Path(__file__).resolve().parent
 PAGES = (

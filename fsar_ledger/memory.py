@@ -1,10 +1,11 @@
-"""Limits the memory of this process, so that a command that needs more ends with a message.
+"""Limits the memory of this process, so that a command that needs more ends with a message; pauses its collector.
 
 It counts the memory that this process and its children hold, without shared libraries. Address space is not memory: the
 libraries reserve ten times what they use. So the operating system's limit is only a safety net, set far above, for what
 grows between two checks.
 """
 
+import gc
 import os
 import resource
 import threading
@@ -123,3 +124,15 @@ def _held_by(process: str) -> int | None:
 def bytes_installed() -> int:
     """Return the bytes of memory that the machine has."""
     return os.sysconf("SC_PHYS_PAGES") * _PAGE_BYTES
+
+
+@contextmanager
+def without_collection() -> Iterator[None]:
+    """Disable the cyclic garbage collector for code that creates no cycles."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

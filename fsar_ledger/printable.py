@@ -10,7 +10,7 @@ beside them), marks without a letter, and a third mark on one letter. Escapes ar
 import re
 import shlex
 import unicodedata
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import PurePath
 from typing import NewType
 
@@ -174,6 +174,11 @@ def some(parts: Iterable[str], what: str = "more") -> str:
     named = list(parts)
     more = len(named) - NAMED
     return ", ".join(named[:NAMED]) + (f" and {more:,} {what}" if more > 0 else "")
+
+
+def every(parts: Sequence[str], nothing: str = "none") -> str:
+    """List all parts: a, b and c."""
+    return " and ".join(filter(None, (", ".join(parts[:-1]), *parts[-1:]))) or nothing
 
 
 def did_you_mean(asked: str, names: Collection[str]) -> str:

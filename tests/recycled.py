@@ -23,6 +23,7 @@ def from_table(events: pa.Table, threads: int | None = None) -> Iterator[Databas
         with fresh.from_table(events, threads) as database:
             yield database
         return
+    threads = threads or 1
     if idle := _idle.setdefault(threads, []):
         database = idle.pop()
         database.refill(events)

@@ -13,7 +13,7 @@ from fsar_ledger.analysis.causes import Outcome
 from fsar_ledger.analysis.fork_base import Rerun
 from fsar_ledger.constants import END_US
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
-from fsar_ledger.garbage import without_collection
+from fsar_ledger.memory import without_collection
 from fsar_ledger.runtime.changeable import facts_by_name
 from fsar_ledger.runtime.forks import kernel_of
 from fsar_ledger.runtime.ports import Ask, Environment, Fact

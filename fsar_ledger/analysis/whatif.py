@@ -8,14 +8,14 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.writing import open_writer
+from fsar_ledger.memory import without_collection
+from fsar_ledger.metrics.comparison_sides import beside
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import typed
-from fsar_ledger.metrics.sides import beside
 from fsar_ledger.runtime.changes import Changes
 from fsar_ledger.runtime.experiment import BATCH_RUNS, ORIGIN
 from fsar_ledger.runtime.forks import Fork

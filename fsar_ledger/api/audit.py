@@ -97,7 +97,7 @@ def audit(
     from fsar_ledger.ledger.opening import open_for_answers
     from fsar_ledger.metrics.database import Slices, connect_view
     from fsar_ledger.metrics.invariants import audit_rows, chosen
-    from fsar_ledger.metrics.models import models
+    from fsar_ledger.metrics.results import models
     from fsar_ledger.runtime.architectures import REGISTERED
 
     from .provenance import of_judgement

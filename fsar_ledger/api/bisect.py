@@ -18,8 +18,8 @@ from .verbs import ArchitectureOption, FirstOption, OtherArgument, SecondOption,
 
 if TYPE_CHECKING:
     from fsar_ledger.analysis.causes import Outcome
+    from fsar_ledger.metrics.comparison_sides import Side
     from fsar_ledger.metrics.database import Database
-    from fsar_ledger.metrics.sides import Side
 
     from .ledger import Ledger
     from .provenance import Provenance
@@ -137,7 +137,7 @@ def _sides(
 ) -> Bisected:
     """Compare two sides of one ledger, or of two, by an outcome."""
     from fsar_ledger.analysis.causes import outcome_of
-    from fsar_ledger.metrics.sides import chosen, sides
+    from fsar_ledger.metrics.comparison_sides import chosen, sides
 
     from .diff import difference_of
 

@@ -8,7 +8,7 @@ from msgspec import structs
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-from fsar_ledger.metrics.sides import LeftOut, Paired, Side, SideRow, chosen, paired, sides
+from fsar_ledger.metrics.comparison_sides import LeftOut, Paired, Side, SideRow, chosen, paired, sides
 from fsar_ledger.printable import counted
 
 from .answers import Answer, Screen

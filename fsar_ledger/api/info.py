@@ -16,8 +16,8 @@ from .answers import Answer, Screen
 from .verbs import verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.models import Model
     from fsar_ledger.metrics.observing import Unobserved
+    from fsar_ledger.metrics.results import Model
 
     from .ledger import Ledger
     from .provenance import Provenance
@@ -306,9 +306,9 @@ def info(ledger: "Ledger") -> Contents:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`, and `models`.
     """
     from fsar_ledger.ledger.opening import open_ledger
-    from fsar_ledger.metrics.models import lettered, models
     from fsar_ledger.metrics.observing import never_observed
     from fsar_ledger.metrics.plans import completeness
+    from fsar_ledger.metrics.results import lettered, models
 
     from .plans import Shown, plans
     from .provenance import Provenance

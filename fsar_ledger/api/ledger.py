@@ -291,7 +291,7 @@ class Ledger(Integrity):
             showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
         """
         from fsar_ledger.metrics.progress import unseen
-        from fsar_ledger.report import write_report
+        from fsar_ledger.report.build import write_report
 
         def path(place: Place | None) -> Path | None:
             return None if place is None else Path(place)

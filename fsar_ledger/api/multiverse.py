@@ -33,9 +33,9 @@ class MultiverseResult(Multiverse, frozen=True, kw_only=True):
         Raises: WriteFailed if the file cannot be written.
         """
         from fsar_ledger.publishing import publish
-        from fsar_ledger.report import specification_curves
+        from fsar_ledger.report import all_readings
 
-        publish(Path(file), specification_curves.curves(self))
+        publish(Path(file), all_readings.curves(self))
 
 
 def read_multiverse(

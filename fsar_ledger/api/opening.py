@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.metrics.verified import is_remembered, required_look
+from fsar_ledger.metrics.verified import ensure_verified, is_remembered
 
 from .ledger import Ledger
 from .names import Place
@@ -22,7 +22,7 @@ def demanded_head(ledger: Path, *, verified: bool, progress: Progress | None = N
     if not verified:
         return None
     newest = open_for_answers(ledger).record_sha256
-    return newest if is_remembered(newest) else required_look(ledger, readers_of(None, ledger), progress)
+    return newest if is_remembered(newest) else ensure_verified(ledger, readers_of(None, ledger), progress)
 
 
 def open_ledger(path: Place, *, verified: bool = False, progress: Progress | None = None) -> Ledger:

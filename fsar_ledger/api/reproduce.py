@@ -11,8 +11,8 @@ from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.progress import Showing
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.metrics.verified import required_look
-from fsar_ledger.report import write_report
+from fsar_ledger.metrics.verified import ensure_verified
+from fsar_ledger.report.build import write_report
 from fsar_ledger.runtime.experiment import SimulationResult, run_experiment
 from fsar_ledger.runtime.paper import NAMES, SEED, Name, PaperLedger, paper_ledger
 
@@ -60,7 +60,7 @@ def reproduce_experiments(
     Raises:
         UsageError: The folder is a ledger, or lies inside one.
         InvalidExperiment: An experiment of `only` is unknown, or the count of runs impossible.
-        FsarLedgerError: As `simulate`, `required_look` and `write_report`.
+        FsarLedgerError: As `simulate`, `ensure_verified` and `write_report`.
     """
     require_outside(out, option("out", out))
     chosen = [name for name in NAMES if name == "results" or not only or name in known("experiment", only, NAMES)]
@@ -71,7 +71,7 @@ def reproduce_experiments(
     }
     ledger = out / "results"
     with showing("verified", "segments") as progress:
-        demanded = required_look(ledger, workers, progress)
+        demanded = ensure_verified(ledger, workers, progress)
     with connect(ledger, demanded=demanded) as database:
         metrics, statistics = metric_rows(database), statistic_rows(database)
         table = Table(of_structs(metrics, MetricRow), of_judgement(database))

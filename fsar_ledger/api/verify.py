@@ -184,7 +184,7 @@ def verify(
             seconds since 1970.
     """
     from fsar_ledger.ledger.verify.report import Asked
-    from fsar_ledger.metrics.verified import whole_look
+    from fsar_ledger.metrics.verified import full_verify
 
     from .witness import seen_of
 
@@ -202,7 +202,7 @@ def verify(
     if trusted is None and seen is not None:
         trusted = seen.log
     asked = Asked(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
-    report = whole_look(place, readers_of(workers, place), progress, asked)
+    report = full_verify(place, readers_of(workers, place), progress, asked)
     again = replayed(place, report, workers, progress, recorded) if replay else None
     return Verification(report, again, seen, place, recorded)
 

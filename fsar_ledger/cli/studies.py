@@ -8,7 +8,7 @@ from fsar_ledger.api.fields import Row, plain
 from fsar_ledger.api.names import known
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.effects import MADE_BY, Sensitivity, dozen, open_effects, reach
-from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Ranking
+from fsar_ledger.metrics.multiverse import Multiverse, Ranking, ReadingNames
 from fsar_ledger.metrics.study_results import Calibration, Comparison, Predictions, packaged, read
 from fsar_ledger.printable import Shown
 from fsar_ledger.studies.result import stale
@@ -142,6 +142,6 @@ def _named(row: Ranking) -> Row:
     return {**told, "changed_under": _texts(row.changed_under), "fsar_not_best_under": _texts(row.fsar_not_best_under)}
 
 
-def _texts(sets: tuple[Chosen, ...] | None) -> str | None:
+def _texts(sets: tuple[ReadingNames, ...] | None) -> str | None:
     """Return the combinations in words; None where there are none, or nothing can be said."""
     return "; ".join(" + ".join(names) or OURS for names in sets) if sets else None

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from fsar_ledger.printable import NAMED, counted, number, some
+from fsar_ledger.printable import NAMED, counted, every, number, some
 
 from .database import Database
 from .results import StatisticRow, typed
@@ -195,10 +195,8 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
 
 def _named(values: Sequence[object] | None) -> str:
     """Name all of a few values, else the first and how many more there are."""
-    found = [str(one) for one in values or ()]
-    if len(found) > NAMED:
-        return some(found)
-    return " and ".join(filter(None, (", ".join(found[:-1]), *found[-1:])))
+    names = [str(value) for value in values or ()]
+    return some(names) if len(names) > NAMED else every(names, "")
 
 
 def differing_worlds(database: Database) -> list[DifferingWorlds]:

@@ -22,10 +22,9 @@ from fsar_ledger.ledger.store.view import Head
 
 from .functions import NAMES, register
 from .library import Library, Query, library
-from .macros import FOR_OLDER, statements
+from .own_sql import FOR_OLDER, SHOWN, check_columns, statements
 from .paths import literal, quoted
 from .query_parameters import values
-from .showable import SHOWN, check_columns
 
 LOCK = (
     "threads = 1",
@@ -46,6 +45,7 @@ DUCKDB_SHARE = 0.75
 """The part of the memory of this process that DuckDB may take."""
 
 BATCH_ROWS = 10_000
+MESSAGE_LINES = 6
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
 FAULTS_OF_SQL = (
     duckdb.ParserException,
@@ -385,10 +385,10 @@ def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
     return rows
 
 
-def _first_lines(text: str, count: int = 6) -> str:
+def _first_lines(text: str) -> str:
     """Return the beginning of DuckDB's message, without blank lines and with long ones cut."""
     lines = [line if len(line) <= SHOWN else f"{line[:SHOWN]}..." for line in text.splitlines() if line.strip()]
-    return "\n".join(lines[:count])
+    return "\n".join(lines[:MESSAGE_LINES])
 
 
 def with_all_columns(events: pa.Table) -> pa.Table:

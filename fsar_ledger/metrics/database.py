@@ -23,7 +23,7 @@ from .connection import (
     plain_rows,
     with_all_columns,
 )
-from .showable import SHOWN
+from .own_sql import SHOWN
 from .verified import is_verified, is_verified_for_runs
 
 __all__ = [
@@ -61,7 +61,7 @@ def connect(
     Args:
         ledger: Its folder.
         threads: Of DuckDB; None is one per core.
-        demanded: The newest record that `required_look` has just checked, if no other head will do.
+        demanded: The newest record that `ensure_verified` has just checked, if no other head will do.
         file: A new file of DuckDB in which the relations stay, for other programs; None: they are in memory.
 
     Raises:
@@ -100,7 +100,7 @@ def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
     database = Database(view.head, segments, rows_verified=rows_verified)
     ordinal, releases = view.ordinal_of(run), view.releases
     numbers = _numbers([run] if ordinal else [], ordinal)
-    _fill(database, segments, [releases[number] for number in held], relation.Chosen(relation.of_run(run), numbers))
+    _fill(database, segments, [releases[number] for number in held], relation.RowFilter(relation.of_run(run), numbers))
     return database
 
 
@@ -146,7 +146,7 @@ class Slices:
         # See docs/decisions/slices-have-a-table-for-each-concern.md.
         # One run of more events is not worth tables: they would take memory with its length.
         database.keeps_events = sum(one.rows for one in runs) <= self._most
-        chosen = relation.Chosen(relation.OF_NUMBERED, _numbers(names), whole)
+        chosen = relation.RowFilter(relation.OF_NUMBERED, _numbers(names), whole)
         _fill(database, [*held.values()], [releases[number] for number in held], chosen)
         return database
 
@@ -175,7 +175,7 @@ def _fill(
     database: Database,
     segments: Sequence[Path],
     releases: Sequence[str],
-    chosen: relation.Chosen | None = None,
+    chosen: relation.RowFilter | None = None,
     passing: Sequence[Path] = (),
 ) -> None:
     """Hold the rows of these segments as `hold_segments`, or close the database if that fails. Raises: As that."""

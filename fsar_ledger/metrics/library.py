@@ -167,26 +167,38 @@ def _select(fields: Iterable[Field], tags: Iterable[str], source: str | None, wi
 
 def staging_query(tag: str) -> Query:
     """Return the view of one event type: its envelope and fields, one row per event."""
-    layout = LAYOUTS[tag]
-    title = (layout.cls.__doc__ or "").strip().splitlines()[0]
-    header = {
-        "Title": title,
-        "Paper": "see the event type",
-        "Grain": f"one row per {tag} event",
-        "Key": "run_id, seq",
-        "Units": "microseconds in columns that end in _us",
-        "NULL": "the record does not name it",
-        "Example": f"fsar-ledger query staging/{view_name(tag)} LEDGER",
-    }
     concern = CONCERN_OF.get(tag.partition(".")[0])
-    return Query(
+    return _generated(
         f"staging/{view_name(tag)}",
         staging_sql(tag),
-        header,
+        (LAYOUTS[tag].cls.__doc__ or "").strip().splitlines()[0],
+        grain=f"one row per {tag} event",
+        units="microseconds in columns that end in _us",
+        null="the record does not name it",
+        paper="see the event type",
         tags=frozenset({tag}),
         nothing=staging_sql(tag, None),
         wider=f"{concern}_events" if concern else "",
     )
+
+
+def _generated(
+    name: str,
+    sql: str,
+    title: str,
+    *,
+    grain: str,
+    key: str = "run_id, seq",
+    units: str = "none",
+    null: str = "never",
+    paper: str = "sec:evaluation:metrics",
+    tags: frozenset[str] = frozenset(),
+    nothing: str = "",
+    wider: str = "",
+) -> Query:
+    """Return a query that has no file, with the header that a file would have."""
+    values = (title, paper, grain, key, units, null, f"fsar-ledger query {name} LEDGER")
+    return Query(name, sql, dict(zip(REQUIRED_KEYS, values, strict=True)), tags=tags, nothing=nothing, wider=wider)
 
 
 def concerns_query() -> Query:
@@ -194,17 +206,13 @@ def concerns_query() -> Query:
     rows = ",\n    ".join(
         f"('{tag}', '{CONCERN_OF[tag.partition('.')[0]]}')" for tag in LAYOUTS if tag.partition(".")[0] in CONCERN_OF
     )
-    sql = f"WITH concerns (type, concern) AS (\n    VALUES\n    {rows}\n)\n\nSELECT *\nFROM concerns\n"
-    header = {
-        "Title": "Which concern each event type belongs to; a run says which concerns its source records",
-        "Paper": "sec:evaluation:metrics",
-        "Grain": "one row per event type, but for those that say what a run is",
-        "Key": "type",
-        "Units": "none",
-        "NULL": "never",
-        "Example": "fsar-ledger query facts/event_concerns LEDGER",
-    }
-    return Query("facts/event_concerns", sql, header)
+    return _generated(
+        "facts/event_concerns",
+        f"WITH concerns (type, concern) AS (\n    VALUES\n    {rows}\n)\n\nSELECT *\nFROM concerns\n",
+        "Which concern each event type belongs to; a run says which concerns its source records",
+        grain="one row per event type, but for those that say what a run is",
+        key="type",
+    )
 
 
 def concern_sql(concern: str, source: str | None = "events") -> str:
@@ -222,18 +230,16 @@ def _layouts(concern: str) -> list[StoredType]:
 
 def concern_query(concern: str) -> Query:
     """Return the view of every event of one concern."""
-    header = {
-        "Title": f"Every event of the concern {concern}",
-        "Paper": "see the event types",
-        "Grain": "one row per event of a type of the concern (facts/event_concerns)",
-        "Key": "run_id, seq",
-        "Units": "microseconds in columns that end in _us",
-        "NULL": "the event's type has no such field, or the record does not name it",
-        "Example": f"fsar-ledger query staging/{concern}_events LEDGER",
-    }
-    tags = frozenset(layout.tag for layout in _layouts(concern))
-    return Query(
-        f"staging/{concern}_events", concern_sql(concern), header, tags=tags, nothing=concern_sql(concern, None)
+    return _generated(
+        f"staging/{concern}_events",
+        concern_sql(concern),
+        f"Every event of the concern {concern}",
+        grain="one row per event of a type of the concern (facts/event_concerns)",
+        units="microseconds in columns that end in _us",
+        null="the event's type has no such field, or the record does not name it",
+        paper="see the event types",
+        tags=frozenset(layout.tag for layout in _layouts(concern)),
+        nothing=concern_sql(concern, None),
     )
 
 
@@ -243,66 +249,47 @@ def world_query() -> Query:
     fields = sorted({field.name for layout in layouts for field in layout.fields})
     values = ", ".join(f"'{name}=' || to_json(\"{name}\")::VARCHAR" for name in fields)
     tags = ", ".join(f"'{layout.tag}'" for layout in layouts)
-    sql = f"SELECT run_id, seq, time_us, type, concat_ws(' ', {values}) AS fact\nFROM events\nWHERE type IN ({tags})\n"
-    header = {
-        "Title": "What the world did, whoever governed it: facts that come from draws or from outside",
-        "Paper": "see the event types",
-        "Grain": "one row per event of a type of the world",
-        "Key": "run_id, seq",
-        "Units": "time_us microseconds; fact its fields as NAME=VALUE, the values as JSON",
-        "NULL": "never",
-        "Example": "fsar-ledger query staging/world_facts LEDGER",
-    }
-    return Query("staging/world_facts", sql, header)
+    return _generated(
+        "staging/world_facts",
+        f"SELECT run_id, seq, time_us, type, concat_ws(' ', {values}) AS fact\nFROM events\nWHERE type IN ({tags})\n",
+        "What the world did, whoever governed it: facts that come from draws or from outside",
+        grain="one row per event of a type of the world",
+        units="time_us microseconds; fact its fields as NAME=VALUE, the values as JSON",
+        paper="see the event types",
+    )
 
 
 def metric_queries() -> list[Query]:
     """Return the relations that `reports/metrics.toml` makes."""
-    undefined = "published_value where the metric is defined for every run; undefined_value where it does not count"
-    made = {
-        "metric_definitions": (
+    return [
+        _generated(
+            "metrics/metric_definitions",
+            definitions.definitions_sql(),
             "The metrics: their order, their scale, which way is better, how runs are pooled, and whether the paper "
             "prints them",
-            "one row per metric",
-            "metric",
-            "numerator_units, how many units of the numerator make one of the value; scale is share, count, seconds, "
-            "or yes-no (0 or 1 for each run); better is higher or lower; undefined_value and published_value, what an "
-            "undefined run counts as with us and in the paper, where a metric is not pooled",
-            undefined,
-            definitions.definitions_sql(),
+            grain="one row per metric",
+            key="metric",
+            units="numerator_units, how many units of the numerator make one of the value; scale is share, count, "
+            "seconds, or yes-no (0 or 1 for each run); better is higher or lower; undefined_value and "
+            "published_value, what an undefined run counts as with us and in the paper, where a metric is not pooled",
+            null="published_value where the metric is defined for every run; undefined_value where it does not count",
         ),
-        "metric_concerns": (
-            "What each metric rests on: without these concerns nothing of it can be judged",
-            "one row per metric and concern",
-            "judge, concern",
-            "none",
-            "never",
+        _generated(
+            "metrics/metric_concerns",
             definitions.concerns_sql(),
+            "What each metric rests on: without these concerns nothing of it can be judged",
+            grain="one row per metric and concern",
+            key="judge, concern",
         ),
-        "metric_measurements": (
-            "What every metric measures of each run",
-            "one row per run and metric",
-            "run_id, metric",
-            "as in each metric's own query",
-            "as in each metric's own query",
+        _generated(
+            "metrics/metric_measurements",
             definitions.measured_sql(),
+            "What every metric measures of each run",
+            grain="one row per run and metric",
+            key="run_id, metric",
+            units="as in each metric's own query",
+            null="as in each metric's own query",
         ),
-    }
-    return [
-        Query(
-            f"metrics/{name}",
-            sql,
-            {
-                "Title": title,
-                "Paper": "sec:evaluation:metrics",
-                "Grain": grain,
-                "Key": key,
-                "Units": units,
-                "NULL": null,
-                "Example": f"fsar-ledger query metrics/{name} LEDGER",
-            },
-        )
-        for name, (title, grain, key, units, null, sql) in made.items()
     ]
 
 

@@ -18,7 +18,7 @@ from .progress import Progress
 from .results import SETTINGS, typed
 from .verdicts import published
 
-Chosen = tuple[str, ...]
+ReadingNames = tuple[str, ...]
 """The readings that replace ours, by name and in order; () is our own."""
 
 CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
@@ -99,7 +99,7 @@ class Universe(_OfRuns, frozen=True, kw_only=True):
     Runs whose source does not record what the metric rests on are left out. None: undefined or not observed.
     """
 
-    readings: Chosen
+    readings: ReadingNames
     mean: float | None
     runs_not_observed: int
 
@@ -121,8 +121,8 @@ class Cell(_OfRuns, frozen=True, kw_only=True):
     undefined: int
     most_moving: str | None
     moved_by: float | None
-    lowest_under: Chosen | None
-    highest_under: Chosen | None
+    lowest_under: ReadingNames | None
+    highest_under: ReadingNames | None
     runs_not_observed: int
 
 
@@ -148,8 +148,8 @@ class Ranking(msgspec.Struct, frozen=True, kw_only=True):
     combinations: int
     same_order: int | None
     fsar_best: int | None
-    changed_under: tuple[Chosen, ...] | None
-    fsar_not_best_under: tuple[Chosen, ...] | None
+    changed_under: tuple[ReadingNames, ...] | None
+    fsar_not_best_under: tuple[ReadingNames, ...] | None
 
 
 class Multiverse(msgspec.Struct, frozen=True):
@@ -182,7 +182,7 @@ def _reading(query: Query) -> Reading:
     )
 
 
-def combinations(metric: str) -> tuple[Chosen, ...]:
+def combinations(metric: str) -> tuple[ReadingNames, ...]:
     """Return every combination of the readings that move this metric: at most one for each question.
 
     Ours comes first, then those of fewer readings.
@@ -249,7 +249,7 @@ class Relations:
         self._database.define(name, made_by.reading_from(names), is_stored=is_stored)
         self._made[query.relation, telling] = (name, is_stored)
 
-    def means(self, metric: str, combined: Sequence[Chosen], *, pools_seeds: bool = False) -> list[Universe]:
+    def means(self, metric: str, combined: Sequence[ReadingNames], *, pools_seeds: bool = False) -> list[Universe]:
         """Return the mean of this metric for each architecture and setting under each of these combinations, in order.
 
         Raises: as `Database.rows`.
@@ -353,7 +353,7 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
 
 def rankings(found: Iterable[Universe], better: Mapping[str, str]) -> Iterator[Ranking]:
     """Return whether each ranking survives, in the order of the universes of our reading."""
-    by_place: dict[tuple[object, ...], dict[Chosen, list[Universe]]] = {}
+    by_place: dict[tuple[object, ...], dict[ReadingNames, list[Universe]]] = {}
     for one in found:
         by_place.setdefault((one.metric, *_conditions(one).values()), {}).setdefault(one.readings, []).append(one)
     for under in by_place.values():
@@ -384,7 +384,7 @@ def ranked(mine: Iterable[Universe], better: str) -> tuple[tuple[str, ...], ...]
     return tuple(tuple(name for _, name in equals) for _, equals in groupby(ordered, key=lambda each: each[0]))
 
 
-def smallest(sets: Sequence[Chosen]) -> tuple[Chosen, ...]:
+def smallest(sets: Sequence[ReadingNames]) -> tuple[ReadingNames, ...]:
     """Return those combinations that contain no other one."""
     return tuple(one for one in sets if not any(set(other) < set(one) for other in sets))
 

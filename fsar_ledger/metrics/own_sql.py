@@ -1,4 +1,4 @@
-"""What SQL of anyone asks for beside views: table macros, and what there is to ask.
+"""What SQL of anyone gets beside views: table macros, a list of what there is, and a check of the answer's columns.
 
 DuckDB's own list would be of the relations that some SQL has needed so far. So `SHOW TABLES` reads ours, which has all,
 and `DESCRIBE NAME` of a macro describes a call of it.
@@ -12,8 +12,9 @@ from typing import NamedTuple
 import duckdb
 import pyarrow as pa
 
-from .groups import listed
-from .library import Library, Query
+from fsar_ledger.errors import QueryFailed
+from fsar_ledger.metrics.groups import listed
+from fsar_ledger.metrics.library import Library, Query
 
 LISTING = "relations"
 """The relation that `SHOW TABLES` reads."""
@@ -100,3 +101,68 @@ def _tokens(sql: str) -> Iterator[_Token]:
         text = data[begin:after].decode().rstrip()
         if kind != duckdb.token_type.comment and text:
             yield _Token(begin, begin + len(text.encode()), text)
+
+
+_PARAMETER = re.compile(r"\$(\w+)")
+FOR_OLDER = 'CREATE MACRO "if"(is_so, so, otherwise) AS CASE WHEN is_so THEN so ELSE otherwise END'
+"""Makes the function that our queries call and the DuckDB before ours lacks."""
+
+_RUN_NAMED = """
+CREATE MACRO IF NOT EXISTS run_named(asked) AS coalesce(
+    (SELECT max(run_id) FROM run_numbers WHERE run_id = asked::VARCHAR),
+    (SELECT max(run_id) FROM experiment_planned WHERE run_id = asked::VARCHAR),
+    (SELECT max(run_id) FROM run_numbers WHERE number::VARCHAR = asked::VARCHAR),
+    if(asked::VARCHAR = 'all', 'all', error(
+        'run ' || coalesce(asked::VARCHAR, 'NULL') || ': there is no such run, expected a whole name or a number; '
+        || '`SELECT number, run_id FROM run_numbers` lists them'
+    ))
+)
+"""
+"""The run of this name or number; any other text is an error, because an empty answer would say that nothing was."""
+
+
+def statements(query: Query) -> tuple[str, ...]:
+    """Return the statements that make a macro of a query with parameters; it has their defaults.
+
+    It takes only runs on record. A parameter hides the column of its name, so that a macro of its own holds the SELECT,
+    with other names. DuckDB compares the names when it makes a macro, not when one is called, so that the SELECT comes
+    last.
+    """
+    defaults = {one.sql_name: one.sql_default for one in query.parameters.values()}
+    understood = ", ".join(
+        f"run_named({one.sql_name})" if one.kind == "run" else one.sql_name for one in query.parameters.values()
+    )
+    taken = ", ".join(name if value is None else f"{name} := '{value}'" for name, value in defaults.items())
+    inner = f"{query.relation}_given"
+    whole = f"{inner}({', '.join(f'{name}_given' for name in defaults)})"
+    sql = _PARAMETER.sub(r"\1_given", query.sql)
+    return (
+        _RUN_NAMED,
+        f"CREATE MACRO {whole} AS TABLE SELECT NULL",
+        f"CREATE MACRO {query.relation}({taken}) AS TABLE FROM {inner}({understood})",
+        f"CREATE OR REPLACE MACRO {whole} AS TABLE\n{sql}",
+    )
+
+
+SHOWN = 200
+"""Characters of a name or line that a message repeats."""
+_NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
+_UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
+"""Types whose values Arrow or Python would silently change, or cannot hold."""
+
+
+def check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
+    """Check that the columns have distinct names, and types whose values arrive unchanged.
+
+    Raises: QueryFailed.
+    """
+    seen: set[str] = set()
+    for name, kind in zip(names, kinds, strict=True):
+        if name in seen:
+            raise QueryFailed(f"SQL: found two columns named {name[:SHOWN]!r}; give one of them another name with AS")
+        if found := _UNSHOWABLE.search(_NAME.sub(" ", kind)):
+            raise QueryFailed(
+                f"SQL: column {name[:SHOWN]!r} holds {found[0]}, which an answer cannot show as it is; make it text, "
+                "as in CAST(... AS VARCHAR)"
+            )
+        seen.add(name)

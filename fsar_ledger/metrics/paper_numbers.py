@@ -12,11 +12,17 @@ from typing import Literal, NamedTuple
 from fsar_ledger.events.configuration import FULL
 
 from .definitions import published_metrics
-from .odds import Printed
 
 Table = Literal["results", "ablation", "ablation_text", "scaling"]
 
 _FSAR, _FLEET = "fsar", 4
+
+
+class Printed(NamedTuple):
+    """A printed number in our unit, and the step of its last digit."""
+
+    value: float
+    step: float
 
 
 class Place(NamedTuple):

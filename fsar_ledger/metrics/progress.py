@@ -1,4 +1,4 @@
-"""How far long work is, told to whoever waits for it."""
+"""Progress reporting for long operations."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext

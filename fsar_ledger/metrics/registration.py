@@ -73,7 +73,7 @@ class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     decided: int
 
 
-class Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
+class Declaration(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
     """What the registration says of some printed cells: where they are, their class, why, and what they depend on."""
 
     table: str
@@ -82,7 +82,7 @@ class Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kin
     because: str | None = None
     dial: str | None = None
 
-    def is_of(self, table: str, place: Mapping[str, object]) -> bool:
+    def covers(self, table: str, place: Mapping[str, object]) -> bool:
         """Return whether the cell at this place of a table is one of them."""
         return self.table == table and all(
             place.get(name) in (wanted if isinstance(wanted, list) else [wanted]) for name, wanted in self.where.items()
@@ -112,16 +112,16 @@ class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     margins: dict[str, float]
     classes: dict[str, str]
     cells: dict[str, str]
-    cell: tuple[Said, ...]
+    cell: tuple[Declaration, ...]
     prediction: tuple[Prediction, ...]
 
-    def said_of(self, table: str, place: Mapping[str, object]) -> Said:
+    def declaration_for(self, table: str, place: Mapping[str, object]) -> Declaration:
         """Return what the registration says of the cell at this place of a table (names as in `where`).
 
         An entry for the cell comes before one for its table; without either, the cell is `informed`.
         """
-        whole = Said(table, {}, self.cells.get(table, UNNAMED))
-        return next((one for one in self.cell if one.is_of(table, place)), whole)
+        whole = Declaration(table, {}, self.cells.get(table, UNNAMED))
+        return next((one for one in self.cell if one.covers(table, place)), whole)
 
 
 @cache

@@ -26,7 +26,7 @@ from .paths import literal, parquet, quoted
 _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 
 
-class Chosen(NamedTuple):
+class RowFilter(NamedTuple):
     """The rows that alone are asked for.
 
     `run_numbers` is the relation of that name. `condition` is the SQL for what is asked of a row, which may use it;
@@ -51,7 +51,7 @@ def hold_segments(
     database: Database,
     segments: Sequence[Path],
     releases: Sequence[str],
-    chosen: Chosen | None = None,
+    chosen: RowFilter | None = None,
     passing: Collection[Path] = (),
 ) -> None:
     """Make the rows of these segments, given the release of each, the database's `events`.

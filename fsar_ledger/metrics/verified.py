@@ -39,7 +39,7 @@ _MOST_SOUGHT = 64
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
-def whole_look(
+def full_verify(
     ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, asked: Asked | None = None
 ) -> VerifyReport:
     """Return the report of `verify`; remember the head if it read the rows and doubts nothing.
@@ -48,7 +48,7 @@ def whole_look(
     """
     asked = asked or Asked()
     if not asked.is_quick:
-        from .second_reader import ReadAgain  # imports DuckDB, which a proof does not need
+        from .duckdb_check import ReadAgain  # imports DuckDB, which a proof does not need
 
         asked = msgspec.structs.replace(asked, second_reader=ReadAgain())
     report = verify(ledger, workers, progress, asked)
@@ -57,14 +57,14 @@ def whole_look(
     return report
 
 
-def required_look(ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> str:
+def ensure_verified(ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> str:
     """Return the SHA-256 of the newest record after a whole look that doubts nothing; for `is_verified`.
 
     Raises:
         LedgerCorrupted: The look doubts something; the message names the first problem.
         NotALedger: As `verify`.
     """
-    report = whole_look(ledger, workers, progress)
+    report = full_verify(ledger, workers, progress)
     if report.record_sha256 is None:
         first, *others = report.problems
         more = f" ({len(others)} more of these)" if others else ""
@@ -80,7 +80,7 @@ def is_verified(view: View, demanded: str | None = None) -> bool:
 
     Args:
         view: The opened ledger.
-        demanded: The newest record that `required_look` has just checked, if no other head will do.
+        demanded: The newest record that `ensure_verified` has just checked, if no other head will do.
 
     Raises:
         SequenceConflict: The view is of another head than the demanded one.

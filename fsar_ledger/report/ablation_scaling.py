@@ -15,13 +15,13 @@ from fsar_ledger.events.configuration import CONFIGURATIONS, FULL
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, Value
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
-from fsar_ledger.metrics.odds import Printed, odds
-from fsar_ledger.metrics.paper_numbers import Place, Table, printed
-from fsar_ledger.metrics.plans import completeness
+from fsar_ledger.metrics.paper_numbers import Place, Printed, Table, printed
 from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import DialledRow, cost_rows, dialled_rows
-from fsar_ledger.report import printing, run_shape
-from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, Told
+from fsar_ledger.metrics.verdicts import odds
+from fsar_ledger.report import printing, result_rows
+from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, interval
+from fsar_ledger.report.result_rows import ledger_head
 
 QUERIES = (
     "metrics/metrics_by_dial",
@@ -82,7 +82,7 @@ def ablation_of(database: Database, *, pools_seeds: bool = False) -> Ablation | 
     table = ablated[alike, mean]
     curve = [row for row in rows if _alike(row) == alike and row.configuration == DIALLED]
     return Ablation(
-        _told(database, table[0]),
+        ledger_head(database, table[0].model_version),
         mean,
         tuple(_judged(database, "ablation", table)),
         tuple(_judged(database, "ablation_text", table)),
@@ -116,7 +116,7 @@ def scaling_of(database: Database, *, pools_seeds: bool = False) -> Scaling | No
     means = {row.encounter_mean_s for row in rows if _alike(row) == alike and row.fleet_size != MAIN_FLEET_SIZE}
     table = [row for row in rows if _alike(row) == alike and row.encounter_mean_s in means]
     return Scaling(
-        _told(database, table[0]),
+        ledger_head(database, table[0].model_version),
         tuple(_sized(database, table)),
         tuple(map(_plain, _over_all(table))),
         _costs(database, {row.setting for row in table}),
@@ -146,7 +146,7 @@ def _sized(database: Database, table: Sequence[DialledRow]) -> list[Row]:
     ones = {_place_of("scaling", row): row for row in _over_all(ends["one"])}
     for cell in cells:
         one = ones.get(Place("scaling", cell["metric"], cell["architecture"], FULL, cell["fleet_size"]))
-        cell |= {"one": None if one is None else one.mean, "one_interval": None if one is None else _interval(one)}
+        cell |= {"one": None if one is None else one.mean, "one_interval": one and interval(one.ci_low, one.ci_high)}
         cell["lies"] = _lies(cell)
     return cells
 
@@ -175,7 +175,7 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
     shares = _shares(database, name, [row for row in table if _place_of(name, row) in printed(name)], runs)
     cells: list[Row] = []
     for place, paper in printed(name).items():
-        row, said = ours.get(place), registration().said_of(name, place._asdict())
+        row, said = ours.get(place), registration().declaration_for(name, place._asdict())
         cell: Row = {
             **place._asdict(),
             "paper": paper.value,
@@ -186,15 +186,14 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
         cell |= {
             "paper_printed": _as_printed(place.metric, paper),
             "mean": None if row is None else row.mean,
-            "interval": None if row is None else _interval(row),
+            "interval": row and interval(row.ci_low, row.ci_high),
         }
         cell |= dict.fromkeys(("difference", "distance", "gives", "share", "could"))
         # See docs/decisions/open-cells-have-no-verdict.md.
         if row is not None and row.mean is not None and said.dial is None and _is_shaped(place, runs):
             one = verdicts.judge(row, paper.value, shares.get(place))
-            difference = None if one.low is None or one.high is None else (one.low, one.high)
             cell |= {
-                "difference": difference,
+                "difference": interval(one.low, one.high),
                 "distance": one.distance,
                 "gives": one.gives,
                 "share": one.share,
@@ -206,9 +205,9 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
     return cells
 
 
-def _is_shaped(place: Place, runs: Mapping[Shape, run_shape.RunCounts]) -> bool:
+def _is_shaped(place: Place, runs: Mapping[Shape, result_rows.RunCounts]) -> bool:
     """Tell whether the runs match the printed number's: of its one scenario, or equally many of all."""
-    return place.scenario is not None or run_shape.is_complete(
+    return place.scenario is not None or result_rows.is_complete(
         runs.get((place.architecture, place.configuration, place.fleet_size), {})
     )
 
@@ -224,14 +223,16 @@ def _runs(table: Iterable[DialledRow]) -> dict[Shape, dict[str | None, int]]:
 
 
 def _shares(
-    database: Database, name: Table, rows: Sequence[DialledRow], runs: Mapping[Shape, run_shape.RunCounts]
+    database: Database, name: Table, rows: Sequence[DialledRow], runs: Mapping[Shape, result_rows.RunCounts]
 ) -> dict[Place, float]:
     """Return, for each cell, the share of experiments drawn from our runs that print a number as far out.
 
     Cells with fewer runs than the paper's experiment are left out.
     """
-    said = registration()
-    cells = {place: paper for place, paper in printed(name).items() if said.said_of(name, place._asdict()).dial is None}
+    declaration_for = registration().declaration_for
+    cells = {
+        place: paper for place, paper in printed(name).items() if declaration_for(name, place._asdict()).dial is None
+    }
     held = {place: runs.get((place.architecture, place.configuration, place.fleet_size), {}) for place in cells}
     enough = {place for place, found in held.items() if _count(found, place) >= PAPER_RUNS}
     drawn: dict[Place, list[float | None]] = {}
@@ -254,7 +255,7 @@ def _shares(
     return {} if told is None else told.cells
 
 
-def _count(of_scenarios: run_shape.RunCounts, place: Place) -> int:
+def _count(of_scenarios: result_rows.RunCounts, place: Place) -> int:
     """Return the smallest number of runs of a scenario that an experiment would be drawn from."""
     counts = of_scenarios if place.scenario is None else {place.scenario: of_scenarios.get(place.scenario, 0)}
     return min(counts.values(), default=0)
@@ -264,13 +265,6 @@ def _has(database: Database, condition: str, configurations: list[str]) -> bool:
     """Tell whether the ledger holds such runs, before anything is measured: most ledgers hold none."""
     found = database.rows(f"SELECT count(*) AS runs FROM runs WHERE {condition}", {"configurations": configurations})
     return int(found[0]["runs"]) > 0
-
-
-def _told(database: Database, row: DialledRow) -> Told:
-    head = database.head
-    (runs,) = database.rows("SELECT count(*) AS runs FROM runs")
-    said = (0, 0, "") if head is None else (head.commits, head.size, head.root)
-    return Told(*said, runs["runs"], completeness(database).sentence(), row.model_version)
 
 
 def _alike(row: DialledRow) -> Alike:
@@ -294,14 +288,10 @@ def _over_all(rows: Iterable[DialledRow]) -> list[DialledRow]:
         row
         for row in every
         if row.scenario is None
-        and run_shape.is_complete(
+        and result_rows.is_complete(
             shaped.get(((row.architecture or "", row.configuration or "", row.fleet_size or 0), row.teams_working), {})
         )
     ]
-
-
-def _interval(row: DialledRow) -> tuple[float, float] | None:
-    return None if row.ci_low is None or row.ci_high is None else (row.ci_low, row.ci_high)
 
 
 def _as_printed(metric: str, paper: Printed) -> str:
@@ -318,7 +308,7 @@ def _plain(row: DialledRow) -> Row:
             for name in ("metric", "architecture", "configuration", "fleet_size", "scenario", "mean", "n")
         },
         **{name: getattr(row, name) for name in ("encounter_mean_s", "teams_working")},
-        "interval": _interval(row),
+        "interval": interval(row.ci_low, row.ci_high),
     }
 
 

@@ -1,17 +1,23 @@
-"""Make the report of a ledger: gather, lay out, typeset, publish."""
+"""Make the report of a ledger: gather, lay out, typeset, publish.
 
+Data reaches the Typst template as JSON and is never read as markup; only the packaged texts of `reports/` are. The same
+input gives the same bytes.
+"""
+
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from fsar_ledger.errors import WriteFailed
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.effects import open_effects
 from fsar_ledger.metrics.progress import Showing, unseen
 from fsar_ledger.metrics.study_results import Calibration, packaged
-from fsar_ledger.metrics.verified import required_look
+from fsar_ledger.metrics.verified import ensure_verified
 from fsar_ledger.publishing import publish, require_another, require_place
-from fsar_ledger.report import document, figures, typeset
+from fsar_ledger.report import document, figures, specs
 from fsar_ledger.report.gather import gather
-from fsar_ledger.report.reproduction import reproduction
+from fsar_ledger.report.numbers import reproduction
 from fsar_ledger.report.sensitivity import section
 
 
@@ -26,7 +32,6 @@ def write_report(
     beside: Sequence[Path] = (),
     pools_seeds: bool = False,
     sensitivity: Path | None = None,
-    reads_every_way: bool = True,
     numbers_out: Path | None = None,
 ) -> None:
     """Write the PDF and its numbers about the present heads of the ledger and of the ledgers beside it.
@@ -45,9 +50,8 @@ def write_report(
         pools_seeds: Whether the tables take the runs of all seeds together.
         sensitivity: The file of `fsar-ledger study run sensitivity`. If it is of other runs, or None, the report says
             how to make it.
-        reads_every_way: Whether the cells are also shown under every reading of the text.
         numbers_out: Where the same numbers are written for programs (`reproduction`); None: nowhere.
-        demanded: The newest record of the ledger, if `required_look` has just checked it; None checks it now.
+        demanded: The newest record of the ledger, if `ensure_verified` has just checked it; None checks it now.
 
     Raises:
         UsageError: The ledger of workflows holds no workflow, one beside it has nothing for the report, `out` lies
@@ -67,12 +71,12 @@ def write_report(
     demanded = demanded or _compared(ledger, workers, showing)
     theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
     findings = gather(
-        ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way, showing=showing
+        ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=True, showing=showing
     )
     effects = section(given, findings.model_version, findings.parameters)
     record = packaged(Calibration)
     laid_out = document.encoded(document.data(findings, record, effects))
-    made = {out: typeset.pdf(laid_out, document.drawings(findings, effects))}
+    made = {out: pdf(laid_out, document.drawings(findings, effects))}
     if numbers_out is not None:
         made[numbers_out] = reproduction(findings, document.counted(findings, record))
     for place, content in made.items():  # replace nothing before everything is made
@@ -80,18 +84,42 @@ def write_report(
 
 
 def _compared(ledger: Path, workers: int, showing: Showing) -> str:
-    """Compare all rows with their root; return the newest record. Raises: As `required_look`."""
+    """Compare all rows with their root; return the newest record. Raises: As `ensure_verified`."""
     with showing("verified", "segments") as progress:
-        return required_look(ledger, workers, progress)
+        return ensure_verified(ledger, workers, progress)
 
 
 def result_figure_svg(ledger: Path, out: Path) -> None:
     """Write the figure "Evaluation results" of the ledger as SVG. Raises: as `write_report`."""
     require_outside(out, str(out))
-    publish(out, figures.evaluation_results(gather(ledger).cells, "svg"))
+    publish(out, figures.evaluation_results(gather(ledger).cells))
 
 
-def result_figure_png(ledger: Path, out: Path) -> None:
-    """Write the figure "Evaluation results" of the ledger as PNG. Raises: as `write_report`."""
-    require_outside(out, str(out))
-    publish(out, figures.evaluation_results(gather(ledger).cells, "png"))
+def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:
+    """Return the report as a PDF. `data` is JSON, `figures` are SVG by file name.
+
+    Raises: WriteFailed if the folder for temporary files is full.
+    """
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            root = Path(folder)
+            (root / "report.typ").write_text(specs.text("templates", "report.typ"), encoding="utf-8")
+            (root / "data.json").write_bytes(data)
+            for name, svg in figures.items():
+                (root / name).write_bytes(svg)
+            return _compiled(root)
+    except OSError as error:
+        raise WriteFailed(
+            f"{tempfile.gettempdir()}: temporary files cannot be written: {error.strerror}. Nothing was changed; free "
+            "space or set TMPDIR."
+        ) from error
+
+
+def _compiled(root: Path) -> bytes:
+    """Compile `report.typ` in this folder; it can read nothing outside, and only Typst's own fonts."""
+    import typst
+
+    compiled: bytes = typst.compile(
+        root / "report.typ", root=root, timestamp=0, font_paths=typst.Fonts(include_system_fonts=False)
+    )
+    return compiled

@@ -11,7 +11,19 @@ from typing import Any
 from fsar_ledger.metrics.definitions import Metric, metric_named
 from fsar_ledger.metrics.paper_numbers import printed
 from fsar_ledger.report import printing, specs
-from fsar_ledger.report.figures import COLOURS, DIAMOND, HEADROOM, Row, canvas, rendered
+from fsar_ledger.report.figures import (
+    COLOURS,
+    DIAMOND,
+    MARKERS,
+    Row,
+    canvas,
+    from_zero,
+    legend_below,
+    named_lines,
+    rendered,
+    say_no_value,
+    whisker,
+)
 
 ABLATED, SCALED = (tuple(dict.fromkeys(place.metric for place in printed(table))) for table in ("ablation", "scaling"))
 """The metrics of the ablation and the scaling table, in their order."""
@@ -27,7 +39,6 @@ SCENARIO_STYLES = {
     "door-relay": ("#0072B2", "--", "s"),
     "collaborative-delivery": ("#D55E00", ":", "^"),
 }
-MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^"}  # distinguishable in grey, too
 LARGEST = 16
 """Robots of the paper's largest fleet."""
 HALF = 0.5
@@ -43,13 +54,7 @@ COSTS = {
 """What is counted for each request, and the title of its panel."""
 
 
-def _say_no_value(panel: Any, at: float) -> None:
-    """Write upright in the place of a bar that there is none."""
-    upright = {"rotation": 90, "ha": "center", "va": "bottom", "color": "#777777"}
-    panel.annotate("no value", (at, 0), (0, 3), textcoords="offset points", **upright)
-
-
-def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
+def ablation(rows: Sequence[Row]) -> bytes:
     """Draw "Without one mechanism": six panels, five configurations, the paper's values marked.
 
     `rows` are the cells of the ablation table.
@@ -63,7 +68,7 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
             for position, row in enumerate(found):
                 panel.plot(position + 0.3, row["paper"] * spec.factor, zorder=4, **DIAMOND)
                 if row["mean"] is None:
-                    _say_no_value(panel, position - 0.08)
+                    say_no_value(panel, position - 0.08)
                     continue
                 colour = COLOURS["fsar"] if row["configuration"] == "full" else "#8fb8d6"
                 hatch = "///" if row["class"] in ("unspecified", "cannot follow") else None
@@ -88,23 +93,17 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
             )
             panel.tick_params(axis="x", length=0)
             panel.set_xlim(-0.6, len(found) - 0.4)
-            _from_zero(
-                panel,
-                [
-                    value * spec.factor
-                    for row in found
-                    for value in (row["paper"], row["mean"] or 0.0, *(row["interval"] or ()))
-                ],
-            )
+            drawn = [value for row in found for value in (row["paper"], row["mean"] or 0.0, *(row["interval"] or ()))]
+            from_zero(panel, max((value * spec.factor for value in drawn), default=1.0))
         handles: list[Any] = [
             Line2D([], [], color="black", marker="|", markersize=9, linestyle="none", label="95 % interval")
         ]
         handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-        return rendered(figure, kind)
+        legend_below(figure, handles)
+        return rendered(figure)
 
 
-def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") -> bytes:
+def encounters(curve: Sequence[Row], printed: Sequence[Row]) -> bytes:
     """Draw "Success without a registry": success over how often robots meet.
 
     A diamond marks where a curve has the paper's value.
@@ -130,10 +129,10 @@ def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") 
         panel.set_ylim(0, 100)
         panel.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
         panel.legend(frameon=False)
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
-def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
+def scaling(curve: Sequence[Row], cells: Sequence[Row]) -> bytes:
     """Draw "Larger fleets": each metric over the number of robots, with all teams working and with one.
 
     The paper's points are marked; it has none beyond 16 robots.
@@ -165,10 +164,10 @@ def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> by
             panel.set_xlim(sizes[0] / 1.19, sizes[-1] * 1.19)
             _titled(panel, spec, "robots")
         _legend(axes.flat[len(SCALED)], (("-", "all teams work"), ("--", "one team works")))
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
-def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
+def loads(curve: Sequence[Row], cells: Sequence[Row]) -> bytes:
     """Draw "How much there is to do": each metric over the number of working teams, at the paper's largest fleet.
 
     A diamond marks where a curve has the paper's value.
@@ -190,10 +189,10 @@ def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> byte
             panel.set_xticks(sorted({row["teams_working"] for row in at_size}))
             _titled(panel, spec, "teams working")
         _legend(axes.flat[len(SCALED)], (("-", "this ledger"), (":", "the paper's number")))
-        return rendered(figure, kind)
+        return rendered(figure)
 
 
-def coordination_cost(costs: Sequence[Row], kind: str = "svg") -> bytes:
+def coordination_cost(costs: Sequence[Row]) -> bytes:
     """Draw "What coordination costs": counts for each request over the number of robots, on logarithmic scales.
 
     Where an architecture completes less than half of its tasks in time, the points are hollow. Grey lines grow with the
@@ -223,16 +222,13 @@ def coordination_cost(costs: Sequence[Row], kind: str = "svg") -> bytes:
             panel.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
         for panel in axes[-1]:
             panel.set_xlabel("robots")
-        handles: list[Any] = [
-            Line2D([], [], color=colour, marker=MARKERS[name], markersize=4, label=name.upper())
-            for name, colour in COLOURS.items()
-        ]
+        handles = named_lines()
         hollow: dict[str, Any] = {"marker": "o", "markersize": 4, "markerfacecolor": "white", "linestyle": "none"}
         handles.append(Line2D([], [], color="black", label="under half of the tasks in time", **hollow))
         growths: tuple[tuple[Any, str], ...] = ((":", "grows as $n$"), ("--", "grows as $\\log n$"))
         handles += [Line2D([], [], color="#999999", ls=style, label=label) for style, label in growths]
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
-        return rendered(figure, kind)
+        legend_below(figure, handles)
+        return rendered(figure)
 
 
 def is_broken(row: Row) -> bool:
@@ -280,16 +276,7 @@ def _line(panel: Any, points: Sequence[tuple[float, Row]], scale: float, **look:
 
 def _whisker(panel: Any, at: float, interval: tuple[float, float] | None, scale: float, colour: str = "black") -> None:
     if interval is not None:
-        low, high = (end * scale for end in interval)
-        panel.errorbar(
-            at, (low + high) / 2, yerr=(high - low) / 2, fmt="none", ecolor=colour, elinewidth=0.9, capsize=2, zorder=3
-        )
-
-
-def _from_zero(panel: Any, values: Sequence[float]) -> None:
-    panel.set_ylim(0, HEADROOM * max(values, default=1.0))
-    panel.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
-    panel.set_axisbelow(True)
+        whisker(panel, at, interval[0] * scale, interval[1] * scale, colour)
 
 
 def _titled(panel: Any, spec: Metric, dial: str) -> None:
@@ -304,10 +291,7 @@ def _legend(panel: Any, styles: Sequence[tuple[Any, str]]) -> None:
     from matplotlib.lines import Line2D
 
     panel.axis("off")
-    handles: list[Any] = [
-        Line2D([], [], color=colour, marker=MARKERS[name], markersize=4, label=name.upper())
-        for name, colour in COLOURS.items()
-    ]
+    handles = named_lines()
     handles += [Line2D([], [], color="black", ls=style, label=label) for style, label in styles]
     handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
     panel.legend(handles=handles, loc="center", frameon=False)

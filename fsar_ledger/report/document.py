@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 import fsar_ledger
-from fsar_ledger import printable
+from fsar_ledger import constants, printable
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.registration import registration
@@ -19,18 +19,14 @@ from fsar_ledger.report import (
     figures,
     mechanisms,
     numbers,
-    overview,
-    predictions,
     printing,
-    provenance,
     sections,
     sequence,
-    specification_curves,
     specs,
 )
 from fsar_ledger.report.findings import Findings, Row, answer
+from fsar_ledger.report.numbers import versions
 from fsar_ledger.report.printing import Table, flat
-from fsar_ledger.report.reproduction import versions
 from fsar_ledger.report.sensitivity import Section
 
 POOLED = tuple(one.name for one in published_metrics() if one.is_pooled)  # a run without failures does not define them
@@ -52,9 +48,9 @@ def _table(findings: Findings, name: str, rows: Sequence[Row]) -> Table:
 
 def _constants(items: Mapping[str, str]) -> list[Row]:
     """Return the constants in two columns, each with where its value is from."""
-    words, ours = provenance.origins(), dict(flat("", msgspec.json.decode(write_constants(Constants()))))
+    words, ours = constants.origins(), dict(flat("", msgspec.json.decode(write_constants(Constants()))))
     said = [
-        (name, value, words.get(name, provenance.GIVEN) if ours.get(name) == value else provenance.GIVEN)
+        (name, value, words.get(name, constants.GIVEN) if ours.get(name) == value else constants.GIVEN)
         for name, value in items.items()
     ]
     half = (len(said) + 1) // 2
@@ -264,7 +260,7 @@ def counted(findings: Findings, record: Calibration | None) -> tuple[Row, ...]:
 def _heads(findings: Findings) -> list[dict[str, str]]:
     """Return the heads of the other ledgers, for the appendix."""
     parts = {"Ablation": findings.ablation, "Scaling": findings.scaling, "Mechanisms": findings.mechanisms}
-    held = {name: part and part.told for name, part in parts.items()} | {"Workflows": findings.workflows}
+    held = {name: part and part.head for name, part in parts.items()} | {"Workflows": findings.workflows}
     return [
         {"name": name, "size": printing.integer(one.size), "runs": printing.integer(one.run_count), "root": one.root}
         for name, one in held.items()
@@ -285,8 +281,8 @@ def data(findings: Findings, record: Calibration | None, effects: Section | None
         | all_readings.tables(findings.multiverse)
     )
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
-    rows, judged = counted(findings, record), predictions.judged(findings)
-    foretold = predictions.outcomes(judged)
+    rows, judged = counted(findings, record), numbers.judged(findings)
+    foretold = numbers.outcomes(judged)
     tables |= {"predictions": _table(findings, "predictions", foretold)} if foretold else {}
     tables |= {"tally": _table(findings, "tally", numbers.tally(rows))} if rows else {}
     tables |= {"sensitivity": effects.table} if effects and effects.table else {}
@@ -318,7 +314,7 @@ def data(findings: Findings, record: Calibration | None, effects: Section | None
         "contradictions": _contradictions(),
         "background": _background(findings),
         "misses": _misses(findings, record),
-        "predictions": predictions.said(judged),
+        "predictions": numbers.predictions_said(judged),
         "fit": _fit(findings, record),
         "version": fsar_ledger.__version__,
     }
@@ -334,7 +330,7 @@ def _sayable(numbers: Row) -> Row:
 def _drawers(findings: Findings) -> dict[str, sections.Drawer]:
     """Return how to draw each figure that these findings have, by name."""
     found: dict[str, sections.Drawer] = {
-        "overview": lambda: overview.overview(numbers.numbers(findings)),
+        "overview": lambda: figures.overview_figure(numbers.numbers(findings)),
         "evaluation-results": partial(figures.evaluation_results, findings.cells),
         "effects": partial(figures.effects, findings.tests),
     }
@@ -344,7 +340,7 @@ def _drawers(findings: Findings) -> dict[str, sections.Drawer]:
     if flows is not None and flows.recovery:
         found["workflow-layered-recovery"] = partial(sequence.ladder, flows.recovery)
     if findings.multiverse is not None:
-        found["specification-curves"] = partial(specification_curves.curves, findings.multiverse)
+        found["specification-curves"] = partial(all_readings.curves, findings.multiverse)
     return found | sections.drawers(findings)
 
 

@@ -29,6 +29,11 @@ class Source(msgspec.Struct, frozen=True):
     sha256: str
 
 
+def interval(low: float | None, high: float | None) -> tuple[float, float] | None:
+    """Return the interval between these ends; None if either is missing."""
+    return None if low is None or high is None else (low, high)
+
+
 class Workflows(msgspec.Struct, frozen=True):
     """What one head of a ledger of the paper's workflows shows.
 
@@ -49,7 +54,7 @@ class Workflows(msgspec.Struct, frozen=True):
     others: int = 0
 
 
-class Told(msgspec.Struct, frozen=True):
+class LedgerHead(msgspec.Struct, frozen=True):
     """The head of a ledger (commits, events, root), its number of runs, whether it is complete, and its model."""
 
     commits: int
@@ -68,7 +73,7 @@ class Ablation(msgspec.Struct, frozen=True):
     one row for each `encounter_mean_s`, with a column per metric.
     """
 
-    told: Told
+    head: LedgerHead
     encounter_mean_s: float | None
     cells: tuple[Row, ...]
     text: tuple[Row, ...]
@@ -84,7 +89,7 @@ class Scaling(msgspec.Struct, frozen=True):
     as in `metrics/coordination_cost`, for each architecture and fleet size.
     """
 
-    told: Told
+    head: LedgerHead
     cells: tuple[Row, ...]
     curve: tuple[Row, ...]
     costs: tuple[Row, ...] = ()
@@ -99,7 +104,7 @@ class Mechanisms(msgspec.Struct, frozen=True):
     values differently.
     """
 
-    told: Told
+    head: LedgerHead
     rows: tuple[Row, ...]
     parameters_sha256: tuple[str, ...] = ()
 

@@ -13,13 +13,12 @@ from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.comparability import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.models import models
 from fsar_ledger.metrics.multiverse import Multiverse
-from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.progress import Showing, unseen
-from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import all_readings, cases, grades, printing, run_shape
+from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, models, statistic_rows
+from fsar_ledger.metrics.verdicts import Cell, Odds, odds
+from fsar_ledger.report import all_readings, grades, printing, result_rows
 from fsar_ledger.report.findings import (
     MAIN_CONFIGURATION,
     MAIN_FLEET_SIZE,
@@ -287,7 +286,7 @@ def gather(
         overall, by_scenario = ([row for row in rows if _setting(row) == main] for rows in (every, every_by_scenario))
         tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if _setting(row) == main]
         held_here = _held(database, main)
-        unjudged = run_shape.unjudged(*held_here)
+        unjudged = result_rows.unjudged(*held_here)
         drawn = _odds(database, main, held_here[0])
         cells = cells_of(overall, unjudged, drawn)
         kinds, parameters, digest = _models(database, main)
@@ -313,7 +312,7 @@ def gather(
             features=grades.features(graded, unjudged),
             evidence=tuple(graded),
             background=background,
-            cases=cases.beside(_of_setting(database.rows(CASES_SQL), main)),
+            cases=result_rows.beside(_of_setting(database.rows(CASES_SQL), main)),
             completeness=completeness(database).sentence(),
             workflows=told.workflows,
             ablation=told.ablation,
@@ -324,7 +323,7 @@ def gather(
             mechanisms=told.mechanisms,
             model_version=main[5] if main else None,
             shown=_shown(main, otherwise),
-            unjudged=run_shape.why_unjudged(*held_here),
+            unjudged=result_rows.why_unjudged(*held_here),
             differing=tuple(map(str, differing_worlds(database))),
         )
 
@@ -365,7 +364,7 @@ def _held(
     if main is None:
         return {}, {}
     chosen = dict(zip(SETTING, main, strict=True))
-    return run_shape.run_counts(database.rows(OF_MAIN_SQL, chosen), "architecture"), run_shape.run_counts(
+    return result_rows.run_counts(database.rows(OF_MAIN_SQL, chosen), "architecture"), result_rows.run_counts(
         database.rows(PAIRS_OF_MAIN_SQL, chosen), "comparison"
     )
 

@@ -17,10 +17,10 @@ from fsar_ledger.events.configuration import (
 )
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.report import printing
-from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Findings, Mechanisms, Row, Told
-from fsar_ledger.report.sections import Sourced
+from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Findings, Mechanisms, Row, interval
+from fsar_ledger.report.result_rows import ledger_head
+from fsar_ledger.report.sections import Sourced, head_words
 
 QUERY = "statistics/mechanism_differences"
 QUERIES = (QUERY,)
@@ -64,12 +64,9 @@ def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanism
     if not tables:
         return None
     rows = max(tables.values(), key=lambda one: (len(one), sum(row["n"] for row in one)))
-    head = database.head
-    (runs,) = database.rows("SELECT count(*) AS runs FROM runs")
-    said = (0, 0, "") if head is None else (head.commits, head.size, head.root)
-    told = Told(*said, runs["runs"], completeness(database).sentence(), rows[0]["model_version"])
+    head = ledger_head(database, rows[0]["model_version"])
     digests = tuple(row["parameters_sha256"] for row in database.rows(DIGESTS_SQL, {"setting": rows[0]["setting"]}))
-    return Mechanisms(told, tuple(sorted(map(_named, rows), key=_place)), digests)
+    return Mechanisms(head, tuple(sorted(map(_named, rows), key=_place)), digests)
 
 
 def _named(row: Row) -> Row:
@@ -78,10 +75,10 @@ def _named(row: Row) -> Row:
     `is_marked`: the interval excludes 0. `stands`: the difference is significant after adjustment over all tests.
     """
     [mechanism] = removed_mechanisms(row["configuration"])
-    interval = None if row["ci_low"] is None or row["ci_high"] is None else (row["ci_low"], row["ci_high"])
-    is_marked = interval is not None and not interval[0] <= 0 <= interval[1]
+    ends = interval(row["ci_low"], row["ci_high"])
+    is_marked = ends is not None and not ends[0] <= 0 <= ends[1]
     stands = row["p_holm"] is not None and row["p_holm"] < LEVEL
-    return row | {"mechanism": mechanism, "interval": interval, "is_marked": is_marked, "stands": stands}
+    return row | {"mechanism": mechanism, "interval": ends, "is_marked": is_marked, "stands": stands}
 
 
 def _place(row: Row) -> tuple[int, int, int]:
@@ -119,12 +116,12 @@ def carried(found: Mechanisms) -> list[Row]:
 
 def _others(rows: Sequence[Row], pairs: int | None) -> str | None:
     """Name the next mechanisms with what they add, and their number of pairs if it differs from the first."""
-    told = []
+    named = []
     for row in rows[:MAX_OTHERS]:
         of = "" if row["n"] == pairs else f" (of {printing.integer(row['n'])} pairs)"
-        told.append(f"{_words(row['mechanism'])} {signed(row['metric'], row['mean_difference'])}{of}")
+        named.append(f"{_words(row['mechanism'])} {signed(row['metric'], row['mean_difference'])}{of}")
     more = [f"{len(rows) - MAX_OTHERS} more"] if len(rows) > MAX_OTHERS else []
-    return ", ".join([*told, *more]) or None
+    return ", ".join([*named, *more]) or None
 
 
 def _words(mechanism: str) -> str:
@@ -202,19 +199,10 @@ def sentences(findings: Findings) -> dict[str, Any] | None:
     if found is None:
         return None
     tested = [row for row in found.rows if row["p_holm"] is not None]
-    another = (
-        found.told.model_version
-        if findings.model_version is not None and found.told.model_version != findings.model_version
-        else None
-    )
     held = {(row["architecture"], row["mechanism"]) for row in found.rows}
     every = {(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names}
     return {
-        "size": printing.integer(found.told.size),
-        "root": found.told.root,
-        "runs": printing.integer(found.told.run_count),
-        "completeness": found.told.completeness,
-        "another_model": another and printing.words(another),
+        **head_words(findings, found.head),
         "other_constants": _other_constants(found, findings.parameters_sha256),
         "mechanisms": len(held),
         "missing": len(every - held),

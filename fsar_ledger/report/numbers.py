@@ -5,13 +5,23 @@ registered rules. A number that the paper's own text excludes does not stand, wh
 depends on a dial which the text leaves open is not judged; it gets the range over that dial.
 """
 
+import platform
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
+from importlib.resources.abc import Traversable
 from typing import Any
 
+import msgspec
+
+import fsar_ledger
+from fsar_ledger import printable
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.registration import registration
-from fsar_ledger.report.findings import Findings, Row
+from fsar_ledger.metrics.study_results import Comparison, changed, packaged
+from fsar_ledger.parameters import read_parameters
+from fsar_ledger.report.findings import Findings, LedgerHead, Row, Workflows
+from fsar_ledger.report.printing import flat, words
 
 STANDS, FAILS, UNDECIDED, OPEN = "stands", "does not", "undecided", "open"
 OUTCOMES = (STANDS, FAILS, UNDECIDED, OPEN)
@@ -64,7 +74,7 @@ def numbers(findings: Findings, *, is_fitted: bool = True) -> tuple[Row, ...]:
 def _class(row: Row, *, is_fitted: bool) -> str:
     kind = (
         registration()
-        .said_of("results", {"metric": row["metric"], "architecture": row["architecture"]})
+        .declaration_for("results", {"metric": row["metric"], "architecture": row["architecture"]})
         .kind.replace("_", " ")
     )
     return INFORMED if kind == FITTED and not is_fitted else kind
@@ -211,3 +221,91 @@ def _by_class(rows: Sequence[Row]) -> list[dict[str, Any]]:
         {"class": kind, "count": count}
         for kind, count in sorted(Counter(row["class"] for row in rows).items(), key=lambda item: (-item[1], item[0]))
     ]
+
+
+# See docs/decisions/fit-is-registered-first.md.
+def judged(findings: Findings, folder: Traversable | None = None) -> Comparison | None:
+    """Return the result in this folder (default: the packaged one), None if absent, or of another model or constants.
+
+    Raises: FsarLedgerError if the file is not such a result.
+    """
+    if (found := packaged(Comparison, folder)) is None:
+        return None
+    constants = dict(flat("", read_parameters(found.parameters)))
+    return found if (found.model_version, constants) == (findings.model_version, findings.parameters) else None
+
+
+def outcomes(found: Comparison | None) -> list[Row]:
+    """Return a row for each prediction."""
+    return [
+        {"name": one.name, "implies": one.implies, "checks": f"{one.held} of {one.of}", "holds": one.holds}
+        for one in (found.predictions if found else ())
+    ]
+
+
+def predictions_said(found: Comparison | None) -> Row | None:
+    """Say which predictions hold, which do not, and which cannot be decided; None without predictions.
+
+    Where a query has changed since they were judged, the sentence names it.
+    """
+    rows = outcomes(found)
+    if found is None or not rows:
+        return None
+    kept, failed, open_ones = (
+        [row["name"] for row in rows if row["holds"] is answer] for answer in (True, False, None)
+    )
+    holds = f"{len(kept)} {'holds' if len(kept) == 1 else 'hold'}{_listed(kept)}"
+    fails = f"{len(failed)} {'does' if len(failed) == 1 else 'do'} not{_listed(failed)}"
+    undecided = f"; {len(open_ones)} cannot be decided{_listed(open_ones)}" if open_ones else ""
+    later = changed(found.rules)
+    since = f"; they were judged before {printable.some(map(words, later))} changed, and not again" if later else ""
+    of = f"Of {len(rows)} predictions registered before they were run"
+    return {"sentence": f"{of}, {holds} and {fails}{undecided}{since}."}
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f" ({', '.join(names)})" if names else ""
+
+
+PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of the software that made the report, by name."""
+    ours = {"fsar-ledger": fsar_ledger.__version__, "Python": platform.python_version()}
+    return ours | {name: version(name) for name in PACKAGES}
+
+
+def reproduction(findings: Findings, counted: Sequence[Row]) -> bytes:
+    """Return the text of the file.
+
+    It holds heads, model, all printed numbers beside ours (`numbers`), the tests, the multiverse and the
+    digests of the queries. Values are in the units of the queries, shares in [0, 1]; null is what is undefined, not
+    judged or not drawn.
+    """
+    read = findings.multiverse
+    parts = {"ablation": findings.ablation, "scaling": findings.scaling, "mechanisms": findings.mechanisms}
+    held = {name: part and part.head for name, part in parts.items()} | {"workflows": findings.workflows}
+    said: dict[str, Any] = {
+        "versions": versions(),
+        "ledgers": {"results": _head(findings)} | {name: _head(one) for name, one in held.items() if one},
+        "model_version": findings.model_version,
+        "constants": findings.parameters,
+        "parameters_sha256": findings.parameters_sha256,
+        "tally": tally(counted),
+        "numbers": counted,
+        "table_share": findings.table_share,
+        "tests": findings.tests,
+        "scenarios": findings.scenarios,
+        "mechanisms": None if findings.mechanisms is None else findings.mechanisms.rows,
+        "multiverse": None
+        if read is None
+        else {"readings": read.readings, "cells": read.cells, "rankings": read.rankings, "universes": read.universes},
+        "queries": {one.name: one.sha256 for one in findings.sources},
+    }
+    return msgspec.json.format(msgspec.json.encode(said, order="deterministic"), indent=1) + b"\n"
+
+
+def _head(one: Findings | LedgerHead | Workflows) -> Mapping[str, str | int]:
+    """Return the head of the ledger that the numbers are from."""
+    return {"commits": one.commits, "events": one.size, "root": one.root, "runs": one.run_count}

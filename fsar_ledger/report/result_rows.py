@@ -1,15 +1,79 @@
-"""Make the rows of the results: cells, tests, scenarios and margins beside what the paper prints."""
+"""Make the rows of the results beside what the paper prints: cells, tests, scenarios, margins and cases.
 
-from collections.abc import Collection, Iterable
+Runs are judged only where they have the shape of the paper's tables: all five scenarios, equally many runs of each.
+"""
+
+from collections.abc import Collection, Iterable, Mapping
 
 import msgspec
 
 from fsar_ledger.metrics import verdicts
+from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.odds import Cell, Odds
+from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow
-from fsar_ledger.report import specs
-from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, SCENARIOS, Row, with_agreement
+from fsar_ledger.metrics.verdicts import Cell, Odds
+from fsar_ledger.printable import counted, some
+from fsar_ledger.report import printing, specs
+from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, SCENARIOS, LedgerHead, Row, interval, with_agreement
+
+RunCounts = Mapping[str | None, int]
+"""How many runs, or pairs of runs, there are of each scenario."""
+
+
+def run_counts(rows: Iterable[Row], of: str) -> dict[str, dict[str | None, int]]:
+    """Return the counts by scenario of each value of the column `of` (architecture or comparison)."""
+    found: dict[str, dict[str | None, int]] = {}
+    for row in rows:
+        found.setdefault(row[of], {})[row["scenario"]] = row["runs"]
+    return found
+
+
+def is_complete(runs: RunCounts) -> bool:
+    """Tell whether the runs cover every scenario of the tables equally often, and no other scenario."""
+    return runs.keys() == set(SCENARIOS) and len(set(runs.values())) == 1
+
+
+def unjudged(runs: Mapping[str, RunCounts], pairs: Mapping[str, RunCounts]) -> frozenset[str]:
+    """Return the architectures and comparisons whose runs do not have the shape of the paper's tables."""
+    partial = {name for name, of_scenarios in runs.items() if not is_complete(of_scenarios)}
+    return frozenset(
+        partial
+        | {one for one in COMPARISONS if partial & {*one.split("-")} or (one in pairs and not is_complete(pairs[one]))}
+    )
+
+
+def why_unjudged(runs: Mapping[str, RunCounts], pairs: Mapping[str, RunCounts]) -> str | None:
+    """Say what the ledger holds of each unjudged one, and what follows; None where everything is judged."""
+    found = unjudged(runs, pairs)
+    told: dict[str, list[str]] = {}
+    for name in (one for one in ARCHITECTURES if one in found):
+        told.setdefault(_listed(runs[name], "run"), []).append(name.upper())
+    for name in COMPARISONS:
+        if name in found and not {*name.split("-")} & found:  # else the runs of its sides already say why
+            told.setdefault(_listed(pairs[name], "pair"), []).append(name.upper().replace("-", " vs "))
+    if not told:
+        return None
+    of_each = "; ".join(f"of {some(names)} this ledger has {listed}" for listed, names in told.items())
+    return (
+        f"The printed tables are over {len(SCENARIOS)} scenarios with equally many runs of each, but {of_each}. They "
+        "are therefore shown without a verdict."
+    )
+
+
+def _listed(of_scenarios: RunCounts, what: str) -> str:
+    return some(
+        f"{counted(count, what)} of {name or 'no scenario'}"
+        for name, count in sorted(of_scenarios.items(), key=lambda item: item[0] or "")
+    )
+
+
+def ledger_head(database: Database, model_version: str | None) -> LedgerHead:
+    """Return the head of this ledger, with the model of the runs that are shown. Raises: as `Database.rows`."""
+    head = database.head
+    (runs,) = database.rows("SELECT count(*) AS runs FROM runs")
+    commits, size, root = (0, 0, "") if head is None else (head.commits, head.size, head.root)
+    return LedgerHead(commits, size, root, runs["runs"], completeness(database).sentence(), model_version)
 
 
 def _blank(cls: type[msgspec.Struct]) -> Row:
@@ -34,24 +98,18 @@ def cells_of(rows: Iterable[MetricRow], unjudged: Collection[str], drawn: Odds[C
             beside = {
                 "paper": paper,
                 "paper_printed": printed[spec.printed.results, architecture.upper()],
-                "interval": _interval(cell),
+                "interval": interval(cell["ci_low"], cell["ci_high"]),
             }
             cells.append(cell | {"metric": spec.name, "architecture": architecture} | beside | _judged(judged.get(key)))
     return tuple(cells)
-
-
-def _interval(row: Row, low: str = "ci_low", high: str = "ci_high") -> tuple[float, float] | None:
-    """Return the 95 % interval of a row, or None if it has none."""
-    return None if row[low] is None or row[high] is None else (row[low], row[high])
 
 
 def _judged(one: verdicts.Comparison | None) -> Row:
     """Return difference, distance and answers of a cell; all None where the ledger has no value to judge."""
     if one is None or one.ours is None:
         return dict.fromkeys(("difference", "distance", "gives", "power", "share", "could"))
-    difference = None if one.low is None or one.high is None else (one.low, one.high)
     return {
-        "difference": difference,
+        "difference": interval(one.low, one.high),
         "distance": one.distance,
         "gives": one.gives,
         "power": one.power,
@@ -79,7 +137,7 @@ def tests_of(rows: Iterable[StatisticRow], unjudged: Collection[str]) -> tuple[R
             named = {
                 "metric": spec.name,
                 "comparison": comparison,
-                "pooled_interval": _interval(test, "pooled_ci_low", "pooled_ci_high"),
+                "pooled_interval": interval(test["pooled_ci_low"], test["pooled_ci_high"]),
             }
             tests.append(with_agreement(test | named | _effect(test) | beside, is_judged=comparison not in unjudged))
     return tuple(tests)
@@ -118,3 +176,43 @@ def rule_of(cells: tuple[Row, ...]) -> tuple[Row, ...]:
         | {name: power[spec.name, name] for name in ARCHITECTURES}
         for spec in published_metrics()
     )
+
+
+Counts = Mapping[tuple[str, str], tuple[int, int]]
+"""Numerator and denominator of each claim and architecture."""
+
+
+def beside(claims: Iterable[Row]) -> tuple[Row, ...]:
+    """Return a row for each number of the paper: its words, ours in both readings, what was counted, and its class.
+
+    `claims` are the rows of `case_claims` for the runs of the report; those of several seeds are added up. Empty if
+    none of these runs is of the scenario of a case.
+    """
+    counts: dict[tuple[str, str], tuple[int, int]] = {}
+    for claim in claims:
+        if claim["runs"]:
+            key = (claim["claim"], claim["architecture"])
+            counted, of_how_many = counts.get(key, (0, 0))
+            counts[key] = (counted + claim["numerator"], of_how_many + claim["denominator"])
+    return tuple(_case_row(cell, counts) for cell in specs.cases()) if counts else ()
+
+
+def _case_row(cell: specs.CaseCell, counts: Counts) -> Row:
+    printed = {(int(row["case"]), row["architecture"].lower()): row["value"] for row in specs.paper_table("cases")}
+    counted, of_how_many = counts.get((cell.claim, cell.architecture), (0, 0))
+    other, of_others = counts.get((cell.other or "", cell.architecture), (0, 0))
+    total = "" if cell.of is None else f" of {printing.integer(counts.get((cell.of, cell.architecture), (0, 0))[0])}"
+    return {
+        "case": cell.case,
+        "architecture": cell.architecture,
+        "said": cell.said,
+        "paper": printed[cell.case, cell.architecture],
+        "value": counted / of_how_many if of_how_many else None,
+        "counted": f"{printing.integer(counted)}{total} in {printing.integer(of_how_many)} {cell.unit}"
+        if of_how_many
+        else None,
+        "other": f"{printing.number(other / of_others, 2)} ({printing.integer(other)} in {printing.integer(of_others)})"
+        if of_others
+        else None,
+        "class": cell.kind,
+    }

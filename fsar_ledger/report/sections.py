@@ -7,7 +7,7 @@ from typing import Any
 
 from fsar_ledger.metrics.definitions import metric_named
 from fsar_ledger.report import curves, printing, specs
-from fsar_ledger.report.findings import ARCHITECTURES, Findings, Row, Told
+from fsar_ledger.report.findings import ARCHITECTURES, Findings, LedgerHead, Row
 from fsar_ledger.report.printing import Table
 
 Sourced = Callable[[str | None], str]
@@ -112,7 +112,7 @@ def ablation(findings: Findings) -> dict[str, Any] | None:
     ]
     mean = found.encounter_mean_s
     return {
-        **_told(findings, found.told),
+        **head_words(findings, found.head),
         **_answers((*found.cells, *found.text)),
         "encounter_mean_s": None if mean is None else printing.significant(mean, 2),
         "meets": meets if len(found.rates) > 1 else [],
@@ -137,7 +137,7 @@ def scaling(findings: Findings) -> dict[str, Any] | None:
             at = [printing.number(one, 1) for one in curves.crossings(points, row["paper"])] if len(points) > 1 else []
             loads.append({"architecture": row["architecture"].upper(), "paper": row["paper_printed"], "at": at})
     return {
-        **_told(findings, found.told),
+        **head_words(findings, found.head),
         **_answers([row for row in found.cells if row["lies"] is None]),
         "open": sum(lies.values()),
         "between": lies["between"],
@@ -171,20 +171,20 @@ def _robots(row: Row) -> int:
     return int(row["fleet_size"])
 
 
-def _told(findings: Findings, told: Told) -> dict[str, Any]:
+def head_words(findings: Findings, head: LedgerHead) -> dict[str, Any]:
     """Return the head of the ledger, and the model of its runs if the results are of another."""
     another = (
-        told.model_version
-        if findings.model_version is not None and told.model_version != findings.model_version
+        head.model_version
+        if findings.model_version is not None and head.model_version != findings.model_version
         else None
     )
     named = {
-        "size": printing.integer(told.size),
-        "root": told.root,
-        "runs": printing.integer(told.run_count),
-        "commits": told.commits,
+        "size": printing.integer(head.size),
+        "root": head.root,
+        "runs": printing.integer(head.run_count),
+        "commits": head.commits,
     }
-    return {**named, "completeness": told.completeness, "another_model": another and printing.words(another)}
+    return {**named, "completeness": head.completeness, "another_model": another and printing.words(another)}
 
 
 def _answers(rows: Sequence[Row]) -> dict[str, int]:

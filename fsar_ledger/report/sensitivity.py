@@ -65,7 +65,7 @@ def _of_another_model(about: About, expected: str | None) -> str:
     return f"found effects of model {found}, expected those of model {wanted}; make them again: {MADE_BY}"
 
 
-def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
+def heat_map(found: Sensitivity) -> bytes:
     """Draw the figure cell x factor: how far the factor moves the cell, in margins; dark is far, also in grey.
 
     A dot marks an effect within chance, a cross a cell that was undefined.
@@ -90,7 +90,7 @@ def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
             axis.tick_params(length=0)
         for number in range(1, len(titles)):
             panel.axvline(3 * number - 0.5, color="black", linewidth=0.5)
-        return figures.rendered(figure, kind)
+        return figures.rendered(figure)
 
 
 def _cells(figure: Any, panel: Any, rows: Sequence[Sequence[Effect | None]]) -> None:

@@ -25,6 +25,7 @@ AGENT_LANE = 1.15  # the same in a figure with many
 DEED = 2.4  # the widest text of a deed
 HEAD = 0.45
 TEXT: dict[str, Any] = {"fontsize": FONT, "parse_math": False}
+ARROW: dict[str, Any] = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0}
 FILLS = {
     "robot": "#e3f1e3",
     "agent": "#f3e6f0",
@@ -101,17 +102,9 @@ def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
     names = lanes(rows)
     step = LANE if len(names) <= 5 else AGENT_LANE
     at = {name: TIME + 0.55 + step * position for position, name in enumerate(names)}
-    width = max(at.values()) + step / 2
-    width = max(
-        [
-            width,
-            *(
-                at[row["sender"] or NOBODY] + 0.2 + min(LETTER * len(_words(row)), DEED)
-                for row in rows
-                if row["kind"] == "deed"
-            ),
-        ]
-    )
+    deeds = (row for row in rows if row["kind"] == "deed")
+    ends = [at[row["sender"] or NOBODY] + 0.2 + min(LETTER * len(_words(row)), DEED) for row in deeds]
+    width = max(max(at.values()) + step / 2, *ends, 0.0)
     texts = [_lines(row, at) for row in rows]
     heights = [_height(row, lines) for row, lines in zip(rows, texts, strict=True)]
     tops = [HEAD + 0.08 + sum(heights[:position]) for position in range(len(rows))]
@@ -119,16 +112,8 @@ def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
     with figures.plain_canvas(width, height) as (figure, axes):
         for name, x in at.items():
             axes.plot([x, x], [HEAD, height - 0.05], color="#bbbbbb", linewidth=0.8, zorder=1)
-            _box(
-                axes,
-                x,
-                HEAD - 0.2,
-                step - 0.1,
-                0.34,
-                FILLS.get(name.partition("/")[0], "white"),
-                name.replace("/", "\n", 1),
-                weight="bold",
-            )
+            fill, words = FILLS.get(name.partition("/")[0], "white"), name.replace("/", "\n", 1)
+            _box(axes, x, HEAD - 0.2, step - 0.1, 0.34, fill, words, weight="bold")
         before = None
         for row, lines, top, room in zip(rows, texts, tops, heights, strict=True):
             time = f"{row['time_s']:.3f} s"
@@ -174,41 +159,14 @@ def _step(axes: Any, row: Row, lines: Sequence[str], at: Mapping[str, float], to
     elif row["kind"] == "message":
         there = at[row["receiver"] or NOBODY]
         below = top + room - 0.06
-        arrow = {
-            "arrowstyle": "-|>",
-            "color": "#1f4e79",
-            "linewidth": 1.0,
-            "linestyle": style,
-            "shrinkA": 0,
-            "shrinkB": 0,
-            "mutation_scale": 8,
-        }
-        axes.annotate("", (there, below), (here, below), arrowprops=arrow, zorder=3)
-        axes.text(
-            (here + there) / 2,
-            below - 0.035,
-            words,
-            ha="center",
-            va="bottom",
-            bbox=paper,
-            zorder=2,
-            linespacing=1.05,
-            **TEXT,
-        )
+        look = {"color": "#1f4e79", "linewidth": 1.0, "linestyle": style, "mutation_scale": 8}
+        axes.annotate("", (there, below), (here, below), arrowprops=ARROW | look, zorder=3)
+        above = {"ha": "center", "va": "bottom", "bbox": paper, "zorder": 2, "linespacing": 1.05}
+        axes.text((here + there) / 2, below - 0.035, words, **above, **TEXT)
     else:
         axes.plot([here], [top + room / 2], marker="o", markersize=3, color="#444444", zorder=3)
-        axes.text(
-            here + 0.08,
-            top + room / 2,
-            words,
-            ha="left",
-            va="center",
-            bbox=paper,
-            zorder=2,
-            color="#333333",
-            style="italic",
-            **TEXT,
-        )
+        beside = {"ha": "left", "va": "center", "bbox": paper, "zorder": 2, "color": "#333333", "style": "italic"}
+        axes.text(here + 0.08, top + room / 2, words, **beside, **TEXT)
 
 
 def _box(
@@ -225,21 +183,9 @@ def _box(
 ) -> None:
     from matplotlib.patches import FancyBboxPatch
 
-    shape = "round,pad=0,rounding_size=0.05"
-    edge = "#444444"
-    axes.add_patch(
-        FancyBboxPatch(
-            (x - width / 2, y - height / 2),
-            width,
-            height,
-            boxstyle=shape,
-            facecolor=fill,
-            edgecolor=edge,
-            linewidth=0.8,
-            linestyle=style,
-            zorder=4,
-        )
-    )
+    edge: dict[str, Any] = {"edgecolor": "#444444", "linewidth": 0.8, "linestyle": style}
+    shape: dict[str, Any] = {"boxstyle": "round,pad=0,rounding_size=0.05", "facecolor": fill, "zorder": 4}
+    axes.add_patch(FancyBboxPatch((x - width / 2, y - height / 2), width, height, **edge, **shape))
     axes.text(x, y, words, ha="center", va="center", zorder=5, weight=weight, linespacing=1.1, **TEXT)
 
 
@@ -279,25 +225,10 @@ def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
             axes.text(left + 1.35, y, f"{row['seq']}", ha="right", va="center", color=QUIET, **TEXT)
             if row["result"] and not is_way:
                 colour = GOOD if row["result"] in GOOD_RESULTS or row["result"].startswith("to ") else BAD
-                axes.text(
-                    middle + box / 2 + 0.12,
-                    y,
-                    _outcome(row),
-                    ha="left",
-                    va="center",
-                    color=colour,
-                    weight="bold",
-                    **TEXT,
-                )
+                look = {"ha": "left", "va": "center", "color": colour, "weight": "bold"}
+                axes.text(middle + box / 2 + 0.12, y, _outcome(row), **look, **TEXT)
             if below is not None:
-                arrow = {
-                    "arrowstyle": "-|>",
-                    "color": "#888888",
-                    "linewidth": 0.9,
-                    "shrinkA": 0,
-                    "shrinkB": 0,
-                    "mutation_scale": 7,
-                }
+                arrow = ARROW | {"color": "#888888", "linewidth": 0.9, "mutation_scale": 7}
                 axes.annotate("", (middle, below - tall / 2), (middle, y + tall / 2), arrowprops=arrow, zorder=3)
         _levels(axes, shown, heights, left, tall)
         if more:

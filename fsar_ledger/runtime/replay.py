@@ -35,12 +35,12 @@ import msgspec
 from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, decode
 from fsar_ledger.ledger.rows.pieces import joined
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS
+from fsar_ledger.memory import without_collection
 from fsar_ledger.projections.fold import State
 from fsar_ledger.workers import WorkerPool
 

@@ -11,10 +11,10 @@ import msgspec
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment, InvalidRun
-from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.store.append import Staged, stage
+from fsar_ledger.memory import without_collection
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run, simulate_slices
 from fsar_ledger.workers import WorkerPool
 

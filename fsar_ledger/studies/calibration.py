@@ -32,7 +32,7 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARI
 from fsar_ledger.workers import WorkerPool
 
 from .evaluations import measured, simulated
-from .morris import Matrix, Vector
+from .factor_effects import Matrix, Vector
 from .result import require_out, write
 
 REGISTERED = registration()

@@ -32,7 +32,7 @@ SUCCESS, LOCALITY, CONFLICTS = "coordination_success", "governance_locality", "a
 COUNTS = tuple(one.name for one in published_metrics() if one.scale == "count")
 """Metrics without an upper bound; the others in the ablation table are shares."""
 TABLES: dict[Table, str] = {"results": CASES, "ablation": "ablation", "ablation_text": "ablation", "scaling": "scaling"}
-"""The predictions that each table is compared with, as `Play.of`."""
+"""The predictions that each table is compared with, as `PlannedExperiment.of`."""
 
 
 class NotPredicted(Exception):
@@ -127,7 +127,7 @@ def _cell(numbers: Numbers, place: Place) -> Cell:
     one_team = (
         numbers.mean("scaling", place.metric, place.architecture, teams=1, **where) if place.fleet_size > 4 else None
     )
-    paper, said = printed(place.table)[place].value, registration().said_of(place.table, place._asdict())
+    paper, said = printed(place.table)[place].value, registration().declaration_for(place.table, place._asdict())
     judged = verdicts.judge(_row(found), paper, None)
     by_text: dict[str, Answer | None] = {"cannot_follow": "no", "unspecified": None}
     return Cell(

@@ -14,8 +14,7 @@ from typing import Any, Literal
 import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.constants import Constants, Load, Range
-from fsar_ledger.report.provenance import origins
+from fsar_ledger.constants import Constants, Load, Range, origins
 
 SHARES = (
     "world.context_window_share",

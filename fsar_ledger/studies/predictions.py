@@ -41,14 +41,14 @@ CLAIMS_SQL = """
 """
 
 
-class Play(msgspec.Struct, frozen=True):
+class PlannedExperiment(msgspec.Struct, frozen=True):
     """One experiment whose numbers are predicted, and what it is for."""
 
     of: str
     experiment: Experiment
 
 
-def plays() -> Iterator[Play]:
+def planned_experiments() -> Iterator[PlannedExperiment]:
     """Yield the experiments, in the order of the registration."""
 
     def one(
@@ -61,10 +61,10 @@ def plays() -> Iterator[Play]:
         architectures: tuple[Architecture, ...] = ARCHITECTURES,
         configurations: tuple[Configuration, ...] = ("full",),
         constants: Constants | None = None,
-    ) -> Play:
+    ) -> PlannedExperiment:
         base = constants or Constants()
         loaded = base if teams is None else msgspec.structs.replace(base, load=Load(teams_working=teams))
-        return Play(of, Experiment(architectures, SCENARIOS, runs, seed, size, configurations, loaded))
+        return PlannedExperiment(of, Experiment(architectures, SCENARIOS, runs, seed, size, configurations, loaded))
 
     yield one(CASES, SEED_RUNS)
     yield one("ablation", ABLATION_RUNS, architectures=("fsar",), configurations=CONFIGURATIONS)
@@ -101,11 +101,11 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
     require_out(out)
     numbers: list[Predicted] = []
     claims: list[Claim] = []
-    for play in each(list(plays()), progress):
-        with simulated(play.experiment, workers) as database:
+    for planned in each(list(planned_experiments()), progress):
+        with simulated(planned.experiment, workers) as database:
             rows = [*metric_rows(database), *metric_rows(database, by_scenario=True)]
-            numbers += [_predicted(play, row) for row in rows]
-            if play.of == CASES:
+            numbers += [_predicted(planned, row) for row in rows]
+            if planned.of == CASES:
                 claims += typed(database.rows(CLAIMS_SQL), Claim)
     write(
         out,
@@ -119,15 +119,15 @@ def predict(out: Place, *, workers: int | None = None, progress: Progress | None
     )
 
 
-def _predicted(play: Play, row: MetricRow) -> Predicted:
-    asked = play.experiment
+def _predicted(planned: PlannedExperiment, row: MetricRow) -> Predicted:
+    asked = planned.experiment
     load = asked.constants.load
     found: dict[str, Any] = {
         name: getattr(row, name)
         for name in ("architecture", "configuration", "scenario", "metric", "mean", "sd", "n", "ci_low", "ci_high")
     }
     return Predicted(
-        of=play.of,
+        of=planned.of,
         seed=asked.seed,
         fleet_size=asked.fleet_size,
         teams_working=None if load is None else load.teams_working,

@@ -22,10 +22,20 @@ from fsar_ledger.publishing import publish
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
 from .evaluations import CELLS, Answers, Evaluate, Question, answer_all, evaluate
+from .factor_effects import (
+    Indices,
+    Matrix,
+    Vector,
+    by_chance,
+    design,
+    elementary_effects,
+    indices,
+    summary,
+    terms,
+    trajectory,
+)
 from .factors import Factor, factors, setting
-from .morris import Matrix, Vector, by_chance, elementary_effects, summary, trajectory
 from .result import require_out
-from .sobol import Indices, design, indices, terms
 
 SEED = 20_270_001  # of the first trajectory, counting up; never used for a published number or a fit
 BASE_SEED = SEED + 10_000  # of the repeats of the base, counting up

@@ -16,7 +16,7 @@ from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.note import Note, VerifierKey
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.verify.notes import Anchor
-from fsar_ledger.witness.client import NoAnswer, ask, ask_all
+from fsar_ledger.witness.cosign import NoAnswer, ask, ask_all
 from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness
 from fsar_ledger.witness.protocol import checkpoint_path

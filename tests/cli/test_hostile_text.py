@@ -228,7 +228,7 @@ def more_calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, 
 
 def drive(all_calls: Iterator[tuple[object, ...]], call: Call) -> tuple[set[str], set[int]]:
     """Make all calls; return the verbs called and the exit codes. Fails if any call paints the screen."""
-    seen, codes = set(), set()
+    seen, codes = set[str](), set[int]()
     for arguments in all_calls:
         called = call(*arguments)
         assert (painted(called.out), painted(called.err)) == ([], []), arguments

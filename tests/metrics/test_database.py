@@ -1,11 +1,11 @@
-"""The database shows what is committed at one head, binds parameters, and says what is wrong in one message."""
+"""The database shows what is committed at one head, binds parameters, spills, and says what is wrong in one message."""
 
 from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed, UnknownQuery
+from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, NotALedger, QueryFailed, UnknownQuery
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA
 from fsar_ledger.metrics.database import Database, Value, connect, from_rows, from_table, plain_rows, table_of
@@ -230,3 +230,15 @@ def test_a_refilled_database_has_forgotten_what_was_defined_and_held_in_it() -> 
             [{"n": 0}],
             [{"n": 0}],
         ]
+
+
+LARGE = "SELECT max(word) AS word FROM (SELECT hash(range)::VARCHAR AS word FROM range(1000000) ORDER BY word OFFSET 1)"
+
+
+def test_without_a_folder_nothing_is_spilled_and_with_one_the_answer_is_there(tmp_path: Path) -> None:
+    with from_rows([]) as database:
+        database._connection.execute("SET memory_limit = '50MB'")
+        with pytest.raises(FsarLedgerError, match="memory"):
+            database.rows(LARGE)
+        database.spill(tmp_path / "it's spilled")
+        assert len(database.rows(LARGE)) == 1

@@ -8,8 +8,8 @@ from msgspec import structs
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.multiverse import (
     Cell,
-    Chosen,
     Ranking,
+    ReadingNames,
     Relations,
     Universe,
     cells,
@@ -22,7 +22,7 @@ from fsar_ledger.metrics.multiverse import (
 )
 from tests.queries.histories import event, run
 
-Means = Mapping[Chosen, Mapping[str, float | None]]
+Means = Mapping[ReadingNames, Mapping[str, float | None]]
 
 
 def universes(means: Means, metric: str = "m", seed: int = 42) -> list[Universe]:
@@ -43,7 +43,7 @@ def universes(means: Means, metric: str = "m", seed: int = 42) -> list[Universe]
     ]
 
 
-def cell(means: Mapping[Chosen, float | None]) -> Cell:
+def cell(means: Mapping[ReadingNames, float | None]) -> Cell:
     (found,) = cells(universes({chosen: {"fsar": mean} for chosen, mean in means.items()}))
     return found
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from fsar_ledger.metrics.odds import Printed, odds
+from fsar_ledger.metrics.paper_numbers import Printed
+from fsar_ledger.metrics.verdicts import odds
 
 RNG = np.random.default_rng(7)
 CELL = ("policy_violations", "fsar")

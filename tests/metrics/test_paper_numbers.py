@@ -39,7 +39,7 @@ def test_a_claim_of_the_text_is_a_number_in_full_and_one_without_the_mechanism()
 
 def test_cells_have_the_class_that_was_registered_for_them_and_are_informed_otherwise() -> None:
     def classes(table: Table) -> Counter[str]:
-        return Counter(registration().said_of(table, place._asdict()).kind for place in printed(table))
+        return Counter(registration().declaration_for(table, place._asdict()).kind for place in printed(table))
 
     assert classes("results") == {"fitted": 24}
     assert classes("ablation") == {"informed": 28, "unspecified": 1, "cannot_follow": 1}
@@ -49,7 +49,7 @@ def test_cells_have_the_class_that_was_registered_for_them_and_are_informed_othe
 
 def test_only_classes_with_a_meaning_are_given_and_what_cannot_follow_has_its_proof() -> None:
     said = registration()
-    given = [*said.cell, *(said.said_of(table, {}) for table in said.cells)]
+    given = [*said.cell, *(said.declaration_for(table, {}) for table in said.cells)]
     assert {one.kind for one in given} <= said.classes.keys()
     assert all(one.because for one in said.cell if one.kind == "cannot_follow")
     assert all(one.dial for one in said.cell if one.kind == "unspecified")

@@ -15,11 +15,13 @@ WHOLE = Experiment(("fsar", "cfc", "dhma"), ("door-relay", "fleet-contention"), 
 EVENTS = "SELECT run_id, seq, type FROM events ORDER BY ALL"
 
 
-@pytest.fixture(params=[1, 2], ids=["format 1", "format 2"])
-def ledger(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(staging, "COMMIT_EVENTS", 300)  # in format 2 most runs are in several segments
-    run_experiment(tmp_path / "ledger", WHOLE, 1, version=request.param)
-    return tmp_path / "ledger"
+@pytest.fixture(scope="module", params=[1, 2], ids=["format 1", "format 2"])
+def ledger(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("slices") / "ledger"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(staging, "COMMIT_EVENTS", 300)  # in format 2 most runs are in several segments
+        run_experiment(path, WHOLE, 1, version=request.param)
+    return path
 
 
 def test_slices_hold_whole_runs_and_each_event_once(ledger: Path) -> None:

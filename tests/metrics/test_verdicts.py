@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fsar_ledger.metrics.odds import Odds
 from fsar_ledger.metrics.results import MetricRow
-from fsar_ledger.metrics.verdicts import MARGINS, Comparison, compare, gives, published
+from fsar_ledger.metrics.verdicts import MARGINS, Comparison, Odds, compare, gives, published
 
 
 def row(metric: str, architecture: str, mean: float | None, sd: float | None, n: int = 100) -> MetricRow:

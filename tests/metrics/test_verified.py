@@ -16,7 +16,7 @@ from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics import verified
 from fsar_ledger.metrics.database import connect, from_rows
-from fsar_ledger.metrics.verified import is_remembered, required_look, whole_look
+from fsar_ledger.metrics.verified import ensure_verified, full_verify, is_remembered
 from tests.ledger.damage import files_of
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.quick import few
@@ -39,28 +39,28 @@ def known(ledger: Path) -> bool | None:
 
 def test_rows_are_verified_after_a_whole_look_and_not_before(ledger: Path) -> None:
     assert not known(ledger)
-    assert whole_look(ledger).ok
+    assert full_verify(ledger).ok
     assert known(ledger)
 
 
 def test_a_quick_look_is_not_remembered(ledger: Path) -> None:
-    assert whole_look(ledger, asked=Asked(is_quick=True)).ok
+    assert full_verify(ledger, asked=Asked(is_quick=True)).ok
     assert not known(ledger)
 
 
 def test_a_look_that_doubts_something_is_not_remembered(ledger: Path) -> None:
     rows = table_of(ledger, 1)
     forge_segment(ledger, 1, changed(rows, "time_us", 1, 4))
-    assert not whole_look(ledger).ok
+    assert not full_verify(ledger).ok
     assert not known(ledger)
     with pytest.raises(
         LedgerCorrupted, match=r"commit 1, field tree_root: found Merkle root .* run fsar-ledger verify"
     ):
-        required_look(ledger)
+        ensure_verified(ledger)
 
 
 def test_a_ledger_that_was_looked_at_and_grew_is_to_be_looked_at_again(ledger: Path) -> None:
-    looked = required_look(ledger)
+    looked = ensure_verified(ledger)
     with Writer(ledger, "test") as writer:
         writer.append(stage(ledger, [record("fsar", 7)]))
     assert not known(ledger)
@@ -69,7 +69,7 @@ def test_a_ledger_that_was_looked_at_and_grew_is_to_be_looked_at_again(ledger: P
 
 
 def test_a_copy_is_the_same_ledger_and_one_with_other_segments_is_none(ledger: Path, tmp_path: Path) -> None:
-    whole_look(ledger)
+    full_verify(ledger)
     copy = Path(shutil.copytree(ledger, tmp_path / "copy"))
     assert known(copy)
     segment = open_ledger(copy).segment(0)
@@ -80,21 +80,21 @@ def test_a_copy_is_the_same_ledger_and_one_with_other_segments_is_none(ledger: P
 
 def test_the_look_leaves_the_ledger_as_it_is(ledger: Path, cache: Path) -> None:
     before = {name: (ledger / name).read_bytes() for name in files_of(ledger)}
-    whole_look(ledger)
+    full_verify(ledger)
     assert {name: (ledger / name).read_bytes() for name in files_of(ledger)} == before
     assert len(list(cache.iterdir())) == 1
 
 
 def test_nothing_is_remembered_inside_a_ledger(ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(ledger))
-    assert whole_look(ledger).ok
+    assert full_verify(ledger).ok
     assert not (ledger / "fsar-ledger").exists()
     assert verify(ledger).ok
 
 
 @pytest.mark.parametrize("name", ["fsar-ledger", "pyarrow", "duckdb"])
 def test_another_version_looks_again(ledger: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    whole_look(ledger)
+    full_verify(ledger)
     if name == "fsar-ledger":
         monkeypatch.setattr(verified, "__version__", "9.9.9")
     else:
@@ -169,16 +169,16 @@ def a_file_in_place_of_the_folder(cache: Path) -> None:
 def test_a_cache_that_others_may_have_written_is_not_believed(
     ledger: Path, cache: Path, spoil: Callable[[Path], None]
 ) -> None:
-    whole_look(ledger)
+    full_verify(ledger)
     assert known(ledger)
     spoil(cache)
     assert not known(ledger)
-    assert whole_look(ledger).ok  # to remember nothing is no error
+    assert full_verify(ledger).ok  # to remember nothing is no error
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give files away")
 def test_a_cache_of_another_user_is_not_believed(ledger: Path, cache: Path) -> None:
-    whole_look(ledger)
+    full_verify(ledger)
     os.chown(next(cache.iterdir()), 12345, 12345)
     assert not known(ledger)
     os.chown(next(cache.iterdir()), 0, 0)
@@ -188,7 +188,7 @@ def test_a_cache_of_another_user_is_not_believed(ledger: Path, cache: Path) -> N
 
 def test_a_cache_that_cannot_be_written_is_no_error(ledger: Path, tmp_path: Path, cache: Path) -> None:
     cache.parent.write_text("a file where the folder would be")
-    report = whole_look(ledger)
+    report = full_verify(ledger)
     assert report.ok
     assert not known(ledger)
     with connect(ledger, demanded=report.record_sha256) as database:  # who looked a moment ago knows without memory
@@ -198,7 +198,7 @@ def test_a_cache_that_cannot_be_written_is_no_error(ledger: Path, tmp_path: Path
 def test_the_cache_is_for_this_user_alone(ledger: Path, cache: Path) -> None:
     before = os.umask(0)
     try:
-        whole_look(ledger)
+        full_verify(ledger)
     finally:
         os.umask(before)
     assert cache.stat().st_mode & 0o777 == 0o700
@@ -208,12 +208,12 @@ def test_the_cache_is_for_this_user_alone(ledger: Path, cache: Path) -> None:
 def test_without_a_home_nothing_is_remembered(ledger: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    whole_look(ledger)
+    full_verify(ledger)
     assert known(ledger)
     assert len(list((tmp_path / "home" / ".cache" / "fsar-ledger").iterdir())) == 1
     monkeypatch.setattr(Path, "home", no_home)
     assert not known(ledger)
-    assert whole_look(ledger).ok
+    assert full_verify(ledger).ok
 
 
 def no_home() -> Path:

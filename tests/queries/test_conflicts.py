@@ -1,14 +1,10 @@
 """Conflicts are found in one sweep: the same as by comparing every pair, and without the time that takes."""
 
 import random
-import time
 from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
-import pyarrow as pa
-
-from fsar_ledger.metrics.database import from_table
 from tests.queries.histories import Row, S, answer, event, run
 
 FOREVER = 1 << 60
@@ -70,25 +66,3 @@ def test_the_sweep_finds_what_comparing_every_pair_finds() -> None:
     expected = {action: first_overlap(claims) for action, claims in actions.items()}
     assert found == {action: overlap * S for action, overlap in expected.items() if overlap is not None}
     assert 100 < len(found) < 350
-
-
-def test_ten_times_the_open_claims_take_no_hundred_times_as_long() -> None:
-    assert taken(100_000) < 30 * taken(10_000)
-
-
-def taken(claims: int) -> float:
-    """Return the CPU seconds for one action on which so many principals hold open claims."""
-    names = {
-        "run_id": ["r"] * claims,
-        "action_id": ["a"] * claims,
-        "dimension": ["override"] * claims,
-        "type": ["AuthorityClaimed.v1"] * claims,
-    }
-    numbers = list(range(claims))
-    table = pa.table(
-        {**names, "seq": numbers, "time_us": numbers, "claimant": [f"robot/{number}" for number in numbers]}
-    )
-    with from_table(table, threads=1) as database:
-        began = time.process_time()
-        assert database.rows("SELECT began_us FROM conflicts") == [{"began_us": 1}]
-        return time.process_time() - began

@@ -9,43 +9,24 @@ from fsar_ledger.events.trust import TrustThresholdsSet
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
 from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers.commands import StartAction
-from fsar_ledger.runtime.handlers.execution import started as has_started
+from tests.queries.histories import S
+from tests.queries.test_mutated_handlers import unchecked_start
 from tests.queries.test_rules_and_trust import DOOR, H_B
 from tests.recycled import from_table
 from tests.runtime.governed import H_F, governed, record
 
+B1 = Robot("robot/B1")
 GOVERNANCE = (
     (2, TrustThresholdsSet(2, 1, H_F)),
     (3, SupervisionDensitySet(robot=None, review_every=2, decided_by=H_F, reason="start-up")),
     (4, PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)),
-    (
-        5,
-        PolicyRuleSet(
-            scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="deny", decided_by=H_B
-        ),
-    ),
-    (
-        50_000_000,
-        PolicyRuleSet(
-            scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=H_B
-        ),
-    ),
-    (
-        90_000_000,
-        PolicyRuleSet(
-            scope="fleet", robot=Robot("robot/B1"), capability=None, context=None, outcome="deny", decided_by=H_F
-        ),
-    ),
-    (
-        110_000_000,
-        PolicyRuleSet(
-            scope="fleet", robot=Robot("robot/B1"), capability=None, context=None, outcome="allow", decided_by=H_F
-        ),
-    ),
+    (5, PolicyRuleSet(scope="local", robot=B1, capability=DOOR, context=None, outcome="deny", decided_by=H_B)),
+    (50 * S, PolicyRuleSet(scope="local", robot=B1, capability=DOOR, context=None, outcome="review", decided_by=H_B)),
+    (90 * S, PolicyRuleSet(scope="fleet", robot=B1, capability=None, context=None, outcome="deny", decided_by=H_F)),
+    (110 * S, PolicyRuleSet(scope="fleet", robot=B1, capability=None, context=None, outcome="allow", decided_by=H_F)),
 )
 
 
@@ -61,30 +42,15 @@ def audited(structure: Any = FSAR) -> dict[str, int]:
     return {**counts, "violations": found["violations"]}
 
 
-def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
-    """FSAR's handler without its look at policy."""
-    return (
-        (has_started(state.fleet, state.world, state.execution.actions[command.action_id], command),)
-        if start_as_fsar(state, command)
-        else ()
-    )
-
-
 def silent_denial(state: Any, command: EvaluateRequest) -> tuple[Any, ...]:
     """FSAR's handler, which tells nobody of a conflict."""
     return tuple(one for one in evaluate_request(state, command) if type(one).__name__ != "PolicyConflictEscalated")
 
 
-def test_in_runs_with_interventions_the_invariants_of_policy_and_recovery_hold() -> None:
-    counts = audited()
-    assert {name: counts[name] for name in ("i1", "i2", "i3", "i4", "a1", "a2", "a3", "a4", "a5")} == dict.fromkeys(
-        counts.keys() - {"i5", "violations"}, 0
-    )
-
-
-def test_starts_under_a_rule_that_denies_are_caught_by_i3_and_the_violation_metric() -> None:
+def test_in_runs_with_interventions_the_invariants_hold_until_starts_ignore_a_rule_that_denies() -> None:
     counts, mutated = audited(), audited(HandlerTable({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts))
-    assert mutated["i3"] > counts["i3"] == 0
+    assert {name for name, events in counts.items() if events} <= {"i5", "violations"}
+    assert mutated["i3"] > 0
     assert mutated["violations"] > counts["violations"]
 
 

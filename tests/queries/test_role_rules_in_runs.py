@@ -19,7 +19,7 @@ from fsar_ledger.runtime.handlers.fleet import InstallCapability, JoinFleet
 from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from tests.queries.histories import S
-from tests.queries.test_governed_runs import unchecked_start
+from tests.queries.test_mutated_handlers import unchecked_start
 from tests.queries.test_role_rules import SCOPES, A, B, folded, in_force
 from tests.queries.test_role_trust import DOOR
 from tests.runtime.governed import H_F, governed
@@ -74,20 +74,10 @@ def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queri
 
 
 INTERVENTIONS = (
-    (
-        2,
-        RolePolicyRuleSet(
-            scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
-        ),
-    ),
+    (2, RolePolicyRuleSet(scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, decided_by=H_F)),
     (3, RolePolicyRuleSet(scope="local", role="A", outcome="deny", domain="", capability="carry.package")),
     (60 * S, PolicyRuleSet(scope="fleet", robot=B1, capability=DOOR, context=None, outcome="allow", decided_by=H_F)),
-    (
-        70 * S,
-        RolePolicyRuleSet(
-            scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
-        ),
-    ),
+    (70 * S, RolePolicyRuleSet(scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, decided_by=H_F)),
     (80 * S, RolePolicyRuleSet(scope="local", role="A", outcome="allow", domain="", capability="carry.package")),
 )
 

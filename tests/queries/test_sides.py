@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.comparison_sides import Paired, Side, chosen, paired, sides
 from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.sides import Paired, Side, chosen, paired, sides
 from tests.queries.histories import Row, S, event, run
 from tests.recycled import from_rows
 

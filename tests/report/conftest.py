@@ -28,8 +28,10 @@ from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.report.build import write_report
 from fsar_ledger.report.findings import SCENARIOS, Findings
 from fsar_ledger.report.gather import gather
+from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment
 
 A = Robot("robot/A1")
 ARRIVED = TaskArrived(
@@ -160,6 +162,22 @@ def make_ledger(tmp_path_factory: pytest.TempPathFactory) -> Make:
 def ledger(make_ledger: Make) -> Path:
     """Three architectures, five scenarios, two runs of each."""
     return make_ledger()
+
+
+@pytest.fixture(scope="session")
+def workflows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ledger of the paper's three workflows."""
+    path = tmp_path_factory.mktemp("workflows") / "ledger"
+    run_experiment(path, workflow_experiment(7), 1)
+    return path
+
+
+@pytest.fixture(scope="session")
+def whole_report(ledger: Path, workflows: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of both ledgers under every reading, its numbers beside it as `report.pdf.json`."""
+    out = tmp_path_factory.mktemp("report") / "report.pdf"
+    write_report(ledger, out, workflows, numbers_out=out.with_name("report.pdf.json"))
+    return out
 
 
 @pytest.fixture(scope="session")

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.metrics.database import connect
-from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, rankings, readings
+from fsar_ledger.metrics.multiverse import Multiverse, ReadingNames, Universe, cells, rankings, readings
 from fsar_ledger.metrics.verdicts import published
 from fsar_ledger.report import all_readings, document
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.gather import SETTING, gather
 
 NAMES = ("level_four_is_fleet", "reviews_are_no_interventions")
-Means = dict[Chosen, tuple[float | None, float, float]]
+Means = dict[ReadingNames, tuple[float | None, float, float]]
 PAPER = published()["human_intervention", "fsar"].value
 
 

@@ -10,7 +10,7 @@ import typst
 
 from fsar_ledger.errors import FsarLedgerError
 from fsar_ledger.metrics.study_results import METRICS, Calibration, Parameter, packaged, rules
-from fsar_ledger.report import document, specs, typeset
+from fsar_ledger.report import build, document, specs
 from fsar_ledger.report.findings import Findings
 
 WHOLE: dict[str, Any] = {
@@ -57,7 +57,7 @@ def test_record_is_read_and_typeset_whatever_part_is_missing(
         json.dumps({key: value for key, value in WHOLE.items() if key != missing})
     )
     data = document.data(findings, packaged(Calibration, tmp_path))
-    assert typeset.pdf(document.encoded(data), drawings).startswith(b"%PDF")
+    assert build.pdf(document.encoded(data), drawings).startswith(b"%PDF")
 
 
 def test_record_is_quoted_with_its_numbers(tmp_path: Path, findings: Findings) -> None:
@@ -168,4 +168,4 @@ def test_broken_record_is_refused_with_its_place(tmp_path: Path, content: str) -
 
 
 def test_packaged_record_can_be_typeset_if_it_is_there(findings: Findings, drawings: dict[str, bytes]) -> None:
-    assert typeset.pdf(document.encoded(document.data(findings, packaged(Calibration))), drawings).startswith(b"%PDF")
+    assert build.pdf(document.encoded(document.data(findings, packaged(Calibration))), drawings).startswith(b"%PDF")

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.report import cases, specs
+from fsar_ledger.report import result_rows, specs
 from fsar_ledger.report.document import data
 from fsar_ledger.report.gather import gather
 from tests.queries.histories import answer
@@ -33,7 +33,7 @@ def test_every_number_of_the_paper_has_one_cell_with_claims_that_the_queries_kno
 
 
 def test_ours_stands_beside_the_papers_in_both_readings_with_what_was_counted() -> None:
-    rows = cases.beside(
+    rows = result_rows.beside(
         [
             claim("contained locally", "fsar", 8, 11),
             claim("contained locally (degradation)", "fsar", 2, 3),
@@ -59,7 +59,7 @@ def test_ours_stands_beside_the_papers_in_both_readings_with_what_was_counted() 
 
 
 def test_seeds_that_are_asked_for_together_are_added_and_what_has_no_case_or_no_run_has_no_number() -> None:
-    rows = cases.beside(
+    rows = result_rows.beside(
         [claim("recovery loop", "dhma", 1, 4), claim("recovery loop", "dhma", 2, 8), claim("conflicts", "fsar", 0, 0)]
     )
     found = {(row["case"], row["architecture"]): row for row in rows}
@@ -70,7 +70,7 @@ def test_seeds_that_are_asked_for_together_are_added_and_what_has_no_case_or_no_
         for column in ("value", "counted", "other")
     ] == [None] * 6
     nothing = claim("conflicts", "fsar", 0, 0, runs=0) | {"numerator": None, "denominator": None}
-    assert cases.beside([nothing]) == ()
+    assert result_rows.beside([nothing]) == ()
 
 
 @pytest.mark.slow

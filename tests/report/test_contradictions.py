@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsar_ledger.report import arithmetic, contradictions, printing, specs
+from fsar_ledger.report import contradictions, printing, specs
 
 LABELS = (Path(__file__).parent.parent / "paper_labels.txt").read_text("utf-8").split()
 
@@ -125,7 +125,7 @@ def test_every_place_in_the_paper_exists() -> None:
 
 @given(st.floats(0.01, 100), st.integers(2, 10_000))
 def test_sd_of_a_half_width_is_the_inverse_of_the_half_width(sd: float, n: int) -> None:
-    assert arithmetic.sd_of_half_width(arithmetic.half_width(sd, n), n) == pytest.approx(sd)
+    assert contradictions.sd_of_half_width(contradictions.half_width(sd, n), n) == pytest.approx(sd)
 
 
 @given(st.lists(st.floats(0.05, 5), min_size=3, max_size=3), st.lists(st.floats(0, 100), min_size=3, max_size=3))
@@ -138,7 +138,7 @@ def test_implied_variances_are_those_that_made_the_effect_sizes(sds: list[float]
         / math.sqrt((sds[a] ** 2 + sds[b] ** 2) / 2)
         for a, b in pairs
     }
-    found = arithmetic.implied_variances("x", means, d, mean_step=0.0, d_step=0.0)
+    found = contradictions.implied_variances("x", means, d, mean_step=0.0, d_step=0.0)
     for name, sd in zip(names, sds, strict=True):
         assert found.implied[name] == pytest.approx(sd**2, rel=1e-6, abs=1e-6)
         assert found.largest[name] == pytest.approx(found.implied[name], abs=1e-6)
@@ -148,7 +148,7 @@ def test_implied_variances_are_those_that_made_the_effect_sizes(sds: list[float]
 def test_fractions_of_a_percentage_round_back_to_it(n: int, data: st.DataObject) -> None:
     k = data.draw(st.integers(0, n))
     percent = math.floor(100 * k / n + 0.5)
-    found = arithmetic.counts_that_print(percent, n)
+    found = contradictions.counts_that_print(percent, n)
     assert any(entry.endswith(f"/{n}") for entry in found)
     for entry in found:
         top, bottom = map(int, entry.split("/"))

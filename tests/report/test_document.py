@@ -16,7 +16,7 @@ from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
-from fsar_ledger.report import document, run_shape, specs
+from fsar_ledger.report import document, result_rows, specs
 from fsar_ledger.report.findings import SCENARIOS, Findings, answer, significance_level, with_agreement
 from fsar_ledger.report.gather import gather
 from tests.quick import few
@@ -209,14 +209,14 @@ def test_only_the_architecture_of_another_shape_is_not_judged(
 
 
 def test_pairs_of_another_shape_than_the_papers_are_not_judged() -> None:
-    runs: run_shape.RunCounts = dict.fromkeys(SCENARIOS, 2)
-    even: run_shape.RunCounts = dict.fromkeys(SCENARIOS, 1)
+    runs: result_rows.RunCounts = dict.fromkeys(SCENARIOS, 2)
+    even: result_rows.RunCounts = dict.fromkeys(SCENARIOS, 1)
     held, pairs = {"fsar": runs, "cfc": runs}, {"fsar-cfc": {**even, "door-relay": 2}}
-    assert run_shape.unjudged(held, pairs) == {"fsar-cfc"}
-    said = run_shape.why_unjudged(held, pairs)
+    assert result_rows.unjudged(held, pairs) == {"fsar-cfc"}
+    said = result_rows.why_unjudged(held, pairs)
     assert said is not None
     assert "but of FSAR vs CFC this ledger has 1 pair of collaborative-delivery, 2 pairs of door-relay, " in said
-    assert run_shape.why_unjudged(held, {"fsar-cfc": even}) is None
+    assert result_rows.why_unjudged(held, {"fsar-cfc": even}) is None
 
 
 @pytest.mark.slow

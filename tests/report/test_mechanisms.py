@@ -22,7 +22,7 @@ from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.definitions import metrics, published_metrics
-from fsar_ledger.report import document, mechanisms, specs, typeset
+from fsar_ledger.report import build, document, mechanisms, specs
 from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
 from fsar_ledger.report.mechanisms import carried, mechanisms_of
 from fsar_ledger.runtime.experiment import Experiment
@@ -261,7 +261,7 @@ def test_the_section_has_both_tables_with_what_is_marked_in_bold(findings: Findi
     assert said["other_constants"] is not None, "the page has that sentence, too"
     assert (said["mechanisms"], said["missing"], said["differences"]) == (3, len(KNOCKOUTS) - 3, 24)
     assert said["unmoved"] == sum(not row["differing_pairs"] for row in found.rows) > 0
-    assert typeset.pdf(document.encoded(document.data(given, None)), document.drawings(given)).startswith(b"%PDF")
+    assert build.pdf(document.encoded(document.data(given, None)), document.drawings(given)).startswith(b"%PDF")
 
 
 def test_mechanisms_of_other_constants_than_the_results_say_so(findings: Findings) -> None:

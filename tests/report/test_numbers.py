@@ -9,11 +9,11 @@ import pytest
 from fsar_ledger.metrics.study_results import METRICS, Calibration, rules
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report import document, specs
-from fsar_ledger.report.findings import Ablation, Findings, Row, Scaling, Told, with_agreement
+from fsar_ledger.report.figures import overview_figure
+from fsar_ledger.report.findings import Ablation, Findings, LedgerHead, Row, Scaling, with_agreement
 from fsar_ledger.report.numbers import OPEN, OUTCOMES, STANDS, TABLES, UNDECIDED, numbers, said, tally
-from fsar_ledger.report.overview import overview
 
-TOLD = Told(1, 1, "root", 1, "complete", "2")
+HEAD = LedgerHead(1, 1, "root", 1, "complete", "2")
 FAILS = "does not"
 
 
@@ -62,8 +62,8 @@ def findings(
     return Findings(
         *(1, 1, "", 1, tuple(cells), tuple(tests), (), (), (), (), (), {}, ()),
         cases=tuple(cases),
-        ablation=Ablation(TOLD, 90.0, tuple(ablation), (), curve, ()) if ablation else None,
-        scaling=Scaling(TOLD, tuple(scaling), tuple(loads)) if scaling else None,
+        ablation=Ablation(HEAD, 90.0, tuple(ablation), (), curve, ()) if ablation else None,
+        scaling=Scaling(HEAD, tuple(scaling), tuple(loads)) if scaling else None,
     )
 
 
@@ -218,18 +218,22 @@ def test_the_numbers_of_a_ledger_are_those_of_its_tables(alone: Findings) -> Non
 @pytest.mark.slow
 def test_the_figure_has_a_panel_for_each_table_that_is_there_and_shows_what_became_of_a_number() -> None:
     alone, both = numbers(findings([cell("yes")])), numbers(findings([cell("yes")], scaling=[cell("no")]))
-    assert words(overview(alone)).count("Scaling") == 0
-    assert [words(overview(both)).count(name) for name in ("Evaluation results", "Scaling", "Ablation")] == [1, 1, 0]
-    assert overview(both) == overview(both)
-    drawn = {gives: overview(numbers(findings([cell(gives)]))) for gives in ("yes", "no", "undecided")}
+    assert words(overview_figure(alone)).count("Scaling") == 0
+    assert [words(overview_figure(both)).count(name) for name in ("Evaluation results", "Scaling", "Ablation")] == [
+        1,
+        1,
+        0,
+    ]
+    assert overview_figure(both) == overview_figure(both)
+    drawn = {gives: overview_figure(numbers(findings([cell(gives)]))) for gives in ("yes", "no", "undecided")}
     assert len(set(drawn.values())) == 3, "what stands, what does not and what is undecided look different"
-    assert overview(numbers(findings([cell("yes", distance=1.2)]))) != drawn["yes"]
-    assert b"<svg" in overview(())
+    assert overview_figure(numbers(findings([cell("yes", distance=1.2)]))) != drawn["yes"]
+    assert b"<svg" in overview_figure(())
 
 
 def test_a_number_far_out_stays_within_the_figure() -> None:
     far = cell("no", distance=-900.0, difference=(-19.0, -17.0))
-    assert overview(numbers(findings([far]))) == overview(numbers(findings([far | {"distance": -950.0}])))
+    assert overview_figure(numbers(findings([far]))) == overview_figure(numbers(findings([far | {"distance": -950.0}])))
 
 
 @pytest.mark.slow
@@ -237,10 +241,10 @@ def test_what_goes_beyond_the_edge_of_the_figure_has_an_arrow_there() -> None:
     margin = MARGINS["governance_locality"]
 
     def point(margins: float) -> bytes:
-        return overview(numbers(findings([cell("no", distance=-margins, difference=None)])))
+        return overview_figure(numbers(findings([cell("no", distance=-margins, difference=None)])))
 
     def interval(margins: float) -> bytes:
-        return overview(numbers(findings([cell("no", difference=(margin, margins * margin))])))
+        return overview_figure(numbers(findings([cell("no", difference=(margin, margins * margin))])))
 
     def dial(margins: float) -> bytes:
         larger = cell(
@@ -253,7 +257,7 @@ def test_what_goes_beyond_the_edge_of_the_figure_has_an_arrow_there() -> None:
             mean=-margin,
             one=-margins * margin,
         )
-        return overview(numbers(findings(scaling=[larger])))
+        return overview_figure(numbers(findings(scaling=[larger])))
 
     for drawn in (point, interval, dial):
         assert drawn(79.9) != drawn(90)

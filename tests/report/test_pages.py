@@ -11,13 +11,13 @@ import pytest
 
 from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.report import document, specs
-from fsar_ledger.report.findings import Ablation, Findings, Row, Scaling, Told
+from fsar_ledger.report.findings import Ablation, Findings, LedgerHead, Row, Scaling
 from tests.report.test_all_readings import NAMES, multiverse
 
 MARGINS_MM = (21.0, 19.0)
 """What lies above and below the text of a page, of 297 mm; the line of the header is left out."""
 
-TOLD = Told(1, 1, "root", 1, "complete", "2")
+HEAD = LedgerHead(1, 1, "root", 1, "complete", "2")
 
 
 def pages(findings: Findings, folder: Path) -> list[Any]:
@@ -97,8 +97,8 @@ def test_no_page_but_the_last_is_more_than_a_quarter_empty(alone: Findings, tmp_
         read = multiverse({(): (0.1, 0.3, 0.2), NAMES[:1]: (0.4, 0.3, 0.2)})
         found = msgspec.structs.replace(
             alone,
-            ablation=Ablation(TOLD, 90.0, ablation, ablation[:8], (), ()),
-            scaling=Scaling(TOLD, scaling, curve),
+            ablation=Ablation(HEAD, 90.0, ablation, ablation[:8], (), ()),
+            scaling=Scaling(HEAD, scaling, curve),
             multiverse=read,
         )
     shown = pages(found, tmp_path / "report")

@@ -16,7 +16,7 @@ import pytest
 from fsar_ledger.api.fields import csv_text
 from fsar_ledger.api.files import _write_tables
 from fsar_ledger.cli import output
-from fsar_ledger.report import document, printing, sequence, typeset
+from fsar_ledger.report import build, document, printing, sequence
 from fsar_ledger.report.findings import Findings
 from tests.report.test_sequence import TIMELINE, told
 from tests.terminal import PAINT, painted
@@ -188,7 +188,7 @@ def test_the_report_reads_no_payload_as_markup(findings: Findings) -> None:
     models = tuple({**findings.models[0], "kind": payload, "model_version": payload} for payload in PAYLOADS * 5)
     evil = msgspec.structs.replace(findings, parameters=hostile, runs=others, models=models)
     data = document.data(evil, None)
-    pdf = typeset.pdf(document.encoded(data), document.drawings(evil))
+    pdf = build.pdf(document.encoded(data), document.drawings(evil))
     assert pdf.startswith(b"%PDF")
     assert len(pdf) < 3_000_000
     assert f"{len(models) - printing.MAX_ROWS} more rows are not shown" in data["tables"]["models"].source

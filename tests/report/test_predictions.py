@@ -10,7 +10,7 @@ import typst
 
 from fsar_ledger.errors import FsarLedgerError
 from fsar_ledger.metrics.study_results import METRICS, Comparison, Outcome, encoded, rules
-from fsar_ledger.report import document, predictions, specs
+from fsar_ledger.report import document, numbers, specs
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.printing import flat
 from tests.report.conftest import PARAMETERS
@@ -54,14 +54,14 @@ def test_the_first_page_says_which_registered_predictions_fail_and_a_table_says_
 
 
 def test_predictions_are_those_of_the_runs_model_and_constants_or_none(findings: Findings, tmp_path: Path) -> None:
-    assert predictions.judged(findings, tmp_path) is None, "no record"
+    assert numbers.judged(findings, tmp_path) is None, "no record"
     write(tmp_path, True, False)
-    assert len(predictions.outcomes(predictions.judged(findings, tmp_path))) == 2
-    assert predictions.judged(msgspec.structs.replace(findings, model_version="2"), tmp_path) is None
-    assert predictions.judged(msgspec.structs.replace(findings, parameters={}), tmp_path) is None
+    assert len(numbers.outcomes(numbers.judged(findings, tmp_path))) == 2
+    assert numbers.judged(msgspec.structs.replace(findings, model_version="2"), tmp_path) is None
+    assert numbers.judged(msgspec.structs.replace(findings, parameters={}), tmp_path) is None
     (tmp_path / "comparison.json").write_text("{}")
     with pytest.raises(FsarLedgerError, match=r"comparison\.json: .*; write it again"):
-        predictions.judged(findings, tmp_path)
+        numbers.judged(findings, tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_the_sentence_counts_and_names_what_holds_and_what_does_not(
     findings: Findings, tmp_path: Path, holds: tuple[bool | None, ...], words: str
 ) -> None:
     write(tmp_path, *holds)
-    assert predictions.said(predictions.judged(findings, tmp_path)) == {
+    assert numbers.predictions_said(numbers.judged(findings, tmp_path)) == {
         "sentence": f"Of {len(holds)} predictions registered before they were run, {words}"
     }
-    assert predictions.said(None) is None
+    assert numbers.predictions_said(None) is None

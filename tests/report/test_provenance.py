@@ -7,12 +7,22 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.constants import DESIGNS, Chosen, Constants, Structure, WorldConstants, write_constants
+from fsar_ledger import constants
+from fsar_ledger.constants import (
+    DESIGNS,
+    GIVEN,
+    WORDS,
+    Chosen,
+    Constants,
+    Structure,
+    WorldConstants,
+    origins,
+    write_constants,
+)
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.results import MetricRow
-from fsar_ledger.report import document, provenance
+from fsar_ledger.report import document
 from fsar_ledger.report.printing import flat
-from fsar_ledger.report.provenance import GIVEN, WORDS, origins
 from fsar_ledger.runtime.simulation import ARCHITECTURES
 from fsar_ledger.studies.calibration import PLAN
 from fsar_ledger.studies.evaluations import measured
@@ -80,8 +90,8 @@ class Unsaid(msgspec.Struct):
 
 
 def test_a_constant_without_a_word_or_with_two_is_found() -> None:
-    hints = provenance._hints(Unsaid)
-    assert {name: provenance._word(hint) for name, hint in hints.items()} == {"nothing": "", "one": "chosen", "two": ""}
+    hints = constants._hints(Unsaid)
+    assert {name: constants._word(hint) for name, hint in hints.items()} == {"nothing": "", "one": "chosen", "two": ""}
 
 
 def test_what_is_fitted_is_what_the_record_of_the_fit_holds() -> None:

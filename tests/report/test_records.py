@@ -12,7 +12,7 @@ from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics import study_results as bound
 from fsar_ledger.metrics.library import Library, library, plain_sql
 from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Calibration, changed, packaged, rules
-from fsar_ledger.report import document, predictions
+from fsar_ledger.report import document, numbers
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.studies.comparison import judge
 from tests import records
@@ -53,7 +53,7 @@ def test_a_changed_rule_is_named_by_every_record(
         assert changed(kept(name)["rules"]) == [CONFLICTS]
     fit = document.data(of_the_record(findings), packaged(Calibration))["fit"]
     assert CONFLICTS in fit["changed"]
-    told = predictions.said(predictions.judged(of_the_record(findings)))
+    told = numbers.predictions_said(numbers.judged(of_the_record(findings)))
     assert told is not None
     assert f"they were judged before {CONFLICTS} changed" in told["sentence"]
     place = tmp_path / "predictions.json"

@@ -9,10 +9,10 @@ import pytest
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.study_results import Calibration, packaged
-from fsar_ledger.report import document, write_report
+from fsar_ledger.report import document
+from fsar_ledger.report.build import write_report
 from fsar_ledger.report.findings import Findings
-from fsar_ledger.report.numbers import tally
-from fsar_ledger.report.reproduction import reproduction
+from fsar_ledger.report.numbers import reproduction, tally
 from tests.report.test_specification_curves import found
 
 
@@ -62,14 +62,13 @@ def test_it_holds_the_means_under_every_reading_where_they_were_asked_for(alone:
 
 
 @pytest.mark.slow
-def test_it_is_written_beside_the_report_and_is_the_same_bytes_again(
-    ledger: Path, alone: Findings, tmp_path: Path
-) -> None:
-    write_report(ledger, tmp_path / "report.pdf", reads_every_way=False, numbers_out=tmp_path / "numbers.json")
-    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
-    written = (tmp_path / "numbers.json").read_bytes()
-    assert written == reproduction(alone, document.counted(alone, packaged(Calibration)))
-    assert json.loads(written)["ledgers"]["results"]["root"] == alone.root
+def test_it_is_written_beside_the_report_and_holds_the_same_numbers(whole_report: Path, alone: Findings) -> None:
+    assert whole_report.read_bytes().startswith(b"%PDF")
+    written = json.loads(whole_report.with_name("report.pdf.json").read_bytes())
+    expected = json.loads(reproduction(alone, document.counted(alone, packaged(Calibration))))
+    for part in ("numbers", "tally", "tests", "scenarios", "constants", "table_share"):
+        assert written[part] == expected[part]
+    assert written["ledgers"]["results"] == expected["ledgers"]["results"]
 
 
 def test_it_is_not_written_into_a_ledger(ledger: Path, tmp_path: Path) -> None:

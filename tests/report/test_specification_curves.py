@@ -7,10 +7,10 @@ import pytest
 
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.definitions import metric_named, metrics
-from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, readings
-from fsar_ledger.report import specification_curves
+from fsar_ledger.metrics.multiverse import Multiverse, ReadingNames, Universe, cells, readings
+from fsar_ledger.report import all_readings
 
-MEANS: dict[Chosen, tuple[float | None, float, float]] = {
+MEANS: dict[ReadingNames, tuple[float | None, float, float]] = {
     (): (0.07, 0.29, 0.2),
     ("level_four_is_fleet",): (0.3, 0.29, 0.2),
     ("reviews_are_no_interventions",): (0.03, 0.24, 0.18),
@@ -19,7 +19,7 @@ MEANS: dict[Chosen, tuple[float | None, float, float]] = {
 
 
 def found(
-    means: dict[Chosen, tuple[float | None, float, float]] = MEANS, metric: str = "human_intervention"
+    means: dict[ReadingNames, tuple[float | None, float, float]] = MEANS, metric: str = "human_intervention"
 ) -> Multiverse:
     """One metric of three architectures under these combinations, and once more for another seed, under which FSAR is
     the worst."""
@@ -55,7 +55,7 @@ def words(svg: bytes) -> list[str]:
 
 
 def test_combinations_stand_in_the_order_of_fsars_lead_over_the_better_of_the_others() -> None:
-    columns = specification_curves.ordered(found().universes, metric_named("human_intervention"))
+    columns = all_readings.ordered(found().universes, metric_named("human_intervention"))
     assert [chosen for chosen, _ in columns] == [
         ("level_four_is_fleet",),
         ("level_four_is_fleet", "reviews_are_no_interventions"),
@@ -68,12 +68,12 @@ def test_combinations_stand_in_the_order_of_fsars_lead_over_the_better_of_the_ot
 
 @pytest.mark.parametrize(("better", "lead"), [("higher", -0.3), ("lower", 0.1)])
 def test_the_lead_is_over_the_better_one(better: str, lead: float) -> None:
-    assert specification_curves.lead({"fsar": 0.5, "cfc": 0.6, "dhma": 0.8}, better) == pytest.approx(lead)
-    assert specification_curves.lead({"cfc": 0.6}, better) == specification_curves.lead({"fsar": 0.6}, better) == 0.0
+    assert all_readings.lead({"fsar": 0.5, "cfc": 0.6, "dhma": 0.8}, better) == pytest.approx(lead)
+    assert all_readings.lead({"cfc": 0.6}, better) == all_readings.lead({"fsar": 0.6}, better) == 0.0
 
 
 def test_the_figure_says_how_often_fsar_is_best_and_names_the_readings() -> None:
-    drawn = words(specification_curves.curves(found()))
+    drawn = words(all_readings.curves(found()))
     assert "Human interventions (%): FSAR best under 2 of 4" in drawn
     assert {
         "level four is fleet (R9)",
@@ -87,23 +87,21 @@ def test_the_figure_says_how_often_fsar_is_best_and_names_the_readings() -> None
 
 
 def test_the_papers_numbers_stand_on_the_line_of_our_reading() -> None:
-    assert specification_curves.printed(found().cells, metric_named("human_intervention")) == pytest.approx(
+    assert all_readings.printed(found().cells, metric_named("human_intervention")) == pytest.approx(
         {"fsar": 14, "cfc": 32, "dhma": 19}
     )
-    assert (
-        specification_curves.printed(found(metric="policy_violations").cells, metric_named("human_intervention")) == {}
-    )
+    assert all_readings.printed(found(metric="policy_violations").cells, metric_named("human_intervention")) == {}
 
 
 def test_the_figure_is_the_same_bytes_twice_and_shows_its_rows() -> None:
-    plain = specification_curves.curves(found())
-    assert specification_curves.curves(found()) == plain
+    plain = all_readings.curves(found())
+    assert all_readings.curves(found()) == plain
     assert b"dc:date" not in plain
-    assert specification_curves.curves(found(MEANS | {(): (0.08, 0.29, 0.2)})) != plain
+    assert all_readings.curves(found(MEANS | {(): (0.08, 0.29, 0.2)})) != plain
 
 
 def test_nothing_to_draw_is_a_figure_without_panels() -> None:
-    assert not re.findall(r'id="axes_\d+"', specification_curves.curves(Multiverse((), (), (), ())).decode())
+    assert not re.findall(r'id="axes_\d+"', all_readings.curves(Multiverse((), (), (), ())).decode())
 
 
 def test_which_way_is_better_is_the_same_in_the_queries_and_in_the_report() -> None:

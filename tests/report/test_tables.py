@@ -13,20 +13,12 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.metrics.database import connect, plain_rows
-from fsar_ledger.report import document, grades, specs, write_report
+from fsar_ledger.report import document, grades, specs
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.gather import gather
 from fsar_ledger.runtime.experiment import run_experiment, workflow_experiment
 
 Make = Callable[..., Path]
-
-
-@pytest.fixture(scope="module")
-def workflows(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ledger of the paper's three workflows."""
-    path = tmp_path_factory.mktemp("workflows") / "ledger"
-    run_experiment(path, workflow_experiment(7), 1)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -197,10 +189,3 @@ def test_a_ledger_with_one_workflow_shows_what_it_has(ledger: Path, tmp_path: Pa
     assert (found.workflows.timeline, bool(found.workflows.recovery)) == ((), True)
     assert {row["verdict"] for row in found.workflows.coverage} == {"agrees"}
     assert set(printed(found)["figures"]) == {"overview", "evaluation-results", "effects", "workflow-layered-recovery"}
-
-
-@pytest.mark.slow
-def test_the_report_with_workflows_is_the_same_bytes_twice(ledger: Path, workflows: Path, tmp_path: Path) -> None:
-    for name in ("one.pdf", "other.pdf"):
-        write_report(ledger, tmp_path / name, workflows, reads_every_way=False)
-    assert (tmp_path / "one.pdf").read_bytes() == (tmp_path / "other.pdf").read_bytes()

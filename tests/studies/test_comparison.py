@@ -16,7 +16,7 @@ from fsar_ledger.metrics.study_results import METRICS, Predicted, Predictions, r
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS
 from fsar_ledger.studies.comparison import CHECKS, compared, judge
-from fsar_ledger.studies.predictions import plays
+from fsar_ledger.studies.predictions import planned_experiments
 
 
 def mean_of(metric: str, architecture: str, size: int) -> float:
@@ -29,26 +29,26 @@ def mean_of(metric: str, architecture: str, size: int) -> float:
 def every_number() -> list[Predicted]:
     return [
         Predicted(
-            of=play.of,
-            seed=play.experiment.seed,
-            fleet_size=play.experiment.fleet_size,
+            of=plan.of,
+            seed=plan.experiment.seed,
+            fleet_size=plan.experiment.fleet_size,
             teams_working=None
-            if play.experiment.constants.load is None
-            else play.experiment.constants.load.teams_working,
-            encounter_mean_s=play.experiment.constants.world.encounter_mean_s,
+            if plan.experiment.constants.load is None
+            else plan.experiment.constants.load.teams_working,
+            encounter_mean_s=plan.experiment.constants.world.encounter_mean_s,
             configuration=configuration,
             architecture=architecture,
             scenario=scenario,
             metric=metric,
-            mean=mean_of(metric, architecture, play.experiment.fleet_size),
+            mean=mean_of(metric, architecture, plan.experiment.fleet_size),
             sd=0.1,
             n=100,
             ci_low=None,
             ci_high=None,
         )
-        for play in plays()
-        for configuration in play.experiment.configurations
-        for architecture in play.experiment.architectures
+        for plan in planned_experiments()
+        for configuration in plan.experiment.configurations
+        for architecture in plan.experiment.architectures
         for scenario in (None, *SCENARIOS)
         for metric in MARGINS
     ]

@@ -11,35 +11,46 @@ from fsar_ledger.events.configuration import CONFIGURATIONS, removed_mechanisms
 from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies import predictions
-from fsar_ledger.studies.predictions import Play, plays, predict
+from fsar_ledger.studies.predictions import PlannedExperiment, planned_experiments, predict
 
 
-def registered(of: str) -> list[Play]:
-    return [play for play in plays() if play.of == of]
+def registered(of: str) -> list[PlannedExperiment]:
+    return [plan for plan in planned_experiments() if plan.of == of]
 
 
 def test_all_that_is_registered_is_played_and_nothing_twice() -> None:
-    every = [msgspec.json.encode(play) for play in plays()]
+    every = [msgspec.json.encode(plan) for plan in planned_experiments()]
     assert len(every) == len(set(every))
-    assert {play.of for play in plays()} == {"cases", "ablation", "pairs", "encounters", "scaling", "loads", "seeds"}
+    assert {plan.of for plan in planned_experiments()} == {
+        "cases",
+        "ablation",
+        "pairs",
+        "encounters",
+        "scaling",
+        "loads",
+        "seeds",
+    }
 
 
 def test_ablations_are_those_of_the_paper_and_pairs_lack_two_mechanisms() -> None:
-    assert [play.experiment.configurations for play in registered("ablation")] == [CONFIGURATIONS]
+    assert [plan.experiment.configurations for plan in registered("ablation")] == [CONFIGURATIONS]
     (pairs,) = registered("pairs")
     assert [len(removed_mechanisms(one)) for one in pairs.experiment.configurations] == [2] * 6
 
 
 def test_fleets_are_the_papers_those_between_and_one_beyond_at_both_ends_of_the_load() -> None:
     found = {
-        (play.experiment.fleet_size, play.experiment.constants.load and play.experiment.constants.load.teams_working)
-        for play in registered("scaling")
+        (
+            plan.experiment.fleet_size,
+            plan.experiment.constants.load and plan.experiment.constants.load.teams_working,
+        )
+        for plan in registered("scaling")
     }
     assert found == {(4, None), *((size, teams) for size in (8, 12, 16, 24) for teams in (None, 1))}
 
 
 def test_encounters_change_nothing_else() -> None:
-    worlds = [play.experiment.constants.world for play in registered("encounters")]
+    worlds = [plan.experiment.constants.world for plan in registered("encounters")]
     assert [world.encounter_mean_s for world in worlds] == [30, 45, 90, 120, 300]
     assert len({msgspec.json.encode(msgspec.structs.replace(world, encounter_mean_s=90.0)) for world in worlds}) == 1
 
@@ -47,10 +58,10 @@ def test_encounters_change_nothing_else() -> None:
 @pytest.mark.slow
 def test_numbers_name_what_was_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = [
-        msgspec.structs.replace(play, experiment=msgspec.structs.replace(play.experiment, runs=1))
-        for play in (registered("loads")[0], registered("cases")[0])
+        msgspec.structs.replace(plan, experiment=msgspec.structs.replace(plan.experiment, runs=1))
+        for plan in (registered("loads")[0], registered("cases")[0])
     ]
-    monkeypatch.setattr(predictions, "plays", lambda: iter(small))
+    monkeypatch.setattr(predictions, "planned_experiments", lambda: iter(small))
     told: list[tuple[int, int]] = []
     predict(tmp_path / "new" / "predictions.json", workers=1, progress=lambda *done: told.append(done))
     record = json.loads((tmp_path / "new" / "predictions.json").read_text())

@@ -8,13 +8,20 @@ import msgspec
 import numpy as np
 import pytest
 
-from fsar_ledger.constants import Constants, negatives
-from fsar_ledger.report.provenance import origins
+from fsar_ledger.constants import Constants, negatives, origins
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
+from fsar_ledger.studies.factor_effects import (
+    DELTA,
+    Trajectory,
+    design,
+    elementary_effects,
+    indices,
+    summary,
+    terms,
+    trajectory,
+)
 from fsar_ledger.studies.factors import Factor, Setting, factors, setting
-from fsar_ledger.studies.morris import DELTA, Trajectory, elementary_effects, summary, trajectory
-from fsar_ledger.studies.sobol import design, indices, terms
 from tests.studies.conftest import NAMES, SOME
 
 SALIB = json.loads((Path(__file__).parents[1] / "vectors" / "salib" / "polynomial.json").read_text())

@@ -15,8 +15,8 @@ from fsar_ledger.metrics.effects import (
 )
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.studies.evaluations import CELLS, Answer, Question, evaluate
+from fsar_ledger.studies.factor_effects import DELTA
 from fsar_ledger.studies.factors import factors, setting
-from fsar_ledger.studies.morris import DELTA
 from fsar_ledger.studies.sensitivity import BASE_SEED, EMULATOR_SEED, REPEATS, Size
 from tests.studies.conftest import NAMES, linear, study
 

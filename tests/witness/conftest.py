@@ -13,8 +13,7 @@ from fsar_ledger.ledger.log.merkle import consistency_proof, leaf_hash, root
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
 from fsar_ledger.witness.cosignature import WitnessKey
 from fsar_ledger.witness.protocol import Request
-from fsar_ledger.witness.server import WitnessServer
-from fsar_ledger.witness.service import Service
+from fsar_ledger.witness.server import Service, WitnessServer
 from fsar_ledger.witness.state import State, new_state, open_state
 from tests.cli.conftest import call as call  # re-exported as a fixture
 

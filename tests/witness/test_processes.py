@@ -190,7 +190,7 @@ def test_the_same_witness_twice_counts_once(place: Place) -> None:
 
 @pytest.mark.slow
 def test_a_silent_witness_counts_as_missing_and_costs_seconds(place: Place, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fsar_ledger.witness.client.ANSWER_S", 0.7)
+    monkeypatch.setattr("fsar_ledger.witness.cosign.ANSWER_S", 0.7)
     lines = [place.first.line("w1"), place.liar.line("liar", "/drips"), place.second.line("gone")]
     assert place.ask(place.ledger(4), place.policy(1, lines[0])).code == 0
     place.second.process.kill()

@@ -78,8 +78,7 @@ def witness_serve(
     proof shows that the log only grew since the last one. The witness needs no ledger and sees no event.
     """
     from fsar_ledger.witness.cosignature import read_log_key
-    from fsar_ledger.witness.server import WitnessServer
-    from fsar_ledger.witness.service import Service
+    from fsar_ledger.witness.server import Service, WitnessServer
     from fsar_ledger.witness.state import open_state
 
     logs = [read_log_key(key) for key in log]

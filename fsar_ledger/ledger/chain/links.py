@@ -13,7 +13,6 @@ from operator import lt, sub
 
 import msgspec
 
-from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.chain.paths import CHAIN
 from fsar_ledger.ledger.chain.record import LEAST_LINE_BYTES, Commit, Placement, Record, parse_line, parse_lines
 from fsar_ledger.ledger.chain.torn import has_later_append
@@ -24,6 +23,7 @@ from fsar_ledger.ledger.store.append import Staged
 from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.memory import without_collection
 
 _FEW_BYTES = 1 << 14
 """How much is read at once where lines are too many to be records."""

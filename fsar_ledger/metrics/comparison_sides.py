@@ -207,8 +207,7 @@ class Paired(msgspec.Struct, frozen=True, kw_only=True):
 
 def sides(database: "Database") -> list[Side]:
     """Return all sides of a ledger, in the order of the paper. Raises: as `Database.rows` and `models`."""
-    from .models import lettered, models
-    from .results import typed
+    from .results import lettered, models, typed
 
     letters = {
         (one.kind, one.source, one.model_version, one.parameter_set): letter

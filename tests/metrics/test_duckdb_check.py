@@ -14,7 +14,7 @@ from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
-from fsar_ledger.metrics.second_reader import ReadAgain
+from fsar_ledger.metrics.duckdb_check import ReadAgain
 from tests.ledger.forgery import changed, forge_segment
 from tests.ledger.parts import two_faced
 from tests.ledger.samples import append_all, made_up_run
