@@ -23,6 +23,10 @@ class Screen(Protocol):
     def path(self) -> Path:
         """The folder of the ledger."""
 
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds since the call began."""
+
     def has(self, switch: str) -> bool:
         """Return whether the call has this switch, which its verb declares beside its parameters."""
 
@@ -129,6 +133,51 @@ def drawn(ask: "Callable[[], Drawable]", **files: "Place | None") -> Answer:
     for kind, file in places.items():
         found.draw(file, kind)
     return Drawn(found, *places.values()) if places else found
+
+
+class Lines(Answer):
+    """An answer in a few lines, which JSON has by these names; `head` is that of a ledger that was written."""
+
+    def __init__(self, *lines: str, exit_code: int = 0, **document: object) -> None:
+        self._lines, self._document, self._exit_code = lines, document, exit_code
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code of the command."""
+        return self._exit_code
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return what JSON says."""
+        return self._document
+
+    def text(self, _: Screen) -> "Iterator[Shown]":
+        """Yield the lines."""
+        yield printable.lines(*self._lines)
+
+
+class Plain(Answer):
+    """An answer that is text as it is, such as a note or SQL."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def text(self, _: Screen) -> "Iterator[Shown]":
+        """Yield the text."""
+        yield printable.Shown(self._text)
+
+
+def head_json(head: "HeadLike") -> dict[str, object]:
+    """Return what JSON says of a head."""
+    return {"size": head.size, "root": head.root}
+
+
+class HeadLike(Protocol):
+    """A tree head: the number of events and the root hash in hex."""
+
+    @property
+    def size(self) -> int: ...  # noqa: D102
+    @property
+    def root(self) -> str: ...  # noqa: D102
 
 
 _STANDING = ("provenance", "provenances")

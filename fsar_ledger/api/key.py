@@ -1,17 +1,14 @@
 """The verbs `key new` and `key public`: keys that sign ledgers, and the names under which they sign."""
 
 import re
-from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import msgspec
-
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Answer, Screen
+from .answers import Lines
 from .names import Place
 from .verbs import argument, declare, verb
 
@@ -20,22 +17,12 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.verify.notes import Anchor
 
 
-class PublicKey(Answer, msgspec.Struct, frozen=True):
-    """A public key."""
-
-    key: "VerifierKey"
-
-    def text(self, _: Screen) -> Iterator[printable.Shown]:
-        """Yield the key."""
-        yield printable.line(str(self.key))
+def _new(file: Path, name: str | None) -> Lines:
+    return Lines(str(key_new(file, name)))
 
 
-def _new(file: Path, name: str | None) -> PublicKey:
-    return PublicKey(key_new(file, name))
-
-
-def _public(key: str, name: str) -> PublicKey:
-    return PublicKey(key_public(key, name))
+def _public(key: str, name: str) -> Lines:
+    return Lines(str(key_public(key, name)))
 
 
 @verb(

@@ -57,6 +57,7 @@ def rows_of_select(ledger: "Ledger", select: str, seconds: int | None, memory_mi
     'sql out/ledger "SHOW TABLES"',
     takes=STREAM,
     call=rows_of_select,
+    is_apart=lambda _: True,
 )
 def sql(
     ledger: "Ledger",

@@ -6,27 +6,19 @@ a cell, a field or a line (`printable`), so whatever these functions return is s
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import msgspec
 from msgspec import to_builtins
 
 from fsar_ledger import printable
+from fsar_ledger.api.answers import HeadLike, head_json
 from fsar_ledger.api.fields import Row, field_text, json_bytes
 from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import Shown
 
 if TYPE_CHECKING:
     from fsar_ledger.api.provenance import Provenance
-
-
-class HeadLike(Protocol):
-    """The tree head that an answer holds for: the number of events and the root hash in hex."""
-
-    @property
-    def size(self) -> int: ...  # noqa: D102
-    @property
-    def root(self) -> str: ...  # noqa: D102
 
 
 def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> Shown:
@@ -73,7 +65,7 @@ def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified
     For an answer from rows, `rows_verified` says whether they were compared with that root.
     """
     standing = {} if rows_verified is None else {"rows_verified": rows_verified}
-    return pretty({"head": head and {"size": head.size, "root": head.root}, **standing, **answer})
+    return pretty({"head": head and head_json(head), **standing, **answer})
 
 
 def answer_json(provenance: "Provenance", answer: Mapping[str, object]) -> Shown:

@@ -11,7 +11,7 @@ import polars as pl
 import pytest
 
 from fsar_ledger import __version__
-from fsar_ledger.cli.options import SCENARIOS, named_in
+from fsar_ledger.api.simulate import SCENARIOS, named_in
 from fsar_ledger.designs import registered
 from fsar_ledger.metrics.definitions import metrics
 from tests.cli.conftest import SMALL, Call, Called, in_a_process
