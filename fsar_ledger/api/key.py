@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Lines
 from .names import Place
 from .verbs import argument, declare, verb
 
@@ -17,20 +16,11 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.verify.notes import Anchor
 
 
-def _new(file: Path, name: str | None) -> Lines:
-    return Lines(str(key_new(file, name)))
-
-
-def _public(key: str, name: str) -> Lines:
-    return Lines(str(key_public(key, name)))
-
-
 @verb(
     "key new fleet.key",
     "key new arm.key --name example.org/arm",
     name="key new",
     takes=(),
-    call=_new,
 )
 def key_new(
     file: Annotated[Place, argument("FILE", "Where the secret key goes; the public one goes to FILE.pub.")],
@@ -59,7 +49,6 @@ def key_new(
     'key public out/fleet.key.pub --name "example.org/fleet/ablation"',
     name="key public",
     takes=(),
-    call=_public,
 )
 def key_public(
     key: Annotated[str, argument("KEY", "A public key: a .pub file, or the key itself.")],

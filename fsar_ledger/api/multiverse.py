@@ -1,6 +1,6 @@
 """The verb `study run multiverse`: the results table under every reading that the paper's text allows."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,10 +53,6 @@ class MultiverseResult(Drawable, Multiverse, frozen=True, kw_only=True):
         from fsar_ledger.report import specification_curves
 
         publish(Path(file), specification_curves.curves(self))
-
-    def document(self, _: Screen) -> Mapping[str, object]:
-        """Return all of it, and the mean under each combination."""
-        return {name: getattr(self, name) for name in Multiverse.__struct_fields__}
 
     def text(self, screen: Screen) -> Iterator[Shown]:
         """Yield the ranges, the rankings and the readings as tables."""

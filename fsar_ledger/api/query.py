@@ -201,8 +201,7 @@ def query(
 @contextmanager
 def _of_file(ledger: "Ledger", file: Path, seconds: int | None, memory_mib: int | None) -> "Iterator[Rows]":
     """Yield the answer of the SELECT in the file. Raises: As `sql`, and UsageError if the file cannot be read."""
-    from .limits import limits_of
-    from .sql import rows_of_select
+    from .sql import limits_of, rows_of_select
 
     select = _text_of(file, limits_of(seconds, memory_mib).sql_bytes)
     try:

@@ -157,11 +157,7 @@ def _time(time_s: int) -> str:
     )
 
 
-def _new(state: Path, name: str) -> Lines:
-    return Lines(str(witness_new(state, name)))
-
-
-@verb("witness new out/witness --name example.org/w1", name="witness new", takes=(), call=_new)
+@verb("witness new out/witness --name example.org/w1", name="witness new", takes=())
 def witness_new(
     state: Annotated[Place, argument("STATE", "The folder of the witness: a new one.")],
     name: Annotated[str, declare("--name", "NAME", "Its name, host/path by convention.")],

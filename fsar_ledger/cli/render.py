@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fsar_ledger import printable
-from fsar_ledger.api.answers import Answer, provenances
+from fsar_ledger.api.answers import Answer, Lines, provenances
 from fsar_ledger.api.fields import Row
 from fsar_ledger.api.verbs import Gives, Shows, Verb, declared
 from fsar_ledger.printable import Shown
 
-from .output import answer_json, pretty, run_text, run_word
 from .progress import Progress
-from .streaming import Form, Kept
-from .tables import is_fitted, table
+from .streaming import Form, Kept, answer_json
+from .tables import fitted
 from .terminal import has_keys, pause, say, width_of_names
 
 if TYPE_CHECKING:
@@ -31,11 +30,11 @@ if TYPE_CHECKING:
 class Screen:
     """What an answer may know of its call, as `api.answers.Screen` says."""
 
-    def __init__(self, ledger: "Ledger | None", asked: Collection[str], *, wide: bool) -> None:
+    def __init__(self, ledger: "Ledger | None", asked: Collection[str], width: int | None) -> None:
         self._ledger = ledger
         self._asked = asked
         self._numbers: Mapping[str, int] | None = None
-        self._wide = wide
+        self._width = width
         self._began_s = time.monotonic()
 
     @property
@@ -56,7 +55,7 @@ class Screen:
     @property
     def is_fitted(self) -> bool:
         """Whether tables are fitted to a terminal."""
-        return is_fitted(wide=self._wide)
+        return self._width is not None
 
     def numbers(self) -> Mapping[str, int]:
         """Return the number of each run that has one, by its name."""
@@ -72,15 +71,17 @@ class Screen:
 
     def table(self, rows: Sequence[Row], columns: Sequence[str] | None = None) -> Shown:
         """Return the rows as a table; None: with the columns of the first."""
-        return table(rows, list(rows[0]) if columns is None else columns, wide=self._wide)
+        return fitted(rows, list(rows[0]) if columns is None else columns, self._width)
 
     def run_text(self, run: str) -> str:
         """Return the words that name a run: `run 12, NAME`; `run NAME` where it has no number."""
-        return run_text(run, self._number(run))
+        number = self._number(run)
+        return f"run {printable.value(run)}" if number is None else f"run {number}, {printable.value(run)}"
 
     def run_word(self, run: str) -> str:
         """Return what names the run in a command that people may copy: its number, where it has one."""
-        return run_word(run, self._number(run))
+        number = self._number(run)
+        return printable.word(run if number is None else number)
 
     def width_of_names(self, longest: int, beside: int) -> int:
         """Return the width of the column of names before words, in a line with so many columns beside both."""
@@ -155,7 +156,7 @@ def respond(
     """
     places = {name: given[name] for name in ledgers if given[name] is not None}
     held = {name: opened(place, verified=verified) for name, place in places.items()}
-    screen = Screen(held.get("ledger"), asked, wide=form.wide)
+    screen = Screen(held.get("ledger"), asked, form.width)
     with ExitStack() as stack:
         for one in verb.parameters.values():
             beside = declared(one)
@@ -167,6 +168,8 @@ def respond(
         answer = verb.call(**given | held)
         for ledger in held.values():
             ledger.demanded  # noqa: B018 - compares the rows, had the verb not asked for them
+    if not isinstance(answer, Answer | AbstractContextManager) and not hasattr(answer, "batches"):
+        answer = Lines(str(answer))
     if isinstance(answer, AbstractContextManager):  # rows that come from a process, which may fail in their midst
         with answer as rows:
             pieces: Iterable[Shown] = Kept(_pieces(rows, form, screen))
@@ -190,7 +193,7 @@ def _pieces(answer: Any, form: Form, screen: Screen) -> Iterable[Shown]:
         if form.as_json:
             document = answer.document(screen)
             first, *_ = (*provenances(answer), None)
-            return [pretty(document) if first is None else answer_json(first, document)]
+            return [answer_json(first, document)]
         if not (form.as_csv or form.as_ndjson):
             return answer.text(screen)
         say(*answer.beside_rows())

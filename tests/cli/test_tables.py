@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger import Ledger
-from fsar_ledger.cli.output import table_text
-from fsar_ledger.cli.tables import fitted
+from fsar_ledger.cli.tables import fitted, table_text
 from fsar_ledger.cli.terminal import columns_of
 from fsar_ledger.metrics.groups import GROUPS
 from tests.cli.conftest import Call, in_a_process, one_message
@@ -138,24 +137,24 @@ NUMBERS = {run: number for number, run in enumerate(RUNS, 5)}
 
 def test_on_a_terminal_a_run_is_its_number_and_one_is_said_in_full() -> None:
     rows = [{"run_id": run, "seq": seq} for seq, run in enumerate(RUNS)]
-    above, _, _, _, first, *_, last = fitted(rows, ["run_id", "seq"], 80, numbers=NUMBERS).splitlines()
+    above, _, _, _, first, *_, last = fitted(rows, ["run_id", "seq"], 80, numbers=NUMBERS.copy).splitlines()
     assert above == f"run_id 5 is {RUNS[0]}; --wide shows the names"
     assert (first.split(), last.split()) == (["5", "0"], ["8", "3"])
 
 
 def test_a_plan_among_runs_keeps_its_name() -> None:
     rows = [{"run_id": run} for run in ("plan.n4.s42.x2-abc", *RUNS)]
-    assert fitted(rows, ["run_id"], 80, numbers=NUMBERS).splitlines()[4:6] == ["plan.n4.s42.x2-abc", "5"]
+    assert fitted(rows, ["run_id"], 80, numbers=NUMBERS.copy).splitlines()[4:6] == ["plan.n4.s42.x2-abc", "5"]
 
 
 def test_a_text_that_looks_like_the_number_of_a_run_keeps_all_names() -> None:
     rows = [{"run_id": run} for run in ("6", RUNS[0])]
-    assert RUNS[0] in fitted(rows, ["run_id"], 80, numbers=NUMBERS).splitlines()
+    assert RUNS[0] in fitted(rows, ["run_id"], 80, numbers=NUMBERS.copy).splitlines()
 
 
 def test_a_table_of_the_numbers_keeps_the_names() -> None:
     rows = [{"number": number, "run_id": run} for run, number in NUMBERS.items()]
-    assert fitted(rows, ["number", "run_id"], 80, numbers=NUMBERS) == fitted(rows, ["number", "run_id"], 80)
+    assert fitted(rows, ["number", "run_id"], 80, numbers=NUMBERS.copy) == fitted(rows, ["number", "run_id"], 80)
 
 
 @pytest.mark.parametrize(
