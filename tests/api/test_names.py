@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import fsar_ledger
 from fsar_ledger.api.info import ranges
-from fsar_ledger.api.lookup import action_of, numbers_of, run_of
+from fsar_ledger.api.lookup import numbers_of, run_of
 from fsar_ledger.api.names import MAX_SECONDS, microseconds, named, principal_named, run_named
 from fsar_ledger.errors import InvalidQuery, UnknownQuery, UsageError
 from fsar_ledger.ledger.opening import open_for_answers
@@ -273,12 +273,10 @@ def test_a_time_after_the_run_is_an_error_for_events_and_states(ledger: fsar_led
 
 
 def test_an_action_of_another_run_is_not_one_of_this(ledger: fsar_ledger.Ledger) -> None:
-    with ledger.database() as database:
-        runs = [str(row["run_id"]) for row in ledger.runs()]
-        action = next(str(row["action_id"]) for row in ledger.requests(runs[0]))
-        assert action_of(database, action, runs[0]) == action == action_of(database, action, None)
-        with pytest.raises(UsageError, match="no such action; did you mean"):
-            action_of(database, f"{action}9", runs[0])
+    action = next(str(row["action_id"]) for row in ledger.requests(RUN))
+    assert ledger.query("audit/requests", run=RUN, action=action).rows()
+    with pytest.raises(UsageError, match="no such action; did you mean"):
+        ledger.query("audit/requests", run=RUN, action=f"{action}9")
 
 
 def test_a_name_that_is_known_and_has_no_row_answers_an_empty_table(ledger: fsar_ledger.Ledger) -> None:
