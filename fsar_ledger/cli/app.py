@@ -105,9 +105,11 @@ class Verbs(TyperGroup):
 
 def _verbs(name: str) -> list[Verb]:
     """Return the verbs whose names are or begin with this word, from the module that declares them."""
-    for module in HOMES.get(name, (f"fsar_ledger.api.{_module(name)}",)):
-        import_module(module)
-    return [one for one in VERBS.values() if one.name.partition(" ")[0] == name]
+    homes = HOMES.get(name, (f"fsar_ledger.api.{_module(name)}",))
+    for home in homes:
+        import_module(home)
+    found = [one for one in VERBS.values() if one.name.partition(" ")[0] == name]
+    return sorted(found, key=lambda one: homes.index(one.function.__module__))
 
 
 def _module(name: str) -> str:
