@@ -13,7 +13,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fsar_ledger.view.page import page as page_of
-from tests.view.browser import chromium, opened, press
+from tests.view.browser import Tab, chromium, press
 from tests.view.conftest import a_run, shown
 
 KEYS = ("ArrowRight",) * 5 + ("+",) * 5
@@ -25,8 +25,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, chromium() as browser:
         file = Path(folder) / "large.html"
         file.write_bytes(page_of(shown(run)))
-        loaded_s = min(timeit.repeat(lambda: opened(browser, file)[0].close(), number=1, repeat=3))
-        page, _ = opened(browser, file)
+        loaded_s = min(timeit.repeat(lambda: Tab(browser).open(file).close(), number=1, repeat=3))
+        page = Tab(browser).open(file)
         keys_s = min(timeit.repeat(lambda: press(page, *KEYS), number=1, repeat=3))
     print(f"page of {len(run.events):,} events: drawn after {loaded_s:.2f} s   (target: at most 2)")
     print(f"a key is answered after {keys_s / len(KEYS):.3f} s   (target: at most 0.2)")

@@ -19,7 +19,7 @@ DOCS = Path(__file__).resolve().parent
 sys.path.insert(0, str(DOCS.parent))
 
 from fsar_ledger import simulate  # noqa: E402
-from tests.view.browser import chromium, opened, settle  # noqa: E402
+from tests.view.browser import Tab, chromium, settle  # noqa: E402
 
 RUN = "fsar.full.failure-recovery-chain.n4.s42.r0018"
 SAME_WORLD = RUN.replace("fsar", "cfc")
@@ -28,7 +28,7 @@ MOST_BYTES = 200_000
 
 def picture(browser: Any, page: Path, name: str, width: int, height: int, keys: Sequence[str], **options: Any) -> None:
     """Show the first call of a supervisor and write what the browser shows. Raises: ValueError if it is too large."""
-    shown, _ = opened(browser, page, viewport={"width": width, "height": height}, **options)
+    shown = Tab(browser).open(page, viewport={"width": width, "height": height}, **options)
     shown.locator("rect.call").first.click()
     shown.mouse.move(0, 0)
     for key in keys:

@@ -16,11 +16,10 @@ if TYPE_CHECKING:
     from fsar_ledger.api.audit import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
-    from fsar_ledger.api.functions import Simulated, reproduce, simulate
     from fsar_ledger.api.key import key_new, key_public
-    from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.api.opening import open_ledger
-    from fsar_ledger.api.reproduce import Reproduced
+    from fsar_ledger.api.ledger import Ledger, open_ledger
+    from fsar_ledger.api.reproduce import Reproduced, reproduce
+    from fsar_ledger.api.simulate import Simulated, simulate
     from fsar_ledger.api.table import Table
     from fsar_ledger.api.verify import Verification
     from fsar_ledger.api.verify_proof import verify_proof
@@ -63,10 +62,9 @@ _HOMES = {
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
     "api.key": ("key_new", "key_public"),
-    "api.ledger": ("Ledger",),
-    "api.functions": ("Simulated", "reproduce", "simulate"),
-    "api.opening": ("open_ledger",),
-    "api.reproduce": ("Reproduced",),
+    "api.ledger": ("Ledger", "open_ledger"),
+    "api.reproduce": ("Reproduced", "reproduce"),
+    "api.simulate": ("Simulated", "simulate"),
     "api.table": ("Table",),
     "api.verify": ("Verification",),
     "api.verify_proof": ("verify_proof",),

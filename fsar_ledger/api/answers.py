@@ -23,6 +23,10 @@ class Screen(Protocol):
     def path(self) -> Path:
         """The folder of the ledger."""
 
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds since the call began."""
+
     def has(self, switch: str) -> bool:
         """Return whether the call has this switch, which its verb declares beside its parameters."""
 
@@ -129,6 +133,92 @@ def drawn(ask: "Callable[[], Drawable]", **files: "Place | None") -> Answer:
     for kind, file in places.items():
         found.draw(file, kind)
     return Drawn(found, *places.values()) if places else found
+
+
+class Lines(Answer):
+    """An answer in a few lines, which JSON has by these names; `head` is that of a ledger that was written."""
+
+    def __init__(self, *lines: str, **document: object) -> None:
+        self._lines, self._document = lines, document
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return what JSON says."""
+        return self._document
+
+    def text(self, _: Screen) -> "Iterator[Shown]":
+        """Yield the lines."""
+        yield printable.lines(*self._lines)
+
+
+class Listing(Answer):
+    """Rows about a run, with words for when there are none, and a hint of how to ask about the first.
+
+    Args:
+        run: The name of the run.
+        found: The rows.
+        time: The column of times, which people read with three digits.
+        nothing: What there is none of, and `unseen`, what is added where not all that it rests on was observed.
+        hint: Returns the hint for the first row.
+        columns: Those that people are shown, by whether they are fitted to a terminal; None: all.
+        document: What JSON says, but for the rows, which it has under `name`.
+    """
+
+    def __init__(
+        self,
+        run: str,
+        found: "Table",
+        *,
+        time: str,
+        nothing: tuple[str, str],
+        hint: "Callable[[Screen, Row], str]",
+        columns: Callable[[bool], Sequence[str] | None] = lambda _: None,
+        name: str = "rows",
+        **document: object,
+    ) -> None:
+        self._run, self._found, self._time, self._nothing, self._hint = run, found, time, nothing, hint
+        self._columns, self._name, self._document = columns, name, document
+        self.provenance = found.provenance
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return the rows."""
+        return {"run": self._run, **self._document, self._name: self._found.rows()}
+
+    def text(self, screen: Screen) -> "Iterator[Shown]":
+        """Yield the rows, and the hint."""
+        rows = self._found.rows()
+        if not rows:
+            unseen = f" on record; {self._nothing[1]}" if self.provenance.not_observed else ""
+            yield printable.lines(screen.run_text(self._run), f"no {self._nothing[0]}{unseen}")
+            return
+        yield printable.lines(screen.run_text(self._run), "")
+        times = [{**row, self._time: f"{row[self._time]:.3f}"} for row in rows]
+        yield screen.table(times, self._columns(screen.is_fitted))
+        yield printable.lines("", self._hint(screen, rows[0]))
+
+
+class Plain(Answer):
+    """An answer that is text as it is, such as a note or SQL."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def text(self, _: Screen) -> "Iterator[Shown]":
+        """Yield the text."""
+        yield printable.Shown(self._text)
+
+
+def head_json(head: "HeadLike") -> dict[str, object]:
+    """Return what JSON says of a head."""
+    return {"size": head.size, "root": head.root}
+
+
+class HeadLike(Protocol):
+    """A tree head: the number of events and the root hash in hex."""
+
+    @property
+    def size(self) -> int: ...  # noqa: D102
+    @property
+    def root(self) -> str: ...  # noqa: D102
 
 
 _STANDING = ("provenance", "provenances")

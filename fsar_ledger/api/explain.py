@@ -3,7 +3,8 @@
 The rows are those of `queries/audit/requests.sql`, `request_timeline.sql` and `failure_timeline.sql`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,8 +13,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .accounts import account_lines, shown
-from .answers import Answer, Drawable, Screen, drawn
+from .answers import Answer, Drawable, Listing, Screen, drawn
 from .names import Place, Run
 from .verbs import SvgOption, declare, verb
 
@@ -26,6 +26,14 @@ if TYPE_CHECKING:
     from .table import Table
 
 Rows = list[dict[str, Any]]
+PARTIES = ("asked_by", "allowed_by", "denied_by", "denied_under", "executed_by", "supervised_by")
+DENIED = ("denied_by", "denied_under")
+UNKNOWN = "not on record"
+BESIDE = 24
+"""Characters of a step beside its names and words: time, seq and gaps."""
+WORDS, MAX_WORDS = ("message", "note"), 1_000
+
+
 COLUMNS = (
     "began_s",
     "action_id",
@@ -118,38 +126,6 @@ class Account(Drawable, msgspec.Struct, frozen=True):
         return f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {seq}{what} to others"
 
 
-class Requests(Answer, msgspec.Struct, frozen=True):
-    """The requests of a run."""
-
-    run: str
-    found: "Table"
-
-    @property
-    def provenance(self) -> "Provenance":
-        """What the answer holds for."""
-        return self.found.provenance
-
-    def document(self, _: Screen) -> Mapping[str, object]:
-        """Return the requests."""
-        return {"run": self.run, "requests": self.found.rows()}
-
-    def text(self, screen: Screen) -> Iterator[printable.Shown]:
-        """Yield the requests, and how to ask about the first."""
-        rows = self.found.rows()
-        if not rows:
-            unseen = " on record; not all that a request leaves was observed" if self.provenance.not_observed else ""
-            yield printable.lines(screen.run_text(self.run), f"no requests{unseen}")
-            return
-        began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
-        hint = (
-            f"`fsar-ledger explain {printable.word(screen.path)} --run {screen.run_word(self.run)} --request "
-            f"{printable.word(rows[0]['action_id'])}` tells one of them"
-        )
-        yield printable.lines(screen.run_text(self.run), "")
-        yield screen.table(began, sorted(COLUMNS, key=LATER.__contains__) if screen.is_fitted else COLUMNS)
-        yield printable.lines("", hint)
-
-
 def _asked(
     ledger: "Ledger",
     run: Run | None,
@@ -169,7 +145,21 @@ def _asked(
         found = "svg" if svg is not None else "pdf"
         raise UsageError(f"--{found}: found no request to draw; give --request ACTION or --failure ACTION")
     with ledger.about_run(run) as (database, name, _):
-        return Requests(name, _requests(database, name))
+        rows = _requests(database, name)
+
+    def hint(screen: Screen, first: Mapping[str, Any]) -> str:
+        call = f"explain {printable.word(screen.path)} --run {screen.run_word(name)} --request"
+        return f"`fsar-ledger {call} {printable.word(first['action_id'])}` tells one of them"
+
+    return Listing(
+        name,
+        rows,
+        time="began_s",
+        nothing=("requests", "not all that a request leaves was observed"),
+        hint=hint,
+        columns=lambda is_fitted: sorted(COLUMNS, key=LATER.__contains__) if is_fitted else COLUMNS,
+        name="requests",
+    )
 
 
 @verb(
@@ -312,3 +302,87 @@ def _no_action(database: "Database", ledger: Path, run: str | None, asked: str, 
         else f"explain {printable.word(ledger)} --run {printable.word(run if number is None else number)}"
     )
     return f"{asked}: there is no such request in {place}{hint} `fsar-ledger {called}` lists them"
+
+
+def shown(rows: Sequence[Mapping[str, Any]]) -> Rows:
+    """Return the rows with each text as people see it: `MAX_WORDS` characters of messages, fewer of names."""
+    return [
+        {
+            name: printable.value(found, MAX_WORDS if name in WORDS else printable.MAX_VALUE)
+            if isinstance(found, str)
+            else found
+            for name, found in row.items()
+        }
+        for row in rows
+    ]
+
+
+def account_lines(
+    screen: Screen, who: tuple[str, str], timeline: Rows, parties: Mapping[str, Any], recovery: Rows
+) -> Iterator[str]:
+    """Yield the words for the run, the action (`who`), a line for each step, the parties, and the recovery."""
+    run, action = who
+    yield screen.run_text(run)
+    what = f", {parties['capability']}" if parties["capability"] else ""
+    yield f"action {printable.value(action)}{what}, begins at {parties['began_s']:.3f} s"
+    between = [_between(row) for row in timeline]
+    width = screen.width_of_names(max(map(len, between), default=0), BESIDE)
+    for row, names in zip(timeline, between, strict=True):
+        note = f"  ({row['note']})" if row["note"] else ""
+        if row["step"] <= 1:
+            yield ""
+        tie = " " if row["is_tied"] else "*"
+        yield f"{row['time_s']:>10.3f} s {row['seq']:>6} {tie} {names:<{width}}  {row['message']}{note}"
+    if not all(row["is_tied"] for row in timeline):
+        yield "* the record names no action; its cause does"
+    yield ""
+    yield from (f"{name.replace('_', ' '):<14} {found}" for name, found in _parties(parties))
+    took = "" if parties["ended_s"] is None else f", {parties['ended_s'] - parties['began_s']:.3f} s after it began"
+    yield f"{'result':<14} {parties['result'] or 'not observed'}{took}"
+    yield from _recovered(recovery)
+
+
+def _parties(parties: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield who asked, allowed, denied (and when, under which window or rule), executed, supervised."""
+    for name in PARTIES:
+        if name in DENIED and not parties["denials"]:
+            continue
+        when = ""
+        if name == "denied_by":
+            times = "" if parties["denials"] == 1 else f"{parties['denials']} times, the last "
+            when = f", {times}at {parties['denied_s']:.3f} s (seq {parties['denied_seq']})"
+        yield name, f"{parties[name] or UNKNOWN}{when}"
+
+
+def _between(row: Mapping[str, Any]) -> str:
+    """Return who told whom; one name for a deed."""
+    sender = row["sender"] or "?"
+    return f"{sender} -> {row['receiver'] or '?'}" if row["kind"] == "message" else sender
+
+
+def _recovered(recovery: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield each failure, level by level: how long, what was tried with which result, and why the level was left."""
+    for failure, steps in groupby(recovery, key=lambda row: row["failure"]):
+        yield ""
+        yield f"failure {failure}"
+        for (number, level, spent_s), rows in groupby(
+            steps, key=lambda row: (row["level_number"], row["level"], row["spent_s"])
+        ):
+            stay = list(rows)
+            yield f"  {number} {level:<6}{spent_s:>9.3f} s"
+            for row in stay:
+                by = f", by {row['decided_by']}" if row["decided_by"] else ""
+                yield f"{row['time_s']:>10.3f} s {row['seq']:>6}   {row['what']}{by}{_result(row, stay)}"
+
+
+def _result(row: Mapping[str, Any], stay: Sequence[Mapping[str, Any]]) -> str:
+    result = f": {row['result']}" if row["result"] else ""
+    if row["achieved"]:
+        result += f" ({row['achieved']})"
+    if row["to_level"] is not None:
+        attempts = sum(one["budget_s"] is not None for one in stay)
+        budget = next((one["budget_s"] for one in stay if one["budget_s"] is not None), None)
+        result += (
+            "" if budget is None else f" ({printable.counted(attempts, 'attempt')} within {printable.number(budget)} s)"
+        )
+    return result

@@ -1,17 +1,13 @@
 """The verbs `key new` and `key public`: keys that sign ledgers, and the names under which they sign."""
 
 import re
-from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import msgspec
-
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Answer, Screen
 from .names import Place
 from .verbs import argument, declare, verb
 
@@ -20,30 +16,11 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.verify.notes import Anchor
 
 
-class PublicKey(Answer, msgspec.Struct, frozen=True):
-    """A public key."""
-
-    key: "VerifierKey"
-
-    def text(self, _: Screen) -> Iterator[printable.Shown]:
-        """Yield the key."""
-        yield printable.line(str(self.key))
-
-
-def _new(file: Path, name: str | None) -> PublicKey:
-    return PublicKey(key_new(file, name))
-
-
-def _public(key: str, name: str) -> PublicKey:
-    return PublicKey(key_public(key, name))
-
-
 @verb(
     "key new fleet.key",
     "key new arm.key --name example.org/arm",
     name="key new",
     takes=(),
-    call=_new,
 )
 def key_new(
     file: Annotated[Place, argument("FILE", "Where the secret key goes; the public one goes to FILE.pub.")],
@@ -72,7 +49,6 @@ def key_new(
     'key public out/fleet.key.pub --name "example.org/fleet/ablation"',
     name="key public",
     takes=(),
-    call=_public,
 )
 def key_public(
     key: Annotated[str, argument("KEY", "A public key: a .pub file, or the key itself.")],

@@ -1,11 +1,12 @@
 """A ledger in Python: a method for every command that reads one, under the same name."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.metrics.verified import ensure_verified, is_remembered
 
 from . import audit as _audit
 from . import bisect as _bisect
@@ -16,34 +17,35 @@ from . import explain as _explain
 from . import export as _export
 from . import info as _info
 from . import log as _log
+from . import maintain as _maintain
 from . import metrics as _metrics
+from . import multiverse as _multiverse
 from . import open as _open
 from . import prove as _prove
+from . import report as _report
 from . import sql as _sql
 from . import state as _state
 from . import statistics as _statistics
+from . import step as _step
 from . import verify as _verify
 from . import view as _view
 from . import whatif as _whatif
 from . import why as _why
-from .integrity import Integrity
-from .lookup import AboutRun, about_run, numbers_of, parameters_of, present, recorded, robot_of, run_of, time_of
-from .names import Place, Pool, Run, Time, names_of, pools_seeds
+from . import witness as _witness
+from .lookup import AboutRun, about_run, numbers_of, parameters_of, recorded, robot_of, run_of, time_of
+from .names import Place, Run, Time
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.metrics.database import Database
-    from fsar_ledger.metrics.progress import Showing
 
     from .events import Events
-    from .multiverse import MultiverseResult
     from .table import Table
-    from .walks import Steps
 
 
-class Ledger(Integrity):
+class Ledger:
     """A ledger to query. Each answer holds for the newest commit at that moment, and names its head.
 
     A run is given by its name, its number (`numbers()`), or a part of its name that no other run has; a robot as `B1`
@@ -210,23 +212,7 @@ class Ledger(Integrity):
         """
         return recorded(self, open_for_answers(self.path), run)
 
-    def step(self, run: Run, at: Time = None) -> "Steps":
-        """Return a walk through a run: to the next event, decision or refusal, to a cause, a time or a text.
-
-        Args:
-            run: The run.
-            at: Where to begin; None: at event 0.
-
-        Raises:
-            UsageError: There is no such run, or `at` is no time of it.
-        """
-        from .walks import Steps
-
-        view, provenance = present(self)
-        with about_run(view, run, self.demanded) as (database, name, _):
-            at_us = time_of(database, "at", at, name)
-        return Steps(recorded(self, view, name), provenance, at_us)
-
+    step = _step.step
     state = _state.state
     why = _why.why
     verdicts = _why.verdicts
@@ -247,66 +233,17 @@ class Ledger(Integrity):
     audit = _audit.audit
     verify = _verify.verify
     prove = _prove.prove
-
-    def multiverse(
-        self, metric: str | Sequence[str] | None = None, pool: Pool = None, *, progress: Progress | None = None
-    ) -> "MultiverseResult":
-        """Compute the results table under every reading that the paper's text allows.
-
-        `progress` is called with the combinations of readings that were read, and their number.
-        """
-        from .multiverse import read_multiverse
-
-        pooled = pools_seeds(pool)
-        with self.database() as database:
-            return read_multiverse(database, names_of(metric), pools_seeds=pooled, progress=progress)
+    witness_ask = _witness.witness_ask
+    multiverse = _multiverse.multiverse
 
     # --- files ---
 
     export = _export.export
     open = _open.open
-
-    def report(
-        self,
-        out: Place,
-        *,
-        beside: Sequence[Place] = (),
-        workflows: Place | None = None,
-        sensitivity: Place | None = None,
-        numbers: Place | None = None,
-        pool: Pool = None,
-        workers: int | None = None,
-        showing: "Showing | None" = None,
-    ) -> None:
-        """Typeset the evaluation as a PDF, after comparing all rows with their root.
-
-        Args:
-            out: The PDF; replaced if it exists.
-            beside: Other ledgers to show, of ablations, larger fleets or workflows.
-            workflows: A ledger of the workflows.
-            sensitivity: A file of `fsar-ledger study run sensitivity`.
-            numbers: A file for all its numbers, as JSON.
-            pool: As in `metrics`.
-            workers: As in `verify`.
-            showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
-        """
-        from fsar_ledger.metrics.progress import unseen
-        from fsar_ledger.report.build import write_report
-
-        def path(place: Place | None) -> Path | None:
-            return None if place is None else Path(place)
-
-        write_report(
-            self.path,
-            Path(out),
-            path(workflows),
-            readers_of(workers, self.path),
-            showing or unseen,
-            beside=list(map(Path, beside)),
-            pools_seeds=pools_seeds(pool),
-            sensitivity=path(sensitivity),
-            numbers_out=path(numbers),
-        )
+    report = _report.report
+    recover = _maintain.recover
+    upgrade = _maintain.upgrade
+    compact = _maintain.compact
 
     @contextmanager
     def database(self) -> "Iterator[Database]":
@@ -315,3 +252,38 @@ class Ledger(Integrity):
 
         with connect(self.path, demanded=self.demanded) as database:
             yield database
+
+
+def demanded_head(ledger: Path, *, verified: bool, progress: Progress | None = None) -> str | None:
+    """Compare the rows with the root and return the newest record's SHA-256; None if `verified` is not demanded.
+
+    A remembered comparison is not repeated.
+
+    Raises:
+        LedgerCorrupted: The comparison found something.
+        NotALedger, FormatVersionMismatch: As `open_for_answers`.
+    """
+    if not verified:
+        return None
+    newest = open_for_answers(ledger).record_sha256
+    return newest if is_remembered(newest) else ensure_verified(ledger, readers_of(None, ledger), progress)
+
+
+def open_ledger(path: Place, *, verified: bool = False, progress: Progress | None = None) -> Ledger:
+    """Open the ledger in this folder.
+
+    Args:
+        path: The folder.
+        verified: Compare all rows with the root first, as `verify` does, unless an earlier comparison of this head is
+            remembered; then only compare the files with their hashes. Answers about later commits are then refused.
+        progress: Called with the segments compared and their total.
+
+    Raises:
+        NotALedger, FormatVersionMismatch: The folder holds no ledger that this version reads.
+        LedgerCorrupted: It contradicts itself.
+    """
+    demanded = demanded_head(Path(path), verified=verified, progress=progress)
+    view = open_for_answers(Path(path))
+    if verified:
+        view.segments()  # what is remembered was perhaps compared in another place, and this is an altered copy
+    return Ledger(path, demanded=demanded)

@@ -1,6 +1,7 @@
 """The verb `log`: the timeline of a run, a line for each event."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +11,7 @@ from fsar_ledger.printable import Shown
 
 from .answers import Answer, Screen
 from .names import Names, Run, Time
-from .verbs import Pause, declare, verb
+from .verbs import Gives, declare, verb
 
 if TYPE_CHECKING:
     from .ledger import Ledger
@@ -61,7 +62,7 @@ def _asked(
         bool, declare("--follow", None, "Show every run, then wait for more commits, until Ctrl-C.")
     ] = False,
     as_json: Annotated[bool, declare("--json", None, "A JSON object for each event, one a line.")] = False,
-    pause: Annotated[Callable[[], None] | None, Pause(LOOK_EVERY_S)] = None,
+    pause: Annotated[Callable[[float], None] | None, Gives("pause")] = None,
 ) -> Timeline:
     """Tell a run, or all runs as the ledger grows."""
     if follow and run not in (None, ALL):
@@ -73,7 +74,7 @@ def _asked(
             "--follow and --verified: rows that come later cannot have been compared yet; expected one of them"
         )
     tables: Iterable[Table] = (
-        stream_log(ledger, since, until, robot, about, pause=pause if follow else None)
+        stream_log(ledger, since, until, robot, about, pause=partial(pause, LOOK_EVERY_S) if follow and pause else None)
         if follow or run == ALL
         else [log(ledger, run, since, until, robot, about)]
     )

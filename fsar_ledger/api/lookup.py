@@ -172,11 +172,6 @@ def robot_of(database: "Database", asked: str, run: str | None) -> str:
     return _named(database, "robot", asked, run)
 
 
-def action_of(database: "Database", asked: str, run: str | None) -> str:
-    """Return the action of this name in this run, or in any. Raises: UsageError if there is none."""
-    return _named(database, "action", asked, run)
-
-
 def time_of(database: "Database", what: str, asked: Time, run: str | None) -> int | None:
     """Return a time in the run, or in the longest of all, in microseconds; None stays None.
 

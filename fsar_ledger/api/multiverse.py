@@ -1,33 +1,50 @@
-"""Compute the results table under every reading that the paper's text allows."""
+"""The verb `study run multiverse`: the results table under every reading that the paper's text allows."""
 
-from collections.abc import Sequence
-from os import PathLike
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
 from msgspec import structs
 
-from fsar_ledger.metrics.multiverse import Cell, Multiverse, multiverse
+from fsar_ledger import printable
+from fsar_ledger.metrics.multiverse import Cell, Multiverse, Ranking, ReadingNames
+from fsar_ledger.printable import Shown, counted
 
-from .names import known
-from .provenance import Provenance, of_judgement
-from .table import Table, of_structs
+from .answers import Answer, Drawable, Screen, drawn
+from .names import Names, Place, known, names_of, pools_seeds
+from .verbs import PoolOption, Shows, SvgOption, declare, verb
+from .workload import Progress
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.database import Database
-    from fsar_ledger.metrics.progress import Progress
+    from .fields import Row
+    from .ledger import Ledger
+    from .provenance import Provenance
+    from .table import Table
+
+OURS = "our reading"
+CELL = ("metric", "architecture", "paper", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by")
+RANKING = (
+    *("metric", "better", "order", "combinations", "same_order"),
+    *("changed_under", "fsar_best", "fsar_not_best_under"),
+)
+WHERE_TELLING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
+"""Columns that a table for people shows only where they tell rows apart."""
+WHERE_ANY = ("undefined", "runs_not_observed")
+"""Columns that it shows only where a value is not 0."""
 
 
-class MultiverseResult(Multiverse, frozen=True, kw_only=True):
+class MultiverseResult(Drawable, Multiverse, frozen=True, kw_only=True):
     """A `Multiverse` with its provenance."""
 
-    provenance: Provenance
+    provenance: "Provenance"
 
-    def table(self) -> Table:
+    def table(self) -> "Table":
         """Return the cells as a table."""
+        from .table import Table, of_structs
+
         return Table(of_structs(self.cells, Cell), self.provenance)
 
-    def draw(self, file: str | PathLike[str]) -> None:
+    def draw(self, file: Place, kind: Any = None) -> None:  # noqa: ARG002 - there is one kind
         """Draw every cell under every combination of readings as SVG.
 
         Raises: WriteFailed if the file cannot be written.
@@ -37,11 +54,103 @@ class MultiverseResult(Multiverse, frozen=True, kw_only=True):
 
         publish(Path(file), all_readings.curves(self))
 
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield the ranges, the rankings and the readings as tables."""
+        from .fields import plain
 
-def read_multiverse(
-    database: "Database", metrics: Sequence[str] | None, *, pools_seeds: bool, progress: "Progress | None" = None
+        if not self.cells:
+            yield printable.line("no runs to read")
+            return
+        cells, rankings = plain(self.cells), [_named(row) for row in self.rankings]
+        readings: list[Row] = [
+            {"name": one.name, "instead of": one.reading, "says": one.title} for one in self.readings
+        ]
+        yield screen.table(cells, _columns(cells, CELL))
+        yield printable.line("")
+        yield screen.table(rankings, _columns(rankings, RANKING))
+        yield printable.lines("", *_verdicts(self.rankings), "")
+        yield screen.table(readings)
+
+
+def _drawn(
+    ledger: "Ledger",
+    metric: Names,
+    pool: Any,
+    svg: SvgOption = None,
+    *,
+    progress: Progress | None,
+) -> Answer:
+    return drawn(lambda: multiverse(ledger, metric, pool, progress=progress), svg=svg)
+
+
+@verb(
+    "study run multiverse out/ledger",
+    "study run multiverse out/ledger --metric authority_conflicts --json",
+    "study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
+    name="study run multiverse",
+    takes=("verified", "json", "csv", "raw", "wide"),
+    call=_drawn,
+    old="multiverse",
+)
+def multiverse(
+    ledger: "Ledger",
+    metric: Annotated[Names, declare("--metric", "NAME", "Only this metric; may be repeated.", "all")] = None,
+    pool: PoolOption = None,
+    *,
+    progress: Annotated[Progress | None, Shows("read", "combinations of readings")] = None,
 ) -> MultiverseResult:
-    """Compute the table for all metrics or those named. Raises: InvalidExperiment if one is unknown."""
-    every = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
-    found = multiverse(database, known("metric", metrics, every), pools_seeds=pools_seeds, progress=progress)
-    return MultiverseResult(**structs.asdict(found), provenance=of_judgement(database))
+    """Compute the results table under every reading that the paper's text allows.
+
+    For each cell: the paper's number, ours, the lowest and the highest mean over all combinations of readings, and the
+    reading that moves it most when it alone replaces ours. For each metric: whether the order of the architectures is
+    the same under all combinations, under how many FSAR is best, and the smallest combinations that change either.
+    Nothing is simulated again. --json also has the mean under each combination.
+
+    Raises:
+        InvalidExperiment: There is no such metric.
+    """
+    from fsar_ledger.metrics.multiverse import multiverse as read
+
+    from .provenance import of_judgement
+
+    pooled = pools_seeds(pool)
+    with ledger.database() as database:
+        every = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
+        found = read(database, known("metric", names_of(metric), every), pools_seeds=pooled, progress=progress)
+        return MultiverseResult(**structs.asdict(found), provenance=of_judgement(database))
+
+
+def _verdicts(rankings: Sequence[Ranking]) -> Iterator[str]:
+    """Yield in how many rankings FSAR is best, and in how many our order stays, under every combination."""
+    for what, count in (
+        ("FSAR is the best one", "fsar_best"),
+        ("the order of the architectures is ours", "same_order"),
+    ):
+        judged = [row for row in rankings if getattr(row, count) is not None]
+        always = sum(getattr(row, count) == row.combinations for row in judged)
+        never = sum(getattr(row, count) == 0 for row in judged)
+        if judged:
+            yield (
+                f"{what} under every combination in {always} of {counted(len(judged), 'ranking')}, under some in "
+                f"{len(judged) - always - never}, under none in {never}"
+            )
+        else:
+            fsar = ", one of them FSAR" if count == "fsar_best" else ""
+            yield f"whether {what}: nothing to rank; that takes means of two architectures{fsar}"
+
+
+def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
+    """Return the columns to show: those of the setting after the first, those of `WHERE_ANY` at the end."""
+    telling = [name for name in WHERE_TELLING if name in rows[0] and len({row[name] for row in rows}) > 1]
+    return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
+
+
+def _named(row: Ranking) -> "Row":
+    """Return the ranking with combinations of readings as text."""
+    changed, not_best = _texts(row.changed_under), _texts(row.fsar_not_best_under)
+    return {**structs.asdict(row), "changed_under": changed, "fsar_not_best_under": not_best}
+
+
+def _texts(sets: tuple[ReadingNames, ...] | None) -> str | None:
+    """Return the combinations in words; None where there are none, or nothing can be said."""
+    return "; ".join(" + ".join(names) or OURS for names in sets) if sets else None

@@ -1,15 +1,12 @@
 """The verb `prove`: find the event that a user means, and prove it."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
-
-import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 
-from .answers import Answer, Screen
+from .answers import Answer, Lines, Plain
 from .names import MAX_DIGITS, Place
 from .verbs import argument, declare, verb
 
@@ -20,23 +17,12 @@ if TYPE_CHECKING:
     from .ledger import Ledger
 
 
-class Proved(Answer, msgspec.Struct, frozen=True):
-    """A proof, and the file that holds it."""
-
-    proof: "Proof"
-    out: Path | None
-
-    def text(self, _: Screen) -> Iterator[printable.Shown]:
-        """Yield the proof, or where it is."""
-        if self.out is None:
-            yield printable.Shown(str(self.proof))
-            return
-        tree = self.proof.note.checkpoint
-        yield printable.lines(f"{self.out}: event {self.proof.index:,} of {tree.size:,}", f"root {tree.root.hex()}")
-
-
-def _proved(ledger: "Ledger", event: str, out: Path | None) -> Proved:
-    return Proved(prove(ledger, event, out), out)
+def _proved(ledger: "Ledger", event: str, out: Path | None) -> Answer:
+    proof = prove(ledger, event, out)
+    if out is None:
+        return Plain(str(proof))
+    tree = proof.note.checkpoint
+    return Lines(f"{out}: event {proof.index:,} of {tree.size:,}", f"root {tree.root.hex()}")
 
 
 @verb(

@@ -1,35 +1,39 @@
-"""Simulate all the paper's experiments, judge them and typeset the report, in one folder."""
+"""The verb `reproduce`: simulate the paper's experiments, judge them and typeset the report, in one folder."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
+from fsar_ledger import printable
 from fsar_ledger.errors import option
-from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.metrics.database import connect
-from fsar_ledger.metrics.progress import Showing
-from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.metrics.verified import ensure_verified
-from fsar_ledger.report.build import write_report
-from fsar_ledger.runtime.experiment import SimulationResult, run_experiment
-from fsar_ledger.runtime.paper import NAMES, SEED, Name, PaperLedger, paper_ledger
+from fsar_ledger.printable import Shown, counted
 
-from .fields import csv_text, plain
-from .files import write_text
-from .ledger import Ledger
-from .names import known
-from .provenance import of_judgement
-from .table import Table, of_structs
+from .answers import Answer, Screen
+from .names import Names, Place, known, names_of
+from .simulate import CONTINUES
+from .verbs import AdoptOption, Gives, KeyOption, WorkersOption, declare, verb
+from .workload import workers_of
+
+if TYPE_CHECKING:
+    from fsar_ledger.ledger.log.note import Signer
+    from fsar_ledger.metrics.progress import Showing
+    from fsar_ledger.runtime.experiment import SimulationResult
+    from fsar_ledger.runtime.paper import Name, PaperLedger
+
+    from .ledger import Ledger
+    from .table import Table
+
+SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
 
 
-class Reproduced(msgspec.Struct, frozen=True):
+class Reproduced(Answer, msgspec.Struct, frozen=True):
     """The result of `reproduce`: what was added to each ledger, by experiment, and the metrics of the results."""
 
     folder: Path
-    made: Mapping[Name, SimulationResult]
-    metrics: Table
+    made: "Mapping[Name, SimulationResult]"
+    metrics: "Table"
 
     @property
     def report(self) -> Path:
@@ -37,65 +41,118 @@ class Reproduced(msgspec.Struct, frozen=True):
         return self.folder / "report.pdf"
 
     @property
-    def ledgers(self) -> dict[Name, Ledger]:
+    def ledgers(self) -> "dict[Name, Ledger]":
         """Return the ledger of each experiment."""
+        from .ledger import Ledger
+
         return {name: Ledger(self.folder / name) for name in self.made}
 
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield the metrics of the results, and where the report is."""
+        results = self.made["results"]
+        took = f"{results.head.size:,} events, root {results.head.root}, {screen.elapsed_s:.0f} s"
+        yield screen.table(self.metrics.rows(), SHOWN)
+        yield printable.lines(*beyond(results), "", took, str(self.report))
 
-def reproduce_experiments(
-    out: Path,
-    workers: int,
-    signer: Signer | None,
-    showing: Showing,
+
+@verb(
+    "reproduce",
+    "reproduce --out out/paper --only results --runs 20",
+    takes=("wide",),
+    after_interruption=CONTINUES,
+)
+def reproduce(
+    out: Annotated[Place, declare("--out", "FOLDER", "Where the ledgers, the tables and the report go.")] = "fsar-out",
     *,
-    adopts: bool = False,
-    only: Sequence[str] | None = None,
-    runs: int | None = None,
+    only: Annotated[
+        Names,
+        declare(
+            "--only", "EXPERIMENT", "results (always made), ablation, scaling or workflows; may be repeated.", "all"
+        ),
+    ] = None,
+    runs: Annotated[
+        int | None, declare("--runs", "N", "Runs of each scenario.", "results 200, ablation 40, scaling 20")
+    ] = None,
+    key: KeyOption = None,
+    adopt: AdoptOption = False,
+    workers: WorkersOption = None,
+    showing: Annotated["Showing | None", Gives("showing")] = None,
 ) -> Reproduced:
-    """Write a ledger of each experiment, the tables and the report to the folder.
+    """Run the paper's experiments, judge them and typeset the report.
 
-    A signer signs the ledger of the results under its own name NAME, and the others under NAME/EXPERIMENT. The results
-    are always made, because the tables and the report begin with them.
+    FOLDER then holds report.pdf, its numbers as reproduction.json, metrics.csv, statistics.csv and a ledger of each
+    experiment: results/, ablation/, scaling/ and workflows/. The key signs results/ under its name NAME, and the others
+    under NAME/ablation, NAME/scaling and NAME/workflows, because no two ledgers may have one origin.
 
     Raises:
         UsageError: The folder is a ledger, or lies inside one.
-        InvalidExperiment: An experiment of `only` is unknown, or the count of runs impossible.
-        FsarLedgerError: As `simulate`, `ensure_verified` and `write_report`.
+        InvalidExperiment: An experiment is unknown, or the number of runs impossible.
     """
-    require_outside(out, option("out", out))
-    chosen = [name for name in NAMES if name == "results" or not only or name in known("experiment", only, NAMES)]
-    experiments = [paper_ledger(name, SEED, runs) for name in chosen]
+    from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.metrics.database import connect
+    from fsar_ledger.metrics.progress import unseen
+    from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
+    from fsar_ledger.metrics.verified import ensure_verified
+    from fsar_ledger.report.build import write_report
+    from fsar_ledger.runtime.paper import NAMES, SEED, paper_ledger
+
+    from .fields import csv_text, plain
+    from .files import write_text
+    from .key import signer_of
+    from .provenance import of_judgement
+    from .table import Table, of_structs
+
+    folder, processes, signer, show = Path(out), workers_of(workers), signer_of(key, adopts=adopt), showing or unseen
+    require_outside(folder, option("out", folder))
+    wanted = known("experiment", names_of(only), NAMES)
+    experiments = [
+        paper_ledger(name, SEED, runs) for name in NAMES if name == "results" or not wanted or name in wanted
+    ]
     made = {
-        one.name: _carried_out(out / one.name, one, workers, one.signer(signer), showing, adopts=adopts)
+        one.name: _carried_out(folder / one.name, one, processes, one.signer(signer), show, adopts=adopt)
         for one in experiments
     }
-    ledger = out / "results"
-    with showing("verified", "segments") as progress:
-        demanded = ensure_verified(ledger, workers, progress)
+    ledger = folder / "results"
+    with show("verified", "segments") as progress:
+        demanded = ensure_verified(ledger, processes, progress)
     with connect(ledger, demanded=demanded) as database:
         metrics, statistics = metric_rows(database), statistic_rows(database)
         table = Table(of_structs(metrics, MetricRow), of_judgement(database))
-    write_text(out / "metrics.csv", csv_text(plain(metrics), MetricRow.__struct_fields__))
-    write_text(out / "statistics.csv", csv_text(plain(statistics), StatisticRow.__struct_fields__))
-    beside = [out / one.name for one in experiments if one.name != "results"]
+    write_text(folder / "metrics.csv", csv_text(plain(metrics), MetricRow.__struct_fields__))
+    write_text(folder / "statistics.csv", csv_text(plain(statistics), StatisticRow.__struct_fields__))
     write_report(
         ledger,
-        out / "report.pdf",
-        workers=workers,
+        folder / "report.pdf",
+        workers=processes,
         demanded=demanded,
-        beside=beside,
-        numbers_out=out / "reproduction.json",
-        showing=showing,
+        beside=[folder / one.name for one in experiments if one.name != "results"],
+        numbers_out=folder / "reproduction.json",
+        showing=show,
     )
-    return Reproduced(out, made, table)
+    return Reproduced(folder, made, table)
 
 
 def _carried_out(
-    out: Path, experiment: PaperLedger, workers: int, signer: Signer | None, showing: Showing, *, adopts: bool
-) -> SimulationResult:
-    """Append all parts of an experiment to its ledger, one after the other; return what the last added."""
+    out: Path, experiment: "PaperLedger", workers: int, signer: "Signer | None", showing: "Showing", *, adopts: bool
+) -> "SimulationResult":
+    """Append all parts of an experiment to its ledger, one after the other; return what the last added.
+
+    A signer signs the ledger of the results under its own name, and the others under names of their own.
+    """
+    from fsar_ledger.runtime.experiment import run_experiment
+
     origin = experiment.origin if signer is None else None
     for part in experiment.parts:
         with showing(f"{experiment.name}: simulated", "batches") as progress:
             made = run_experiment(out, part, workers, progress, signer, origin, adopts=adopts)
     return made
+
+
+def beyond(made: "SimulationResult") -> list[str]:
+    """Return a line on runs beyond those asked for, which are judged too; none where there are none."""
+    if not (more := made.held - made.asked):
+        return []
+    return [
+        f"the ledger holds {counted(more, 'run')} beyond the {made.asked:,} of the paper's experiment, and they are "
+        "judged here, too"
+    ]

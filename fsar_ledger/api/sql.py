@@ -4,12 +4,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
+from fsar_ledger.errors import UsageError, option
+
 from .answers import Screen
 from .verbs import STREAM, argument, declare, verb
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from fsar_ledger.metrics.sandbox import Limits
     from fsar_ledger.printable import Shown
 
     from .ledger import Ledger
@@ -37,12 +40,38 @@ class Rows:
         yield from ()
 
 
+MEMORY_MIB_MIN = 1024
+SECONDS_MAX = 365 * 86_400
+
+
+def limits_of(seconds: int | None = None, memory_mib: int | None = None) -> "Limits":
+    """Return these limits, with defaults for the rest.
+
+    Raises:
+        UsageError: Less than a second or more than a year; or less memory than the process needs for the packaged
+            queries, or more than a machine has.
+    """
+    from fsar_ledger.memory import MOST_MIB
+    from fsar_ledger.metrics.sandbox import Limits
+
+    default = Limits()
+    seconds = default.seconds if seconds is None else seconds
+    memory_mib = default.memory_bytes >> 20 if memory_mib is None else memory_mib
+    if not 1 <= seconds <= SECONDS_MAX:
+        raise UsageError(f"{option('seconds', seconds)}: expected at least 1 and at most {SECONDS_MAX}, a year")
+    if not MEMORY_MIB_MIN <= memory_mib <= MOST_MIB:
+        raise UsageError(
+            f"{option('memory_mib', memory_mib)}: expected at least {MEMORY_MIB_MIN} (MiB), of which the process "
+            f"itself takes 400, and at most {MOST_MIB}"
+        )
+    return Limits(seconds=seconds, memory_bytes=memory_mib << 20)
+
+
 @contextmanager
 def rows_of_select(ledger: "Ledger", select: str, seconds: int | None, memory_mib: int | None) -> Iterator[Rows]:
     """Yield the answer of a SELECT; the time limit covers all of it. Raises: As `sql`."""
     from fsar_ledger.metrics.untrusted import stream_untrusted
 
-    from .limits import limits_of
     from .provenance import Provenance
 
     limits = limits_of(seconds, memory_mib)
@@ -57,6 +86,7 @@ def rows_of_select(ledger: "Ledger", select: str, seconds: int | None, memory_mi
     'sql out/ledger "SHOW TABLES"',
     takes=STREAM,
     call=rows_of_select,
+    is_apart=lambda _: True,
 )
 def sql(
     ledger: "Ledger",
@@ -79,7 +109,6 @@ def sql(
     """
     from fsar_ledger.metrics.untrusted import table_untrusted
 
-    from .limits import limits_of
     from .provenance import Provenance
     from .table import Table
 

@@ -7,7 +7,7 @@ Modules of verbs are imported to show a help text, so they import what takes tim
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar
 
 from .names import By, Names, Place, Pool, Run
 
@@ -25,13 +25,12 @@ ROWS = (*JSON, "csv", "ndjson", "raw", "wide")
 STREAM = (*JSON, "csv", "ndjson", "raw", "limit", "wide")
 """What those take whose answer can be long."""
 
-
 NOTHING_CHANGED = "nothing was changed"
 """What most interrupted calls leave."""
 
 
 class Option(NamedTuple):
-    """An option of the command line, or an argument if it has no flag.
+    """An option of the command line, or an argument if it has no flag; a switch has no metavar.
 
     `default` says what holds without it, where the value of the parameter does not. `complete` is the function of
     `cli/completing.py` that offers values to a shell.
@@ -43,6 +42,7 @@ class Option(NamedTuple):
     default: str | None = None
     complete: str | None = None
     least: int | None = None
+    most: int | None = None
     environment: str | None = None
 
 
@@ -57,22 +57,20 @@ class Shows(NamedTuple):
     instead: Mapping[str, str] = {}
 
 
-class Clock(NamedTuple):
-    """The command line gives the present time, in seconds since 1970; it is no option."""
+class Gives(NamedTuple):
+    """The command line gives one of these; it is no option.
 
+    `now`: the present time, in seconds since 1970, and `clock`: a function that returns it. `ticks`: a function that
+    returns seconds that never go back. `pause`: a function that waits so many seconds, and ends when nobody reads any
+    more. `say`: a function that tells the operator a line. `showing`: as `metrics.progress.Showing`. `walk`: as
+    `cli.stepper.walk`; None where there are no keys.
+    """
 
-class Pause(NamedTuple):
-    """The command line gives a function that waits so long, and ends when nobody reads any more; it is no option."""
-
-    seconds: float
+    what: Literal["now", "clock", "ticks", "pause", "say", "showing", "walk"]
 
 
 class Verb(NamedTuple):
-    """A verb: its name on the command line, its function, and what the command has beside its own options.
-
-    `call` answers the command where that is another function: it takes the same parameters, and those that it declares
-    itself. `beside` are switches that the text of the answer looks at (`Screen.has`).
-    """
+    """A verb: its name on the command line, its function, and the rest of what `verb` declares."""
 
     name: str
     function: Callable[..., Any]
@@ -81,6 +79,9 @@ class Verb(NamedTuple):
     examples: tuple[str, ...]
     beside: Mapping[str, Option]
     after_interruption: str
+    old: str | None
+    is_apart: Callable[[Mapping[str, Any]], bool]
+    arrange: Callable[[dict[str, Any]], None]
 
     @property
     def parameters(self) -> dict[str, inspect.Parameter]:
@@ -96,25 +97,14 @@ class Verb(NamedTuple):
     @property
     def help(self) -> str:
         """Return the text that Python and the command line share: the docstring up to its sections."""
-        return _text(self.function)
+        text = inspect.getdoc(self.function) or ""
+        return text.partition("\n\nArgs:")[0].partition("\n\nRaises:")[0]
 
 
 VERBS: dict[str, Verb] = {}
 """The verbs of the modules that are imported, by name."""
 
-
-def declare(
-    flag: str,
-    metavar: str | None,
-    help: str,
-    default: str | None = None,
-    *,
-    complete: str | None = None,
-    least: int | None = None,
-    environment: str | None = None,
-) -> Option:
-    """Declare an option; a switch has no metavar."""
-    return Option(flag, metavar, help, default, complete, least, environment)
+declare = Option
 
 
 def argument(metavar: str, help: str, default: str | None = None, *, complete: str | None = None) -> Option:
@@ -129,6 +119,9 @@ def verb(
     call: Callable[..., Any] | None = None,
     beside: Mapping[str, Option] = {},
     after_interruption: str = NOTHING_CHANGED,
+    old: str | None = None,
+    is_apart: Callable[[Mapping[str, Any]], bool] = lambda _: False,
+    arrange: Callable[[dict[str, Any]], None] = lambda _: None,
 ) -> Callable[[_Function], _Function]:
     """Register a function as a verb of the command line, with calls that show how it is used.
 
@@ -137,29 +130,29 @@ def verb(
         takes: What the command takes beside the parameters of the function.
         name: The name on the command line; None: that of the function.
         call: Answers the command instead, with the same parameters and those that it declares.
-        beside: Switches that the text of the answer looks at.
+        beside: Switches that the text of the answer looks at (`Screen.has`).
         after_interruption: What an interrupted call leaves.
+        old: The name before 0.9.0. Until 0.10.0 it works as before, and no help lists it.
+        is_apart: Whether a call with these values works in a process that has a memory limit of its own.
+        arrange: Changes the values of a call before its ledgers are opened.
     """
 
     def register(function: _Function) -> _Function:
         called = name or function.__name__.replace("_", "-")
         calls = tuple(f"fsar-ledger {one}" if one.startswith(called) else one for one in examples)
-        VERBS[called] = Verb(called, function, call or function, takes, calls, beside, after_interruption)
+        VERBS[called] = Verb(
+            called, function, call or function, takes, calls, beside, after_interruption, old, is_apart, arrange
+        )
         function.__doc__ = _documented(function)
         return function
 
     return register
 
 
-def declared(parameter: inspect.Parameter) -> Option | Shows | Clock | Pause | None:
+def declared(parameter: inspect.Parameter) -> Option | Shows | Gives | None:
     """Return what the annotation of a parameter declares."""
     found = getattr(parameter.annotation, "__metadata__", ())
-    return next((one for one in found if isinstance(one, Option | Shows | Clock | Pause)), None)
-
-
-def _text(function: Callable[..., Any]) -> str:
-    text = inspect.getdoc(function) or ""
-    return text.partition("\n\nArgs:")[0].partition("\n\nRaises:")[0]
+    return next((one for one in found if isinstance(one, Option | Shows | Gives)), None)
 
 
 def _documented(function: Callable[..., Any]) -> str:
@@ -211,12 +204,24 @@ TrustedKeyOption = Annotated[
     str | None,
     declare("--trusted-key", "KEY", "Require the signature of this public key: a .pub file, or the key itself."),
 ]
-RawOption = Annotated[
-    bool, declare("--raw", None, "Do not escape text in CSV, not even control characters and spreadsheet formulas.")
-]
+RAW = declare("--raw", None, "Do not escape text in CSV, not even control characters and spreadsheet formulas.")
+RawOption = Annotated[bool, RAW]
 ParameterOption = Annotated[
     Mapping[str, object] | None,
     declare("--param", "NAME=VALUE", "A parameter of the query; may be repeated.", complete="parameters"),
+]
+KeyOption = Annotated[
+    Place | None,
+    declare(
+        "--key",
+        "FILE",
+        "Sign with this key, of `fsar-ledger key new`.",
+        "leave the ledger unsigned",
+        environment="FSAR_LEDGER_KEY",
+    ),
+]
+AdoptOption = Annotated[
+    bool, declare("--adopt", None, "Continue a ledger that another key signed, or none; verify it first.")
 ]
 SvgOption = Annotated[Place | None, declare("--svg", "FILE", "Also draw it, as SVG; replaced if it exists.")]
 WorkersOption = Annotated[

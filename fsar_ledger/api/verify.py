@@ -13,7 +13,7 @@ from fsar_ledger.printable import counted
 from .answers import Answer, Screen
 from .key import anchor_of, signature_text, trusted_of
 from .names import Place
-from .verbs import Clock, Shows, TrustedKeyOption, WorkersOption, declare, verb
+from .verbs import Gives, Shows, TrustedKeyOption, WorkersOption, declare, verb
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def verify(
     ] = False,
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("verified", "segments", {"replay": "verified and replayed"})] = None,
-    now_s: Annotated[int | None, Clock()] = None,
+    now_s: Annotated[int | None, Gives("now")] = None,
 ) -> Verification:
     """Derive every hash, count and record of a ledger again.
 

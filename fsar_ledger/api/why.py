@@ -1,6 +1,7 @@
 """The verb `why`: why an event happened, and which events made a verdict of SQL, in words."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,7 +11,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.printable import Shown
 
-from .answers import Answer, Drawable, Screen, drawn
+from .answers import Answer, Drawable, Listing, Screen, drawn
 from .names import Place, Run
 from .verbs import SvgOption, argument, declare, verb
 
@@ -100,36 +101,6 @@ class Why(Drawable, msgspec.Struct, frozen=True, kw_only=True):
         yield printable.lines(screen.run_text(self.run), "", *Tree(self).lines(), "", hint)
 
 
-class Verdicts(Answer, msgspec.Struct, frozen=True):
-    """The verdicts of a kind on a run."""
-
-    run: str
-    kind: str
-    found: "Table"
-
-    @property
-    def provenance(self) -> "Provenance":
-        """What the answer holds for."""
-        return self.found.provenance
-
-    def document(self, _: Screen) -> Mapping[str, object]:
-        """Return the verdicts."""
-        return {"run": self.run, "verdict": self.kind, "rows": self.found.rows()}
-
-    def text(self, screen: Screen) -> Iterator[Shown]:
-        """Yield the verdicts, and how to ask why the first event happened."""
-        rows = self.found.rows()
-        if not rows:
-            unseen = " on record; not all that it rests on was observed" if self.provenance.not_observed else ""
-            yield printable.lines(screen.run_text(self.run), f"no {self.kind}{unseen}")
-            return
-        first = printable.word(f"{screen.run_word(self.run)}:{rows[0]['seq']}")
-        hint = f"`fsar-ledger why {printable.word(screen.path)} {first}` says why event {rows[0]['seq']} happened"
-        yield printable.lines(screen.run_text(self.run), "")
-        yield screen.table([{**row, "time_s": f"{row['time_s']:.3f}"} for row in rows])
-        yield printable.lines("", hint)
-
-
 def _asked(
     ledger: "Ledger",
     event: str | None = None,
@@ -164,11 +135,18 @@ def _asked(
         raise UsageError(f"--svg {svg}: found no event to draw, expected EVENT without --verdict")
     if verdict is not None and run is not None:
         name = ledger.record(run).run_id
-        return Verdicts(name, verdict, verdicts(ledger, name, verdict))
+        nothing = (verdict, "not all that it rests on was observed")
+        found = verdicts(ledger, name, verdict)
+        return Listing(name, found, time="time_s", nothing=nothing, hint=partial(_hint, name), verdict=verdict)
     assert event is not None
     if svg is not None and Path(svg).suffix != ".svg":
         raise UsageError(f"--svg {svg}: expected a name that ends in .svg")
     return drawn(lambda: why(ledger, event, depth=depth), svg=svg)
+
+
+def _hint(run: str, screen: Screen, first: Mapping[str, Any]) -> str:
+    event = printable.word(f"{screen.run_word(run)}:{first['seq']}")
+    return f"`fsar-ledger why {printable.word(screen.path)} {event}` says why event {first['seq']} happened"
 
 
 @verb(

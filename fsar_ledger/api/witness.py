@@ -1,14 +1,20 @@
-"""Make witnesses, ask them to cosign a ledger, and find what they saw of it."""
+"""The verbs `witness new`, `witness serve` and `witness ask`, and what witnesses saw of a ledger."""
 
-from collections.abc import Sequence
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
-from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError, option
+from fsar_ledger.printable import Shown
 
+from .answers import Answer, Lines, Plain, Screen
 from .key import short
+from .names import Place
+from .verbs import Gives, argument, declare, verb
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.log.note import VerifierKey
@@ -16,6 +22,8 @@ if TYPE_CHECKING:
     from fsar_ledger.witness.cosignature import WitnessKey
     from fsar_ledger.witness.evidence import Evidence
     from fsar_ledger.witness.policy import Policy
+
+    from .ledger import Ledger
 
 _LAST_SECOND = 253_402_300_799  # of the year 9999
 
@@ -149,11 +157,15 @@ def _time(time_s: int) -> str:
     )
 
 
-def witness_new(state: str | PathLike[str], name: str) -> "WitnessKey":
-    """Make a witness of this name in a new folder; return its public key.
+@verb("witness new out/witness --name example.org/w1", name="witness new", takes=())
+def witness_new(
+    state: Annotated[Place, argument("STATE", "The folder of the witness: a new one.")],
+    name: Annotated[str, declare("--name", "NAME", "Its name, host/path by convention.")],
+) -> "WitnessKey":
+    """Make a witness, and print its public key.
 
-    A witness that forgets is worth nothing: never copy the folder or restore it from a backup; make a new witness
-    instead.
+    STATE holds its secret key and, later, what it has seen. A witness that forgets is worth nothing: never copy STATE
+    or restore it from a backup; make a new witness instead.
 
     Raises:
         UsageError: The folder exists or lies inside a ledger, or the name is invalid.
@@ -165,13 +177,113 @@ def witness_new(state: str | PathLike[str], name: str) -> "WitnessKey":
     return new_state(Path(state), short("name", name))
 
 
-def cosigned(ledger: Path, policy: Path) -> "Cosigned":
-    """Have the newest checkpoint cosigned. Raises: NotCosigned if fewer cosigned than the policy demands."""
+class Served(Answer):
+    """A server of a witness; to show the answer is to serve until SIGTERM or Ctrl-C."""
+
+    def __init__(self, state: Path, logs: Sequence[str], host: str, port: int, **given: "Callable[..., Any]") -> None:
+        self._state, self._logs, self._host, self._port, self._given = state, logs, host, port, given
+
+    def text(self, _: Screen) -> Iterator[Shown]:
+        """Yield the public key and the URL, then serve."""
+        from fsar_ledger.witness.cosignature import read_log_key
+        from fsar_ledger.witness.server import Service, WitnessServer
+        from fsar_ledger.witness.state import open_state
+
+        def tell(line: str) -> None:
+            with suppress(OSError):  # stderr may no longer be read
+                self._given["say"](line)
+
+        def end(*_: object) -> None:
+            raise KeyboardInterrupt
+
+        logs = [read_log_key(key) for key in self._logs]
+        with open_state(self._state) as state:
+            service = Service(state, logs, self._given["clock"], tell)
+            with WitnessServer(self._host, self._port, service, self._given["ticks"]) as server:
+                before = signal.signal(signal.SIGTERM, end)
+                try:
+                    yield printable.lines(str(state.cosigner.key), server.url)
+                    server.serve_forever(poll_interval=0.1)
+                except KeyboardInterrupt:
+                    tell("ended")
+                finally:
+                    signal.signal(signal.SIGTERM, before)
+
+
+@verb(
+    "witness serve out/witness --log out/fleet.key.pub --port 8001",
+    "witness serve out/witness --log out/fleet.key.pub --log out/arm.key.pub",
+    name="witness serve",
+    takes=(),
+)
+def witness_serve(
+    state: Annotated[Place, argument("STATE", "What `fsar-ledger witness new` made.")],
+    log: Annotated[
+        Sequence[str], declare("--log", "KEY", "Watch this log: its .pub file or public key; may be repeated.")
+    ],
+    *,
+    host: Annotated[str, declare("--host", "ADDRESS", "The address to listen at.")] = "127.0.0.1",
+    port: Annotated[int, declare("--port", "N", "The port to listen at; 0 takes a free one.", least=0, most=65535)] = 0,
+    clock: Annotated["Callable[[], int]", Gives("clock")],
+    ticks: Annotated["Callable[[], float]", Gives("ticks")],
+    say: Annotated["Callable[[str], None]", Gives("say")],
+) -> Served:
+    """Cosign checkpoints over HTTP until interrupted.
+
+    Prints its public key and URL. Speaks C2SP tlog-witness: a checkpoint is cosigned if the log's key signed it and a
+    proof shows that the log only grew since the last one. The witness needs no ledger and sees no event.
+    """
+    return Served(Path(state), log, host, port, clock=clock, ticks=ticks, say=say)
+
+
+def _ask(
+    ledger: "Ledger",
+    policy: Path,
+    out: Annotated[
+        Place | None, declare("--out", "FILE", "Where the cosigned checkpoint goes; replaced.", "print it")
+    ] = None,
+    *,
+    say: Annotated["Callable[..., None]", Gives("say")],
+) -> Answer:
+    from fsar_ledger.ledger.store.paths import require_outside
+
+    from .files import write_text
+
+    if out is not None:
+        require_outside(Path(out), f"--out {out}")
+    found = witness_ask(ledger, policy)
+    say(*(f"{name}: {reason}" for name, reason in found.silent.items()))
+    if out is None:
+        return Plain(str(found.note))
+    write_text(Path(out), str(found.note))
+    tree = found.note.checkpoint
+    return Lines(f"{out}: {tree.size:,} events, cosigned by {listed(found.times)}", f"root {tree.root.hex()}")
+
+
+@verb(
+    "witness ask out/ledger --policy witnesses.policy",
+    "witness ask out/ledger --policy witnesses.policy --out out/cosigned",
+    name="witness ask",
+    takes=(),
+    call=_ask,
+)
+def witness_ask(
+    ledger: "Ledger",
+    policy: Annotated[Place, declare("--policy", "FILE", "A C2SP tlog-policy that names the witnesses.")],
+) -> "Cosigned":
+    """Have the newest checkpoint of a ledger cosigned.
+
+    Each witness in FILE that has a URL gets the checkpoint and a proof that the ledger only grew, but no event. If
+    fewer cosign than FILE demands, nothing is written and the exit code is 1.
+
+    Raises:
+        NotCosigned: Fewer cosigned than the policy demands.
+    """
     from fsar_ledger.witness.cosign import cosign
     from fsar_ledger.witness.policy import read_policy
 
-    read = read_policy(policy)
-    found = cosign(ledger, read)
+    read = read_policy(Path(policy))
+    found = cosign(ledger.path, read)
     if not read.is_met(set(found.times)):
         refusals = "; ".join(f"{name}: {reason}" for name, reason in found.silent.items())
         raise NotCosigned(

@@ -1,10 +1,9 @@
 """The typer application, and `run`, which turns a call into an exit code.
 
-A command is a verb of the API (`api/verbs.py`), or a module of `commands`. Only `terminal.py` prints, and only this
-module, `progress.py` and the witness's server read a clock. Commands import what they need when they run, so that
-`--help` stays quick. A command that fails raises an error of `errors.py`; `run` turns it into one message on stderr and
-its exit code: 0 fine, 1 a write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the
-ledger is damaged, 130 interrupted.
+A command is a verb (`api/verbs.py`). Only `terminal.py` prints, and only this room reads a clock. Verbs import what
+they need when they are called, so that `--help` stays quick. A command that fails raises an error of `errors.py`; `run`
+turns it into one message on stderr and its exit code: 0 fine, 1 a write failed, a worker was killed or an audit found
+something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
 """
 
 import errno
@@ -14,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from pkgutil import iter_modules
 from typing import Annotated, Any
 
 import typer
@@ -24,11 +22,7 @@ from fsar_ledger import printable
 from fsar_ledger.api.verbs import NOTHING_CHANGED, VERBS, Verb
 from fsar_ledger.errors import FsarLedgerError, UsageError, named_as_options
 
-from . import commands
-from .building import callback
-from .memory import reading
-from .once import Command
-from .options import examples
+from .building import command
 from .terminal import Enough, say, show
 
 INTERRUPTED = 130
@@ -44,29 +38,23 @@ GROUPS = {
     "Maintain": ("maintain",),
 }
 """The commands in the groups and the order of the help."""
-MAINTAIN = ("recover", "upgrade", "compact")
-"""The commands under `maintain`. Until 0.10.0 each is also called without it."""
-OLD_STUDIES = {
-    "calibrate": "calibration",
-    "predict": "predictions",
-    "judge": "comparison",
-    "sensitivity": "sensitivity",
-    "multiverse": "multiverse",
-}
-"""The verb that was each study before 0.9.0. Until 0.10.0 it works as before, and no help lists it."""
-AFTER_SENSITIVITY = "finished evaluations are kept beside --out, and the same command continues there"
-"""What an interrupted sensitivity study leaves."""
 FAMILIES = {
     "key": "Make keys that sign ledgers.",
     "maintain": "Repair a ledger, write it in the newer format, or put its segments together.",
     "study": "Run a study of the model, or show the result of one.",
+    "study run": "Run a study.",
     "witness": "Check that ledgers only grow, or have your own checked.",
 }
-"""What the commands do whose names begin with the same word."""
+"""What the commands do whose names begin with the same words."""
+HOMES = {"study": ("fsar_ledger.studies.verbs", "fsar_ledger.api.multiverse")}
+"""The modules of verbs that are not those of the same name in the API."""
 
 
 class Commands(Mapping[str, Any]):
-    """The commands by name; each is made when it is first asked for, since a call needs only one."""
+    """The commands by name; each is made when it is first asked for, since a call needs only one.
+
+    The names that verbs had before are not listed, but found.
+    """
 
     def __init__(self) -> None:
         self._made: dict[str, Any] = {}
@@ -79,15 +67,17 @@ class Commands(Mapping[str, Any]):
         return len(self._names)
 
     def __getitem__(self, name: str) -> Any:
-        if name not in (*self._names, *MAINTAIN, *OLD_STUDIES):
-            raise KeyError(name)
         if name not in self._made:
-            self._made[name] = _command(name)
+            if name in self._names:
+                self._made[name] = _made(name, _verbs(name))
+            else:
+                old = {one.old: one for family in ("maintain", "study") for one in _verbs(family)}
+                self._made[name] = command(old[name], name)
         return self._made[name]
 
 
 class Family(TyperGroup):
-    """Commands whose names begin with the same word."""
+    """Commands whose names begin with the same words."""
 
     def format_commands(self, _: Any, formatter: Any) -> None:
         """Write the first line of the help of each command, whole."""
@@ -114,19 +104,16 @@ class Verbs(TyperGroup):
 
 
 def _verbs(name: str) -> list[Verb]:
-    """Return the verbs whose names are or begin with this word, from the module of the API that declares them."""
-    import_module(f"fsar_ledger.api.{_module(name)}")
-    return [one for one in VERBS.values() if one.name.partition(" ")[0] == name]
+    """Return the verbs whose names are or begin with this word, from the module that declares them."""
+    homes = HOMES.get(name, (f"fsar_ledger.api.{_module(name)}",))
+    for home in homes:
+        import_module(home)
+    found = [one for one in VERBS.values() if one.name.partition(" ")[0] == name]
+    return sorted(found, key=lambda one: homes.index(one.function.__module__))
 
 
 def _module(name: str) -> str:
     return name.replace("-", "_")
-
-
-@cache
-def _modules() -> frozenset[str]:
-    """Return the names of the modules of `commands`: commands that are no verbs of the API."""
-    return frozenset(module.name for module in iter_modules(commands.__path__))
 
 
 def _summary(name: str) -> str:
@@ -136,68 +123,31 @@ def _summary(name: str) -> str:
     """
     if name in FAMILIES:
         return FAMILIES[name]
-    module, package = _module(name), Path(__file__).parent
-    folder = package / "commands" if module in _modules() else package.parent / "api"
-    source = (folder / f"{module}.py").read_text("utf-8")
+    module = _module(name)
+    source = (Path(__file__).parents[1] / f"api/{module}.py").read_text("utf-8")
     found = re.search(rf'^def {module}\(.*?"""(.*?)$', source, re.DOTALL | re.MULTILINE)
     assert found is not None  # a test reads the help
     return found[1].removesuffix('"""')
 
 
-def _command(name: str) -> Any:
-    """Make a command."""
-    made = typer.Typer(cls=Family, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    if name == "maintain":
-        made.callback(help=FAMILIES[name])(lambda: None)
-        family = typer.main.get_group(made)
-        for part in MAINTAIN:
-            family.add_command(_command(part))
-        return family
-    if name in OLD_STUDIES:
-        (study,) = (
-            one
-            for one in import_module(f"{commands.__name__}.study").run.registered_commands
-            if one.name == OLD_STUDIES[name]
-        )
-        made.command(name, cls=Command, epilog=study.epilog)(study.callback)
-        return typer.main.get_command(made)
-    if _module(name) not in _modules():
-        for verb in _verbs(name):
-            end = examples(*verb.examples)
-            made.command(verb.name.rpartition(" ")[2], cls=Command, help=verb.help, epilog=end)(callback(verb))
-        if name in FAMILIES:
-            made.callback(help=FAMILIES[name])(lambda: None)
-        return typer.main.get_command(made)
-    module = import_module(f"{commands.__name__}.{_module(name)}")
-    if not hasattr(module, "group"):
-        made.command(name, cls=Command, epilog=module.EXAMPLES)(reading(getattr(module, _module(name))))
-        return typer.main.get_command(made)
-    _once(module.group)
-    made.add_typer(module.group, name=name, cls=Family)
-    return typer.main.get_group(made).commands[name]
-
-
-def _once(group: typer.Typer) -> None:
-    """Let all commands of a group, and of groups in it, refuse an option given twice, and be listed whole."""
-    for one in group.registered_commands:
-        one.cls = Command
-    for inner in group.registered_groups:
-        inner.cls = Family
-        if inner.typer_instance is not None:
-            _once(inner.typer_instance)
+def _made(words: str, verbs: Sequence[Verb]) -> Any:
+    """Make the command of the verb of this name, or the family of those that begin with these words."""
+    if words not in FAMILIES:
+        return command(next(one for one in verbs if one.name == words), words.rpartition(" ")[2])
+    further = dict.fromkeys(one.name.split()[len(words.split())] for one in verbs if one.name.startswith(f"{words} "))
+    family = Family(name=words.rpartition(" ")[2], help=FAMILIES[words], rich_markup_mode=None)
+    for word in further:
+        family.add_command(_made(f"{words} {word}", verbs), word)
+    return family
 
 
 def _left_by(arguments: Sequence[str]) -> str:
     """Return what an interrupted call leaves."""
-    name = next((one for one in arguments if one != "maintain"), "")
-    if name not in (*Commands(), *MAINTAIN):
-        return AFTER_SENSITIVITY if name == "sensitivity" else NOTHING_CHANGED
-    if list(arguments[:3]) == ["study", "run", "sensitivity"]:
-        return AFTER_SENSITIVITY
-    if _module(name) in _modules():
-        module = import_module(f"{commands.__name__}.{_module(name)}")
-        return getattr(module, "AFTER_INTERRUPTION", NOTHING_CHANGED)
-    return _verbs(name)[0].after_interruption
+    called = f"{' '.join(arguments)} "
+    return next(
+        (one.after_interruption for one in VERBS.values() if called.startswith((f"{one.name} ", f"{one.old} "))),
+        NOTHING_CHANGED,
+    )
 
 
 app = typer.Typer(

@@ -2,90 +2,151 @@
 
 import inspect
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
+from typer.core import TyperCommand, TyperOption
 
-from fsar_ledger.api.verbs import Option, Verb, declared
+from fsar_ledger.api.verbs import RAW, Option, Verb, argument, declare, declared
+from fsar_ledger.errors import QueryFailed, UsageError
 
-from . import completing, options
+from . import completing
 from .memory import bounded
 
-TAKEN: dict[str, tuple[str, Any, object]] = {
-    "verified": ("verified", options.VerifiedOption, False),
-    "json": ("as_json", options.JsonOption, False),
-    "csv": ("as_csv", options.CsvOption, False),
-    "ndjson": ("as_ndjson", options.NdjsonOption, False),
-    "raw": ("raw", options.RawOption, False),
-    "limit": ("limit", options.LimitOption, options.SHOWN_ROWS),
-    "wide": ("wide", options.WideOption, False),
-    "memory": ("memory", options.ReadingMemoryOption, None),
+SHOWN_ROWS = 100
+
+LEDGER = argument("LEDGER", "The folder of a ledger.")
+TAKEN: Mapping[str, tuple[str, bool | int | None, Option]] = {
+    "verified": (
+        "verified",
+        False,
+        declare(
+            "--verified",
+            None,
+            "Answer only from rows that were compared with the root, as `verify` does. Unless `verify` has checked "
+            "this head before, that takes some 4 s for a million events on two cores.",
+        ),
+    ),
+    "json": ("as_json", False, declare("--json", None, "Answer as JSON, with the head (size, root) of the ledger.")),
+    "csv": ("as_csv", False, declare("--csv", None, "Answer as comma-separated values.")),
+    "ndjson": ("as_ndjson", False, declare("--ndjson", None, "Answer as JSON, one row a line and nothing else.")),
+    "raw": ("raw", False, RAW),
+    "limit": ("limit", SHOWN_ROWS, declare("--limit", "N", "Show at most N rows of the table; 0 shows all.")),
+    "wide": (
+        "wide",
+        False,
+        declare("--wide", None, "Show every column and whole cells, not what fits the terminal; as when piped."),
+    ),
+    "memory": (
+        "memory_mib",
+        None,
+        declare(
+            "--memory",
+            "MIB",
+            "The memory limit.",
+            "576, 192 for each core or worker beyond two, and 16 times the size of the segments",
+        ),
+    ),
 }
-"""What a command can have beside the options of its verb: the name of each, its declaration, and its default."""
+"""What a command can have beside the options of its verb: the name of each, its default and its declaration."""
 
 
-def callback(verb: Verb) -> Callable[..., None]:
-    """Return the function of a verb's command, for typer."""
+class Command(TyperCommand):
+    """A command that refuses an option with one value that is given several times: one would be dropped in silence."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the arguments.
+
+        Raises:
+            UsageError: An option that has one value is given several times.
+            TyperException: Another mistake of the call; it knows the command, whose help the message names.
+        """
+        if not ctx.resilient_parsing:  # as in completion, where the call is not yet whole
+            try:
+                _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+            except typer.TyperException as problem:
+                vars(problem).update(ctx=ctx)  # the parser leaves it out
+                raise
+            for one, count in Counter(given).items():
+                if isinstance(one, TyperOption) and count > 1 and not (one.multiple or one.is_flag):
+                    raise UsageError(
+                        f"{one.opts[0]}: found it {count} times, expected it once, since it has one value "
+                        f"(see `{ctx.command_path} --help`)"
+                    )
+        return super().parse_args(ctx, args)
+
+
+def command(verb: Verb, name: str) -> TyperCommand:
+    """Return the command of a verb, under this name."""
+    examples = "\b\nExamples:\n" + "\n".join(f"  {line}" for line in verb.examples)
+    made = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    made.command(name, cls=Command, help=verb.help, epilog=examples)(_callback(verb))
+    found = typer.main.get_command(made)
+    assert isinstance(found, TyperCommand)
+    return found
+
+
+def _callback(verb: Verb) -> Callable[..., None]:
     parameters = verb.parameters.values()
     own = {one.name: found for one in parameters if isinstance(found := declared(one), Option)}
     ledgers = [one.name for one in parameters if _names_ledger(one.annotation)]
-    reads = ledgers[:1] == ["ledger"] and not any(found.flag == "--memory" for found in own.values())
-    taken = [TAKEN[name] for name in (*verb.takes, *(["memory"] if reads else []))]
+    stored = [name for name, found in own.items() if found.metavar == "LEDGER" and name not in ledgers]
+    has_limit = "ledger" in ledgers and not any(found.flag == "--memory" for found in own.values())
+    taken = [TAKEN[name] for name in (*verb.takes, *(["memory"] if has_limit else []))]
 
     def call(context: typer.Context, **given: Any) -> None:
         from .render import respond
         from .streaming import Form
 
-        beside = {name: given.pop(name) for name, _, _ in taken}
-        memory, verified = beside.pop("memory", None), beside.pop("verified", False)
+        beside = {name: given.pop(name) for name, *_ in taken}
+        most = beside.pop("memory_mib", given.get("memory_mib"))
+        verified = beside.pop("verified", False)
         for name, found in own.items():
-            if found.metavar == "NAME=VALUE":
-                given[name] = options.parameters_of(given[name])
+            if found.metavar == "NAME=VALUE" and found.flag == "--param":
+                given[name] = parameters_of(given[name])
         asked = {name for name in verb.beside if given.pop(name)}
         form = Form(**beside)
-        places = [given[name] for name in ledgers]
-        with bounded(memory, *places, workers=given.get("workers")) if reads else nullcontext():
-            code = respond(verb, given, ledgers, form, asked, verified=verified, now_s=context.obj)
+        verb.arrange(given)
+        is_bounded = "ledger" in ledgers and not verb.is_apart(given)
+        read = [given[name] for name in ledgers] + [place for name in stored for place in _several(given[name])]
+        with bounded(most, *read, workers=given.get("workers")) if is_bounded else nullcontext():
+            code = respond(verb, given, ledgers, form, asked, verified=verified, clock=context.obj)
         if code:
             raise typer.Exit(code)
 
-    accepted = [_keyword("context", typer.Context)]
-    accepted += [_keyword("ledger", options.LedgerArgument)] if ledgers[:1] == ["ledger"] else []
-    accepted += [_accepted(one, own[one.name]) for one in parameters if one.name in own]
-    accepted += [_switch(name, found) for name, found in verb.beside.items()]
-    accepted += [_keyword(*one) for one in taken]
+    accepted = [inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)]
+    if ledgers[:1] == ["ledger"] and "ledger" not in own:
+        accepted.append(_accepted("ledger", Path, inspect.Parameter.empty, LEDGER))
+    accepted += [
+        _accepted(one.name, _type_of(one), one.default, own[one.name]) for one in parameters if one.name in own
+    ]
+    accepted += [_accepted(name, bool, False, found) for name, found in verb.beside.items()]
+    accepted += [
+        _accepted(name, int | None if default is None else type(default), default, found)
+        for name, default, found in taken
+    ]
     call.__signature__ = inspect.Signature(accepted)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in accepted}
     return call
 
 
-def _keyword(name: str, annotation: Any, default: object = inspect.Parameter.empty) -> inspect.Parameter:
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
-
-
-def _switch(name: str, found: Option) -> inspect.Parameter:
-    return _keyword(name, Annotated[bool, typer.Option(found.flag, help=found.help)], False)
-
-
-def _accepted(one: inspect.Parameter, found: Option) -> inspect.Parameter:
+def _accepted(name: str, kind: Any, default: object, found: Option) -> inspect.Parameter:
     """Return the parameter as typer knows it."""
-    told: dict[str, Any] = {"metavar": found.metavar, "help": found.help}
-    if found.default is not None or one.default in (None, inspect.Parameter.empty):
+    told: dict[str, Any] = {"metavar": found.metavar, "help": found.help, "min": found.least, "max": found.most}
+    told |= {"envvar": found.environment}
+    if found.default is not None or default in (None, inspect.Parameter.empty):
         told["show_default"] = found.default or False
     if found.complete is not None:
         told["autocompletion"] = getattr(completing, found.complete)
-    if found.least is not None:
-        told["min"] = found.least
-    if found.environment is not None:
-        told["envvar"] = found.environment
     info = typer.Argument(**told) if found.flag is None else typer.Option(found.flag, **told)
-    return _keyword(one.name, Annotated[_accepted_type(one), info], one.default)
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=Annotated[kind, info], default=default)
 
 
-def _accepted_type(one: inspect.Parameter) -> Any:
+def _type_of(one: inspect.Parameter) -> Any:
     """Return the type that the command line reads: a path or text where Python takes more than these."""
     words = set(re.findall(r"\w+", str(get_args(one.annotation)[0])))
     kinds = {"PathLike": Path, "Ledger": Path, "str": str, "Literal": str, "bool": bool, "int": int, "float": float}
@@ -96,4 +157,27 @@ def _accepted_type(one: inspect.Parameter) -> Any:
 
 def _names_ledger(annotation: Any) -> bool:
     """Return whether a parameter is a ledger: such an annotation is text, since verbs are imported before `Ledger`."""
-    return "Ledger" in re.findall(r"\w+", str(annotation).partition("(metavar")[0])
+    return "Ledger" in re.findall(r"\w+", str(annotation).partition("(flag")[0])
+
+
+def _several(value: Any) -> Sequence[Path | None]:
+    return value if isinstance(value, list) else [value]
+
+
+def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
+    """Return the values of `--param name=value`, by name.
+
+    Raises:
+        QueryFailed: A pair is not NAME=VALUE, or a name is given twice.
+    """
+    values: dict[str, str] = {}
+    for pair in pairs or ():
+        name, equals, value = pair.partition("=")
+        if not equals or not name:
+            raise QueryFailed(f"--param {pair!r}: expected NAME=VALUE, as in --param robot=robot/A1")
+        if name in values:
+            raise QueryFailed(
+                f"--param {pair!r}: {name} already has the value {values[name]!r}, expected one value for each name"
+            )
+        values[name] = value
+    return values

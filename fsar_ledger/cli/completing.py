@@ -108,7 +108,7 @@ def queries(line: Line) -> Iterable[str]:
 @offering
 def studies(_: Line) -> Iterable[str]:
     """Return the studies that `study show` shows."""
-    from fsar_ledger.cli.studies import STUDIES
+    from fsar_ledger.studies.verbs import STUDIES
 
     return STUDIES
 

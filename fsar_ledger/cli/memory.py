@@ -1,19 +1,15 @@
 """The memory limit of commands that read ledgers, and the message when it is exceeded."""
 
-import inspect
 import os
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import wraps
 from pathlib import Path
-from typing import Any
 
 from fsar_ledger import memory
 from fsar_ledger.api.workload import stored, workers_of
 from fsar_ledger.errors import LimitReached, UsageError
 
-from .options import ReadingMemoryOption
 from .terminal import say
 
 LEAST_MIB = 256
@@ -28,24 +24,6 @@ PER_WORKER_BYTES = 192 << 20
 """Memory for each core or worker beyond two, since each has buffers of its own: `verify` takes 150 MiB for each."""
 
 MACHINE_SHARE = 0.8
-
-
-def reading(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command that reads LEDGER the option --memory, and hold it to that much, unless it has its own."""
-    signature = inspect.signature(command)
-    if "ledger" not in signature.parameters or "memory" in signature.parameters:
-        return command
-
-    @wraps(command)
-    def limited(memory: int | None, **given: Any) -> None:
-        ledgers = (given["ledger"], given.get("other"), given.get("workflows"), *(given.get("beside") or ()))
-        with bounded(memory, *ledgers, workers=given.get("workers")):
-            command(**given)
-
-    option = inspect.Parameter("memory", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=ReadingMemoryOption)
-    limited.__signature__ = signature.replace(parameters=[*signature.parameters.values(), option])  # type: ignore[attr-defined]
-    limited.__annotations__ = {**command.__annotations__, "memory": ReadingMemoryOption}
-    return limited
 
 
 @contextmanager

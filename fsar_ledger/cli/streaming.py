@@ -1,18 +1,20 @@
 """Answers of any length as text, a few rows at a time, so that memory does not grow with the answer."""
 
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
 
-from fsar_ledger.api.fields import Row, csv_text
+from fsar_ledger import printable
+from fsar_ledger.api.answers import head_json
+from fsar_ledger.api.fields import Row, csv_text, json_bytes
+from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import Shown
 
-from .output import answer_json, check_form, more_text
-from .tables import is_fitted, table
-from .terminal import show
+from .tables import fitted, more_text
+from .terminal import show, width_of_output
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -32,7 +34,7 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
     A table has at most `limit` rows (0: all), and with `wide` every column.
 
     Raises:
-        UsageError: As `check_form`.
+        UsageError: Two forms at once, or --raw without --csv.
     """
 
     as_json: bool = False
@@ -43,14 +45,25 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
     wide: bool = False
 
     def __post_init__(self) -> None:
-        check_form(as_json=self.as_json, as_csv=self.as_csv, as_ndjson=self.as_ndjson, raw=self.raw)
+        forms = {"--json": self.as_json, "--csv": self.as_csv, "--ndjson": self.as_ndjson}
+        if len(found := [option for option, is_asked in forms.items() if is_asked]) > 1:
+            raise UsageError(f"found {' and '.join(found)}, expected one of them")
+        if self.raw and not self.as_csv:
+            raise UsageError(
+                "found --raw without --csv, expected both or neither; --json always gives the values themselves"
+            )
+
+    @property
+    def width(self) -> int | None:
+        """Return the columns of the terminal that tables are fitted to; None if they are not."""
+        return None if self.wide else width_of_output()
 
     def pieces(
         self,
         provenance: "Provenance",
         columns: Sequence[str],
         batches: "Iterable[pa.RecordBatch]",
-        numbers: "Numbers | None" = None,
+        numbers: "Numbers" = dict,
     ) -> Iterator[Shown]:
         """Yield the rows in this form, as text: in JSON with all their columns, else with these.
 
@@ -65,12 +78,24 @@ class Form(msgspec.Struct, frozen=True, kw_only=True):
             return _ndjson(batches)
         if self.as_csv:
             return _csv(columns, batches, raw=self.raw)
-        return _table(columns, batches, self.limit, wide=self.wide, numbers=numbers)
+        return _table(columns, batches, self.limit, self.width, numbers)
 
     def show(self, pieces: Iterable[Shown]) -> None:
         """Show the answer."""
         for piece in pieces:
             show(piece, raw=self.raw)
+
+
+def answer_json(about: "Provenance | None", answer: Mapping[str, object]) -> Shown:
+    """Return one JSON object in ASCII: what the answer holds for, then the answer.
+
+    Bytes of a file name that are not UTF-8 are escaped, `\\udcff` for ff.
+    """
+    if about is not None:
+        verified = {} if about.rows_verified is None else {"rows_verified": about.rows_verified}
+        answer = {"head": about.head and head_json(about.head), **verified, **about.answer(), **answer}
+    text = msgspec.json.format(json_bytes(msgspec.to_builtins(answer)), indent=2).decode()
+    return printable.ascii_json(f"{text}\n")
 
 
 def _json(empty: str, batches: "Iterable[pa.RecordBatch]") -> Iterator[Shown]:
@@ -98,19 +123,23 @@ def _csv(columns: Sequence[str], batches: "Iterable[pa.RecordBatch]", *, raw: bo
 
 
 def _table(
-    columns: Sequence[str], batches: "Iterable[pa.RecordBatch]", limit: int, *, wide: bool, numbers: "Numbers | None"
+    columns: Sequence[str],
+    batches: "Iterable[pa.RecordBatch]",
+    limit: int,
+    width: int | None,
+    numbers: "Numbers",
 ) -> Iterator[Shown]:
     from fsar_ledger.api.table import rows_of
 
     shown: list[Row] = []
     count = 0
-    constant = Constant(columns if is_fitted(wide=wide) else ())
+    constant = Constant(() if width is None else columns)
     for batch in batches:
         wanted = batch.slice(0, limit - len(shown)) if limit else batch
         shown += [row for rows in rows_of(wanted) for row in rows]
         count += len(batch)
         constant.see(batch)
-    yield table(shown, columns, wide=wide, numbers=numbers, constant=constant.names) or Shown("(no rows)\n")
+    yield fitted(shown, columns, width, numbers, constant.names) or Shown("(no rows)\n")
     if count > len(shown):
         yield more_text(count - len(shown))
 

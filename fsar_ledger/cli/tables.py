@@ -1,11 +1,10 @@
 """Tables for people: fitted to a terminal, plain everywhere else. Nothing here prints.
 
+A row is a mapping from column to value; all rows of an answer have the same columns. NULL is `-`, and a list JSON text.
 On a terminal a column that is the same in every row of the answer is said once above, runs are shown by their numbers,
 or their ids lose the parts that they share, long cells continue on further lines behind a mark, and columns for which
 there is no room are named below. A single row that does not fit is shown as a list. With `--wide`, or where the output
-is no terminal, a table is `output.table_text`.
-
-Cells are escaped (`printable`) before they are measured, and rich never reads them as markup.
+is no terminal, a table is plain (`table_text`). Cells are escaped (`printable`) before they are measured.
 """
 
 import re
@@ -14,11 +13,10 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from fsar_ledger import printable
-from fsar_ledger.api.fields import Row
+from fsar_ledger.api.fields import Row, field_text
 from fsar_ledger.printable import Shown
 
-from .output import cell_text, table_text
-from .terminal import aligned, columns_of, width_of_output
+from .terminal import columns_of
 
 GAP = 2
 """Columns of the terminal between two columns of a table."""
@@ -66,47 +64,50 @@ class Column(NamedTuple):
         return max(cells if self.is_number else text, name)
 
 
-def is_fitted(*, wide: bool) -> bool:
-    """Return whether a table is to fit a terminal."""
-    return not wide and width_of_output() is not None
+def table_text(rows: Sequence[Row], columns: Sequence[str]) -> Shown:
+    """Align the rows under their columns, numbers to the right."""
+    if not columns:
+        return Shown("")
+    names = [printable.cell(column) for column in columns]
+    cells = [[_cell_text(row[column]) for column in columns] for row in rows]
+    is_number = [all(isinstance(row[column], int | float | None) for row in rows) for column in columns]
+    widths = [max(map(len, texts)) for texts in zip(names, *cells, strict=True)]
+
+    def line_of(texts: Sequence[str]) -> str:
+        return "  ".join(
+            text.rjust(width) if right else text.ljust(width)
+            for text, width, right in zip(texts, widths, is_number, strict=True)
+        ).rstrip()
+
+    lines = [line_of(names), line_of(["-" * width for width in widths]), *map(line_of, cells)]
+    return Shown("\n".join([*lines, *([] if rows else ["(no rows)"]), ""]))
 
 
-def table(
-    rows: Sequence[Row],
-    columns: Sequence[str],
-    *,
-    wide: bool = False,
-    numbers: Numbers | None = None,
-    constant: Collection[str] | None = None,
-) -> Shown:
-    """Return the rows as a table for where the output goes.
-
-    A table that fits a terminal names runs by their `numbers`, unless it has a column of these itself. Where these are
-    not all rows of the answer, `constant` are the columns that are the same in all of them.
-    """
-    width = None if wide else width_of_output()
-    if width is None:
-        return table_text(rows, columns)
-    names_runs = any(name in columns for name in _RUNS)
-    return fitted(rows, columns, width, numbers() if numbers is not None and names_runs else {}, constant)
+def more_text(count: int) -> Shown:
+    """Return the line that counts the rows that are not shown."""
+    return printable.line(f"... {count:,} more rows; --limit 0 shows all, --csv and --json always do")
 
 
 def fitted(
     rows: Sequence[Row],
     columns: Sequence[str],
-    width: int,
-    numbers: Mapping[str, int] = {},
+    width: int | None,
+    numbers: Numbers = dict,
     constant: Collection[str] | None = None,
 ) -> Shown:
-    """Return the rows as a table, as `table`, that is no wider than a terminal of this width."""
-    if not rows or not columns:
+    """Return the rows as a table that is no wider than a terminal of this width; None: one that is not fitted.
+
+    A table that fits a terminal names runs by their `numbers`, unless it has a column of these itself. Where these are
+    not all rows of the answer, `constant` are the columns that are the same in all of them.
+    """
+    if width is None or not rows or not columns:
         return table_text(rows, columns)
     values = [[row[name] for row in rows] for name in columns]
     same = [
         all(one == cells[0] for one in cells) and (constant is None or name in constant)
         for name, cells in zip(columns, values, strict=True)
     ]
-    stands_for = _numbered(columns, values, numbers)
+    stands_for = _numbered(columns, values, numbers() if set(columns) & set(_RUNS) else {})
     found = [_column(name, cells) for name, cells in zip(columns, values, strict=True)]
     if len(rows) == 1 and _total([column.natural for column in found]) > width:
         return printable.joined(_listed(found), *map(printable.line, stands_for))
@@ -141,13 +142,13 @@ def _numbered(columns: Sequence[str], values: list[list[object]], numbers: Mappi
 
 def _column(name: str, values: Sequence[object]) -> Column:
     is_number = all(isinstance(value, int | float | None) for value in values)
-    cells = [_items(value) if isinstance(value, list | tuple) else cell_text(value) for value in values]
+    cells = [_items(value) if isinstance(value, list | tuple) else _cell_text(value) for value in values]
     return Column(printable.cell(name), cells, is_number)
 
 
 def _items(values: Sequence[object]) -> str:
     """Return the items of a list, or the first few and how many more there are."""
-    items = [_quoted(cell_text(value)) if "," in cell_text(value) else cell_text(value) for value in values]
+    items = [_quoted(_cell_text(value)) if "," in _cell_text(value) else _cell_text(value) for value in values]
     whole = ", ".join(items) or "none"
     if len(whole) <= LONGEST_LIST or len(items) <= NAMED_ITEMS:
         return whole if len(whole) <= printable.MAX_VALUE else f"{whole[: printable.MAX_VALUE]}..."
@@ -241,12 +242,20 @@ def _laid_out(columns: Sequence[Column], widths: Sequence[int]) -> Shown:
     head = [_broken(column.name, wide) for column, wide in chosen]
     rule = [["-" * wide] for _, wide in chosen]
     body = [[_cut(_broken(column.cells[row], wide)) for column, wide in chosen] for row in range(len(columns[0].cells))]
-    lines = aligned([head, rule, *body], widths, [column.is_number for column, _ in chosen], GAP)
-    heights = [max(map(len, row)) for row in (head, rule, *body)]
-    if max(heights) == 1:
-        return Shown("".join(lines))
-    marks = [mark for height in heights for mark in (" ", *MARK * (height - 1))]
-    return Shown("".join(f"{mark} {line}" for mark, line in zip(marks, lines, strict=True)))
+    lines = []
+    for row in (head, rule, *body):
+        for at in range(max(map(len, row))):
+            cells = (_padded(cell[at : at + 1], *one) for cell, one in zip(row, chosen, strict=True))
+            lines.append((MARK if at else " ", (" " * GAP).join(cells).rstrip(" ")))
+    is_marked = any(mark == MARK for mark, _ in lines)
+    return Shown("".join(f"{mark} {line}\n" if is_marked else f"{line}\n" for mark, line in lines))
+
+
+def _padded(lines: Sequence[str], column: Column, width: int) -> str:
+    """Return the line of a cell, or none, as wide as its column."""
+    text = "".join(lines)
+    blanks = " " * (width - _width(text))
+    return blanks + text if column.is_number else text + blanks
 
 
 def _listed(columns: Sequence[Column]) -> Shown:
@@ -286,3 +295,19 @@ def _broken(text: str, width: int) -> list[str]:
 
 def _width(text: str) -> int:
     return len(text) if text.isascii() else sum(map(columns_of, text))
+
+
+def _cell_text(value: object) -> str:
+    """Return the value as a cell of a table."""
+    if isinstance(value, str):
+        return printable.cell(value)
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return printable.number(value)
+    shown = field_text(value, raw=False)
+    return (
+        shown
+        if len(shown) <= printable.MAX_VALUE
+        else f"{shown[: printable.MAX_VALUE]}... ({len(shown) - printable.MAX_VALUE:,} more)"
+    )

@@ -9,7 +9,6 @@ import os
 import select
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import suppress
 from typing import TextIO
 
@@ -153,28 +152,6 @@ def folded(line: str, width: int) -> str:
         if line[place] == " " and used > width // 2:
             blank = place + 1
     return f"\n{ON}".join([*parts, line[at:]])
-
-
-def aligned(
-    rows: Sequence[Sequence[Sequence[str]]], widths: Sequence[int], is_right: Sequence[bool], gap: int
-) -> list[str]:
-    """Return the lines of these rows of cells, which are lines themselves, each cell as wide as its column.
-
-    Nothing is printed: rich lays the table out as text, and takes no cell for markup.
-    """
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    laid = Table(box=None, show_header=False, pad_edge=False, padding=(0, gap, 0, 0))
-    for width, right in zip(widths, is_right, strict=True):
-        laid.add_column(width=width, no_wrap=True, justify="right" if right else "left")
-    for cells in rows:
-        laid.add_row(*(Text("\n".join(lines)) for lines in cells))
-    output = io.StringIO()
-    whole = sum(widths) + gap * (len(widths) - 1)
-    Console(file=output, width=whole, color_system=None, force_terminal=False, legacy_windows=False).print(laid)
-    return [f"{line.rstrip(' ')}\n" for line in output.getvalue().split("\n")[:-1]]
 
 
 def columns_of(character: str) -> int:

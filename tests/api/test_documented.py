@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import fsar_ledger
-from fsar_ledger.cli.app import OLD_STUDIES
+from fsar_ledger.api.verbs import VERBS
 from tests.quick import few
 from tests.test_documentation import COMMANDS
 
@@ -30,8 +30,8 @@ def methods() -> set[str]:
 
 @pytest.mark.parametrize("verb", sorted(COMMANDS.keys() - WITHOUT_FUNCTION))
 def test_every_verb_has_a_function_of_its_name(verb: str) -> None:
-    studies = {f"study run {study}": old for old, study in OLD_STUDIES.items()}
-    name = re.sub(r"[ -]", "_", studies.get(verb, verb.removeprefix("maintain ")))
+    old = VERBS[verb].old or verb
+    name = re.sub(r"[ -]", "_", old)
     assert name in set(fsar_ledger.__all__) | methods()
 
 

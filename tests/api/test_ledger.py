@@ -56,12 +56,6 @@ def test_a_wrong_name_or_time_is_an_error_and_no_empty_answer(
 def test_wrong_names_in_questions_are_errors(ledger: fsar_ledger.Ledger) -> None:
     with pytest.raises(UnknownQuery, match="did you mean"):
         ledger.query("refusls")
-    with pytest.raises(UnknownQuery, match="found parameter robto"):
-        ledger.query("audit/robot_state_at", robto="B1")
-    with pytest.raises(UsageError, match="no such robot"):
-        ledger.query("audit/robot_state_at", robot="B9")
-    with pytest.raises(UsageError, match="no such run"):
-        ledger.query("audit/refusals", run="nowhere")
     with pytest.raises(InvalidExperiment, match="unknown metric"):
         ledger.multiverse(metric="coordination")
     with pytest.raises(UsageError, match=r"pool=.*expected pool=seeds, or no pool"):
@@ -100,19 +94,6 @@ def test_the_state_at_a_time_is_what_the_events_until_then_make(ledger: fsar_led
     assert ledger.state(RUN, at).state == fold(one.event for one in every if one.time_s <= at)
     assert ledger.state(RUN).state == fold(one.event for one in every)
     assert ledger.state(RUN, at).state != ledger.state(RUN).state
-
-
-@pytest.mark.slow
-def test_a_time_of_a_question_is_in_seconds(ledger: fsar_ledger.Ledger) -> None:
-    asked = {"run": RUN, "robot": "B1"}
-    found = ledger.query("audit/robot_state_at", **asked, at=20).rows()
-    assert found
-    for same in (20.0, "20", "20s", "20 s", "20000ms"):
-        assert ledger.query("audit/robot_state_at", **asked, at=same).rows() == found
-    with pytest.raises(UnknownQuery, match=r"found parameter at_us; .*; at is the time, as in at=46\.6, at=46\.6s or"):
-        ledger.query("audit/robot_state_at", **asked, at_us=20_000_000)
-    with pytest.raises(UsageError, match="expected seconds"):
-        ledger.query("audit/robot_state_at", **asked, at="soon")
 
 
 def test_sql_reads_this_ledger_and_nothing_else(ledger: fsar_ledger.Ledger) -> None:
@@ -164,10 +145,6 @@ def test_damage_is_told_and_refused(ledger: fsar_ledger.Ledger, copy: Path) -> N
             answer()
     with pytest.raises(LedgerCorrupted):
         fsar_ledger.open_ledger(copy, verified=True).runs()
-
-
-def test_an_answer_says_whether_its_rows_were_compared(copy: Path) -> None:
-    assert fsar_ledger.open_ledger(copy, verified=True).runs().provenance.rows_verified is True
 
 
 def test_a_proof_of_an_event_shows_that_event(ledger: fsar_ledger.Ledger, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from fsar_ledger import Ledger
 from fsar_ledger.api.events import Filter
 from fsar_ledger.api.log_rows import Asked, about_of
 from fsar_ledger.api.table import Row, Table
-from fsar_ledger.errors import InvalidExperiment, LedgerCorrupted, UsageError
+from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.rows.schema import CONCERNED
 from tests.api.conftest import RUN
@@ -84,25 +84,6 @@ def test_all_runs_are_told_in_the_order_of_the_ledger(ledger: Ledger, every_line
     assert list(dict.fromkeys(row["run_id"] for row in every_line)) == runs
     assert [row for table in ledger.stream_log() for row in table] == every_line
     assert len(every_line) == ledger.head.size
-
-
-def test_what_does_not_exist_is_an_error_with_the_nearest(ledger: Ledger) -> None:
-    with pytest.raises(InvalidExperiment, match="did you mean request"):
-        ledger.log(RUN, about="reqests")
-    with pytest.raises(UsageError, match="there is no such robot"):
-        ledger.log(RUN, robot="Z9")
-    with pytest.raises(UsageError, match="there is no such run"):
-        ledger.log("r9999")
-    with pytest.raises(UsageError, match=r"since=9000: run .*r0000.* ends at [\d.]+ s"):
-        ledger.log(RUN, since=9000)
-    with pytest.raises(UsageError, match="expected an earlier time first"):
-        ledger.log(RUN, "30s", "10s")
-
-
-@pytest.mark.parametrize("asked", ["", "soon", "-1", "10 m", "1e3", "nan", "99999999999999", float("inf"), -1, True])
-def test_what_is_no_time_is_an_error(ledger: Ledger, asked: str | float) -> None:
-    with pytest.raises(UsageError, match="expected seconds of run time"):
-        ledger.log(RUN, since=asked)
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from fsar_ledger.api.fields import csv_text, json_bytes
 from fsar_ledger.api.table import Table
 from fsar_ledger.api.texts import csv_lines, json_lines
-from fsar_ledger.cli.output import json_text
+from fsar_ledger.cli.streaming import answer_json
 from fsar_ledger.errors import QueryFailed
 from fsar_ledger.metrics.connection import plain_rows
 from fsar_ledger.printable import ascii_json
@@ -78,7 +78,7 @@ def test_json_of_columns_is_json_of_values(batch: pa.RecordBatch) -> None:
 @settings(max_examples=300, deadline=None)
 @given(batches())
 def test_each_line_of_ndjson_is_a_row(batch: pa.RecordBatch) -> None:
-    rows = msgspec.json.decode(json_text(None, {"rows": plain_rows(pa.Table.from_batches([batch]))}))["rows"]
+    rows = msgspec.json.decode(answer_json(None, {"rows": plain_rows(pa.Table.from_batches([batch]))}))["rows"]
     *lines, end = json_lines(batch).split("\n")
     assert end == ""
     assert [msgspec.json.decode(line) for line in lines] == rows

@@ -35,7 +35,7 @@ def _text(stream: bytearray, code: int) -> str:
     return text
 
 
-def _left(text: str) -> str:
+def left_of(text: str) -> str:
     """Return what stays there, after the progress that is erased."""
     return text.rpartition("\r\x1b[K")[2]
 
@@ -49,11 +49,16 @@ def on_a_terminal(width: int, *arguments: object, surroundings: Mapping[str, str
         os.close(there)
         _read(here, stream)
     text = _text(stream, child.returncode)
-    return _left(text), text
+    return left_of(text), text
 
 
 def on_a_terminal_here(width: int, *arguments: object) -> str:
     """Run a command of the ledger in this process, its output a terminal of this width; return what it leaves there."""
+    return left_of(stream_of(width, *arguments))
+
+
+def stream_of(width: int, *arguments: object) -> str:
+    """Run a command as `on_a_terminal_here`; return all that it wrote."""
     here, there = _terminal(width)
     stream = bytearray()
     reader = Thread(target=_read, args=(here, stream))
@@ -61,4 +66,4 @@ def on_a_terminal_here(width: int, *arguments: object) -> str:
     with os.fdopen(there, "w", encoding="utf-8") as screen, redirect_stdout(screen), redirect_stderr(screen):
         code = app.run([str(argument) for argument in arguments])
     reader.join()
-    return _left(_text(stream, code))
+    return _text(stream, code)

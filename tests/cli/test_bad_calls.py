@@ -72,8 +72,33 @@ def test_an_impossible_experiment_is_refused_before_anything_is_written(
     assert not (tmp_path / "new").exists()
 
 
-def test_an_unknown_command_suggests_the_nearest(call: Call) -> None:
-    one_message(call("simulat"), 2, "'simulate'")
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (("simulat",), ("'simulate'",)),
+        (("query", "policy_violation", "LEDGER"), ("policy_violations", "did you mean")),
+        (("query", "failures"), ("NAME and LEDGER", "--list")),
+        (("query", "failures", "LEDGER", "--param", "robot"), ("NAME=VALUE",)),
+        (("query", "failures", "LEDGER", "--param", "=x"), ("NAME=VALUE",)),
+        (("query", "failures", "LEDGER", "--param", "colour=red"), ("colour",)),
+        (("query", "failures", "LEDGER", "--param", "a=1", "--param", "a=2"), ("'1'",)),
+        (("metrics", "LEDGER", "--by", "robot"), ("--by scenario",)),
+        (("export", "LEDGER", "--out", "events.txt"), ("expected .csv, .parquet, .ndjson or .jsonl",)),
+        (("export", "LEDGER", "--out", "events"), ("expected .csv, .parquet, .ndjson or .jsonl",)),
+    ],
+    ids=lambda words: " ".join(words),
+)
+def test_a_wrong_call_is_one_message_and_writes_nothing(
+    call: Call,
+    ledger: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...],
+    parts: tuple[str, ...],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    one_message(call(*(ledger if word == "LEDGER" else word for word in arguments)), 2, *parts)
+    assert list(tmp_path.iterdir()) == []
 
 
 def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
@@ -276,23 +301,6 @@ def test_verify_names_each_place_and_ends_with_3(
     assert "Traceback" not in called.err
 
 
-def test_an_unknown_query_suggests_the_nearest(call: Call, ledger: Path) -> None:
-    one_message(call("query", "policy_violation", ledger), 2, "policy_violations", "did you mean")
-
-
-def test_query_without_ledger_says_what_is_missing(call: Call) -> None:
-    one_message(call("query", "failures"), 2, "NAME and LEDGER", "--list")
-
-
-@pytest.mark.parametrize(("pair", "part"), [("robot", "NAME=VALUE"), ("=x", "NAME=VALUE"), ("colour=red", "colour")])
-def test_a_wrong_parameter_is_refused(call: Call, ledger: Path, pair: str, part: str) -> None:
-    one_message(call("query", "failures", ledger, "--param", pair), 2, part)
-
-
-def test_a_parameter_given_twice_is_refused(call: Call, ledger: Path) -> None:
-    one_message(call("query", "failures", ledger, "--param", "a=1", "--param", "a=2"), 2, "'1'")
-
-
 @pytest.mark.parametrize(
     "text",
     few(
@@ -314,16 +322,6 @@ def test_wrong_sql_is_explained(call: Call, ledger: Path, text: str) -> None:
     assert called.out == ""
     assert called.err.startswith("fsar-ledger: SQL")
     assert "Traceback" not in called.err
-
-
-def test_metrics_by_something_else_are_refused(call: Call, ledger: Path) -> None:
-    one_message(call("metrics", ledger, "--by", "robot"), 2, "--by scenario")
-
-
-@pytest.mark.parametrize("name", ["events.txt", "events"])
-def test_an_export_to_an_unknown_format_is_refused(call: Call, ledger: Path, tmp_path: Path, name: str) -> None:
-    one_message(call("export", ledger, "--out", tmp_path / name), 2, "expected .csv, .parquet, .ndjson or .jsonl")
-    assert list(tmp_path.iterdir()) == []
 
 
 WRITERS = [

@@ -10,8 +10,8 @@ import msgspec
 import pytest
 
 from fsar_ledger.api.plans import MAX_COUNTS, MAX_RUNS, Shown, reproducing
-from fsar_ledger.cli.commands.reproduce import beyond
-from fsar_ledger.cli.commands.simulate import before
+from fsar_ledger.api.reproduce import beyond
+from fsar_ledger.api.simulate import before
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted

@@ -10,8 +10,8 @@ import pytest
 
 from fsar_ledger.api.fields import Row, csv_text
 from fsar_ledger.api.provenance import Provenance
-from fsar_ledger.cli.output import json_text, table_text
-from fsar_ledger.cli.streaming import KEPT_BYTES, Form, Kept
+from fsar_ledger.cli.streaming import KEPT_BYTES, Form, Kept, answer_json
+from fsar_ledger.cli.tables import more_text, table_text
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.printable import Shown, ascii_json
@@ -27,10 +27,13 @@ ROWS: list[Row] = [
 def at_once(form: Form, rows: list[Row], columns: list[str]) -> str:
     """The answer made of all rows."""
     if form.as_json:
-        nothing = json_text(ABOUT.head, {"rows": []}, rows_verified=False)
+        nothing = answer_json(ABOUT, {"rows": []})
         lines = ",\n".join(f"    {ascii_json(msgspec.json.encode(row).decode())}" for row in rows)
         return nothing.replace("[]", f"[\n{lines}\n  ]") if rows else nothing
-    return csv_text(rows, columns, raw=form.raw) if form.as_csv else table_text(rows, columns, form.limit)
+    if form.as_csv:
+        return csv_text(rows, columns, raw=form.raw)
+    shown = rows[: form.limit or None]
+    return table_text(shown, columns) + (more_text(len(rows) - len(shown)) if len(shown) < len(rows) else "")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-from fsar_ledger.cli.app import OLD_STUDIES, app
+from fsar_ledger.api.verbs import VERBS
+from fsar_ledger.cli.app import app
 
 from .conftest import Call, one_message
 
@@ -68,10 +69,15 @@ def test_what_cannot_be_shown_is_one_message(call: Call, tmp_path: Path) -> None
 
 def test_the_verbs_of_before_are_the_studies_and_no_help_lists_them(call: Call, ledger: Path) -> None:
     commands: Any = get_command(app)
-    runs = commands.commands["study"].commands["run"].commands
-    assert set(OLD_STUDIES.values()) == set(runs)
-    for old, name in OLD_STUDIES.items():
+    for family in ("study", "maintain"):
+        assert commands.commands[family]
+    of_before = {verb.old: verb for verb in VERBS.values() if verb.old}
+    assert set(of_before) == {
+        *("calibrate", "predict", "judge", "sensitivity", "multiverse"),
+        *("recover", "upgrade", "compact"),
+    }
+    for old, verb in of_before.items():
         assert old not in [*commands.commands]
-        assert commands.commands[old].callback.__wrapped__ is runs[name].callback.__wrapped__
+        assert commands.commands[old].help == verb.help
         assert f"  {old} " not in call("--help").out
     assert call("multiverse", ledger, *SMALL).out == call("study", "run", "multiverse", ledger, *SMALL).out

@@ -8,12 +8,11 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger import Ledger
-from fsar_ledger.cli.output import table_text
-from fsar_ledger.cli.tables import fitted
+from fsar_ledger.cli.tables import fitted, table_text
 from fsar_ledger.cli.terminal import columns_of
 from fsar_ledger.metrics.groups import GROUPS
-from tests.cli.conftest import Call, in_a_process, one_message
-from tests.cli.terminals import on_a_terminal, on_a_terminal_here
+from tests.cli.conftest import Call, one_message
+from tests.cli.terminals import left_of, on_a_terminal, on_a_terminal_here, stream_of
 from tests.terminal import CLAIM, PAINT, painted
 
 WIDTHS = (80, 120, 200)
@@ -103,20 +102,31 @@ def test_a_table_fits_the_terminal_and_is_whole_with_wide(ledger: Path, call: Ca
     assert whole == call(*arguments).out == call(*arguments, "--wide").out
 
 
-def test_a_column_that_is_the_same_in_every_row_is_said_once_above() -> None:
-    rows = [{"architecture": "fsar", "seed": 42, "note": None, "robot": robot} for robot in ("A1", "B1")]
-    assert fitted(rows, list(rows[0]), 80) == (
-        "in every row: architecture fsar, seed 42\nNULL in every row: note\n\nrobot\n-----\nA1\nB1\n"
-    )
+TEXTS: dict[str, tuple[list[dict[str, object]], str]] = {
+    "what is the same in every row is said once above": (
+        [{"architecture": "fsar", "seed": 42, "note": None, "robot": robot} for robot in ("A1", "B1")],
+        "in every row: architecture fsar, seed 42\nNULL in every row: note\n\nrobot\n-----\nA1\nB1\n",
+    ),
+    "a value said once cannot look like two": (
+        [{"robot": "A1, seed 43", "n": n} for n in (1, 2)],
+        "in every row: robot 'A1, seed 43'\n\nn\n-\n1\n2\n",
+    ),
+    "rows that are all alike keep a column": ([{"a": 1, "b": 2}] * 2, "in every row: b 2\n\na\n-\n1\n1\n"),
+    "numbers stand to the right": (
+        [{"a": "x", "n": 1}, {"a": "yy", "n": 100}],
+        "a     n\n--  ---\nx     1\nyy  100\n",
+    ),
+    "a single row that does not fit is a list": (
+        [{"run_id": "r" * 80, "robot": "robot/A1", "note": None}],
+        f"run_id  {'r' * 80}\nrobot   robot/A1\nnote    -\n",
+    ),
+}
 
 
-def test_a_value_said_once_cannot_look_like_two() -> None:
-    rows = [{"robot": "A1, seed 43", "n": n} for n in (1, 2)]
-    assert fitted(rows, ["robot", "n"], 80).startswith("in every row: robot 'A1, seed 43'\n")
-
-
-def test_rows_that_are_all_alike_keep_a_column() -> None:
-    assert fitted([{"a": 1, "b": 2}] * 2, ["a", "b"], 80) == "in every row: b 2\n\na\n-\n1\n1\n"
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_table_on_a_terminal(name: str) -> None:
+    rows, text = TEXTS[name]
+    assert fitted(rows, list(rows[0]), 80) == text
 
 
 def test_runs_lose_the_parts_that_they_share() -> None:
@@ -138,24 +148,24 @@ NUMBERS = {run: number for number, run in enumerate(RUNS, 5)}
 
 def test_on_a_terminal_a_run_is_its_number_and_one_is_said_in_full() -> None:
     rows = [{"run_id": run, "seq": seq} for seq, run in enumerate(RUNS)]
-    above, _, _, _, first, *_, last = fitted(rows, ["run_id", "seq"], 80, numbers=NUMBERS).splitlines()
+    above, _, _, _, first, *_, last = fitted(rows, ["run_id", "seq"], 80, numbers=NUMBERS.copy).splitlines()
     assert above == f"run_id 5 is {RUNS[0]}; --wide shows the names"
     assert (first.split(), last.split()) == (["5", "0"], ["8", "3"])
 
 
 def test_a_plan_among_runs_keeps_its_name() -> None:
     rows = [{"run_id": run} for run in ("plan.n4.s42.x2-abc", *RUNS)]
-    assert fitted(rows, ["run_id"], 80, numbers=NUMBERS).splitlines()[4:6] == ["plan.n4.s42.x2-abc", "5"]
+    assert fitted(rows, ["run_id"], 80, numbers=NUMBERS.copy).splitlines()[4:6] == ["plan.n4.s42.x2-abc", "5"]
 
 
 def test_a_text_that_looks_like_the_number_of_a_run_keeps_all_names() -> None:
     rows = [{"run_id": run} for run in ("6", RUNS[0])]
-    assert RUNS[0] in fitted(rows, ["run_id"], 80, numbers=NUMBERS).splitlines()
+    assert RUNS[0] in fitted(rows, ["run_id"], 80, numbers=NUMBERS.copy).splitlines()
 
 
 def test_a_table_of_the_numbers_keeps_the_names() -> None:
     rows = [{"number": number, "run_id": run} for run, number in NUMBERS.items()]
-    assert fitted(rows, ["number", "run_id"], 80, numbers=NUMBERS) == fitted(rows, ["number", "run_id"], 80)
+    assert fitted(rows, ["number", "run_id"], 80, numbers=NUMBERS.copy) == fitted(rows, ["number", "run_id"], 80)
 
 
 @pytest.mark.parametrize(
@@ -223,11 +233,6 @@ def test_columns_without_room_are_named() -> None:
     text = fitted(rows, list(rows[0]), 80)
     assert text.endswith("not shown: column_5, column_6, column_7, column_8; --wide shows all\n")
     assert all(str(rows[0][f"column_{place}"]) in text for place in range(5))
-
-
-def test_a_single_row_that_does_not_fit_is_a_list() -> None:
-    row = {"run_id": "r" * 60, "robot": "robot/A1", "note": None}
-    assert fitted([row], list(row), 70) == f"run_id  {'r' * 60}\nrobot   robot/A1\nnote    -\n"
 
 
 @pytest.mark.parametrize("width", [20, 33, *WIDTHS])
@@ -355,15 +360,18 @@ def test_long_work_says_what_is_done_of_what_how_fast_and_how_long_the_rest_take
     ],
 )
 def test_verbs_that_take_long_tell_how_far_they_are_and_erase_it(
-    ledger: Path, tmp_path: Path, verb: str, told: str
+    call: Call, ledger: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verb: str, told: str
 ) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("NO_COLOR", "1")
     arguments = verb.replace("LEDGER", str(ledger)).replace("OUT", str(tmp_path / "out")).split()
-    after, stream = on_a_terminal(120, "-m", "fsar_ledger", *arguments, surroundings={"NO_COLOR": "1", "TERM": "xterm"})
+    stream = stream_of(120, *arguments)
+    after = left_of(stream)
     assert told in stream
     assert told not in after
     assert after.strip()
     assert "\x1b" not in after
-    assert in_a_process(*arguments).err == ""
+    assert call(*arguments).err == ""
 
 
 @pytest.mark.slow
@@ -381,7 +389,3 @@ def test_progress_is_for_terminals_that_can_erase_it() -> None:
     assert on_a_terminal(100, "-c", WORK, surroundings={"TERM": "dumb"}) == ("False\n", "False\n")
     piped = subprocess.run([sys.executable, "-c", WORK], capture_output=True, text=True, check=True)
     assert (piped.stdout, piped.stderr) == ("False\n", "")
-
-
-def test_numbers_stand_to_the_right() -> None:
-    assert fitted([{"a": "x", "n": 1}, {"a": "yy", "n": 100}], ["a", "n"], 80) == "a     n\n--  ---\nx     1\nyy  100\n"

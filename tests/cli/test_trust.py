@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger import Ledger
+from fsar_ledger.cli import app
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.keys import read_verifier
 from tests.cli.conftest import SMALL, Call, Called, in_a_process, one_message
@@ -17,9 +19,12 @@ RUN = "fsar.full.door-relay.n4.s7.r0000"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a key, a ledger that it signed, and a proof."""
     path = tmp_path_factory.mktemp("trust")
-    assert in_a_process("key", "new", path / "fleet.key").code == 0
-    assert in_a_process("simulate", path / "ledger", *SMALL, "--key", path / "fleet.key").code == 0
-    assert in_a_process("prove", path / "ledger", f"{RUN}:12", "--out", path / "event.tlog-proof").code == 0
+    for command in (
+        ("key", "new", path / "fleet.key"),
+        ("simulate", path / "ledger", *SMALL, "--key", path / "fleet.key"),
+        ("prove", path / "ledger", f"{RUN}:12", "--out", path / "event.tlog-proof"),
+    ):
+        assert app.run([*map(str, command)]) == 0
     return path
 
 
@@ -312,7 +317,7 @@ def test_every_name_of_an_event_gives_the_same_proof(call: Call, folder: Path) -
 def numbers(ledger: Path) -> tuple[int, int, int]:
     """How many events the ledger has, how many the run, and the seq of its last one."""
     sql = f"SELECT count(*) AS events FROM events INNER JOIN runs USING (run_id) WHERE run_id LIKE '{RUN}%'"
-    (found,) = json.loads(in_a_process("sql", ledger, sql, "--json").out)["rows"]
+    (found,) = Ledger(ledger).sql(sql)
     return size_of(ledger), found["events"], found["events"] - 1
 
 

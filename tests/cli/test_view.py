@@ -32,11 +32,6 @@ def test_view_writes_a_page_of_the_first_run(ledger: Path, call: Call, tmp_path:
     names = list(fsar_ledger.open_ledger(ledger).numbers())
     assert said.out == f"{out}: {out.stat().st_size:,} bytes, run {names[0]}\n"
     assert (run["run"], run["name"], run["ledger"]) == (names[0], "1", f"{ledger}")
-
-
-def test_the_page_says_what_it_holds_for(ledger: Path, call: Call, tmp_path: Path) -> None:
-    call("view", ledger, "--out", tmp_path / "run.html")
-    (run,) = data_of(tmp_path / "run.html")["runs"]
     head = fsar_ledger.open_ledger(ledger).head
     assert (run["size"], run["root"], run["is_verified"]) == (head.size, head.root, True)
 

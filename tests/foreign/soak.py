@@ -12,7 +12,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from fsar_ledger.api.opening import open_ledger
+from fsar_ledger.api.ledger import open_ledger
 from tests.foreign.claims import baseless
 from tests.foreign.histories import append, foreign_run
 from tests.foreign.verbs import SLOW, VERBS, ask, calls

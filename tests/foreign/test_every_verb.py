@@ -8,7 +8,7 @@ import pytest
 from typer.main import get_command
 
 from benchmarks.every_command import LEFT_OUT
-from fsar_ledger.api.opening import open_ledger
+from fsar_ledger.api.ledger import open_ledger
 from fsar_ledger.cli.app import app
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from tests.foreign.claims import baseless

@@ -15,7 +15,8 @@ import pytest
 
 from fsar_ledger.api.fields import csv_text
 from fsar_ledger.api.files import _write_tables
-from fsar_ledger.cli import output
+from fsar_ledger.cli.streaming import answer_json
+from fsar_ledger.cli.tables import table_text
 from fsar_ledger.report import build, document, printing, sequence
 from fsar_ledger.report.findings import Findings
 from tests.report.test_sequence import TIMELINE, told
@@ -145,8 +146,8 @@ def test_no_answer_holds_a_formula_or_paints() -> None:
         assert values[1] == "-1.5"
         assert msgspec.json.decode(values[2]) == row["list"]
         assert painted(text) == []
-        assert painted(output.table_text([row], list(row))) == []
-        assert msgspec.json.decode(output.json_text(None, {"rows": [row]}))["rows"] == [row]
+        assert painted(table_text([row], list(row))) == []
+        assert msgspec.json.decode(answer_json(None, {"rows": [row]}))["rows"] == [row]
         raw = list(csv.reader(io.StringIO(csv_text([row], list(row), raw=True), newline="")))
         assert raw[1][0] == next(iter(row))
 

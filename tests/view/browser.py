@@ -41,24 +41,30 @@ def chromium() -> Iterator[Any]:
             browser.close()
 
 
-class Watched:
-    """What a page has said or asked for: messages of the console, errors, and requests but for the page itself."""
+class Tab:
+    """A page that one file after the other is opened in.
 
-    def __init__(self, page: Page, own: str) -> None:
+    `found` is what it has said or asked for: messages of the console, errors, and requests but for the file itself.
+    """
+
+    def __init__(self, browser: Any) -> None:
+        self.page = page = browser.new_page()
         self.found: list[str] = []
+        self._own = ""
+        page.set_default_timeout(20_000)
         page.on("console", lambda message: self.found.append(f"console: {message.text}"))
         page.on("pageerror", lambda error: self.found.append(f"error: {error}"))
-        page.on("request", lambda asked: self.found.append(f"request: {asked.url}") if asked.url != own else None)
+        page.on("request", lambda asked: self.found.append(f"request: {asked.url}") if asked.url != self._own else None)
 
-
-def opened(browser: Any, file: Path, **options: Any) -> tuple[Page, Watched]:
-    """Open a page and wait until it is drawn."""
-    page = browser.new_page(**{"viewport": DESK, "color_scheme": "light", **options})
-    page.set_default_timeout(5_000)
-    watched = Watched(page, file.as_uri())
-    page.goto(file.as_uri())
-    page.wait_for_selector("body[data-ready]")
-    return page, watched
+    def open(self, file: Path, viewport: dict[str, int] = DESK, color_scheme: str = "light") -> Page:
+        """Open a file and wait until it is drawn."""
+        self._own = file.as_uri()
+        self.page.mouse.move(2, 2)
+        self.page.set_viewport_size(viewport)
+        self.page.emulate_media(media="screen", color_scheme=color_scheme)
+        self.page.goto(self._own)
+        self.page.wait_for_selector("body[data-ready]")
+        return self.page
 
 
 def settle(page: Page) -> None:
@@ -93,20 +99,28 @@ def browser() -> Iterator[Any]:
         yield found
 
 
+@pytest.fixture(scope="module")
+def tabs(browser: Any) -> list[Tab]:
+    """The tabs that tests share."""
+    return []
+
+
 @pytest.fixture
-def load(browser: Any, pages: Path) -> Iterator[Open]:
-    """Opens a page by its name; at the end none has said or asked for anything."""
-    found = []
+def load(browser: Any, pages: Path, tabs: list[Tab]) -> Iterator[Open]:
+    """Opens a page by its name, each of a test in a tab of its own; at the end none has said or asked for anything."""
+    free = iter([*tabs])
 
     def call(name: str, **options: Any) -> Page:
-        page, watched = opened(browser, pages / f"{name}.html", **options)
-        found.append((page, watched))
-        return page
+        tab = next(free, None)
+        if tab is None:
+            tabs.append(tab := Tab(browser))
+        return tab.open(pages / f"{name}.html", **options)
 
     yield call
-    for page, watched in found:
-        page.close()
-        assert watched.found == []
+    found = [one for tab in tabs for one in tab.found]
+    for tab in tabs:
+        tab.found.clear()
+    assert found == []
 
 
 @pytest.fixture

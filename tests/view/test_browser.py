@@ -22,12 +22,13 @@ from tests.view.browser import (
     pages,
     press,
     settle,
+    tabs,
     title,
     two,
     view,
 )
 
-__all__ = ["browser", "load", "one", "pages", "two"]
+__all__ = ["browser", "load", "one", "pages", "tabs", "two"]
 
 pytestmark = pytest.mark.slow
 

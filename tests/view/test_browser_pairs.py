@@ -19,13 +19,14 @@ from tests.view.browser import (
     pages,
     press,
     settle,
+    tabs,
     title,
     two,
 )
 
 axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="make test-all installs axe")
 
-__all__ = ["browser", "load", "one", "pages", "two"]
+__all__ = ["browser", "load", "one", "pages", "tabs", "two"]
 
 pytestmark = pytest.mark.slow
 

@@ -1,0 +1,275 @@
+"""The verbs `maintain recover`, `maintain upgrade` and `maintain compact`."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.printable import Shown, counted
+
+from .answers import Answer, Lines, Screen, head_json
+from .key import anchor_of, signature_text, trusted_of
+from .names import Place
+from .verbs import Shows, TrustedKeyOption, WorkersOption, declare, verb
+from .workload import Progress, readers_of
+
+if TYPE_CHECKING:
+    from fsar_ledger.ledger.compacting import Compacted
+    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.ledger.verify.recover import Recovery, Step
+    from fsar_ledger.ledger.verify.report import Asked
+    from fsar_ledger.ledger.verify.trusted_prefix import Later
+
+    from .ledger import Ledger
+
+DAMAGED = 3
+SHOWN = 10
+"""Lines of each kind that people are shown."""
+
+
+class Recovered(Answer, msgspec.Struct, frozen=True):
+    """What `recover` found and did in a ledger, what was asked for, and the new folder."""
+
+    ledger: Path
+    found: "Recovery"
+    asked: "Asked"
+    into: Path | None
+
+    @property
+    def exit_code(self) -> int:
+        """3 where the ledger is damaged and nothing was copied."""
+        return DAMAGED if self.found.outcome == "damaged" else 0
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return what was found and done; the head is that of the part that can be trusted."""
+        into = None if self.into is None else str(self.into)
+        answer = msgspec.to_builtins(self.found)
+        return {"head": answer["head"], **answer, "ledger": str(self.ledger), "into": into}
+
+    def text(self, _: Screen) -> Iterator[Shown]:
+        """Yield what was found, what was done, what can be trusted and what to do next."""
+        ledger, found, into = self.ledger, self.found, self.into
+        if found.report is not None and not found.problems:
+            lines = [
+                f"{ledger}: {'mended; nothing was deleted' if found.steps else 'whole, there is nothing to mend'}",
+                *_done(found.steps),
+            ]
+            lines += ["trusted", *self._trusted()]
+            lines += ["next"] if found.steps or into is not None else []
+            lines += ["  the command that was interrupted continues when it is called again"] if found.steps else []
+            lines += [f"  nothing was copied to {into}: {ledger} itself can be trusted"] if into is not None else []
+        else:
+            where = found.problems[0].commit
+            place = f"commit {where:,}" if where is not None else found.problems[0].where
+            changed = "it was mended as far as possible" if found.steps else "nothing of it was changed"
+            lines = [f"{ledger}: damaged at {place}; {changed}"]
+            lines += ["found", *_some([f"  {problem}" for problem in found.problems]), *_done(found.steps)]
+            lines += ["trusted", *self._trusted()]
+            lines += ["after that, on its own", *_some(list(_later(found.later)))] if found.later else []
+            lines += ["next", *self._next()]
+        yield printable.lines(*lines)
+
+    def _trusted(self) -> Iterator[str]:
+        """Yield what can be trusted, and who vouches for it."""
+        found, head = self.found, self.found.head
+        if head.commits:
+            last = f"commit{'s 0 to' if head.commits > 1 else ''} {head.commits - 1:,}"
+            yield f"  {last}: {head.size:,} events, up to run {printable.value(head.last_run or '')}"
+            yield f"  root {head.root}"
+            yield "  every row, hash and record of them was derived again and agrees"
+        else:
+            yield "  no commit" if found.problems else "  it is empty"
+        if self.asked.trusted is not None and head.commits:
+            yield f"  {signature_text('signed', self.asked.trusted.key)}"
+        elif found.report is not None:
+            yield f"  {signature_text(found.report.signature, found.report.signer)}"
+        note = self.asked.anchor.note if self.asked.anchor is not None else None
+        if note is None:
+            yield (
+                "  whether newer commits were removed, nothing in a ledger shows; --anchor FILE does, a checkpoint "
+                "kept elsewhere"
+            )
+        elif found.anchored is not None:
+            yield f"  the anchor vouches for the first {found.anchored:,} events"
+        elif note.checkpoint.size > head.size:
+            yield (
+                f"  the anchor knows of {note.checkpoint.size:,} events, and the stored hashes do not prove that it "
+                f"begins with these {head.size:,}"
+            )
+        else:
+            yield "  the anchor contradicts it"
+
+    def _next(self) -> Iterator[str]:
+        """Yield how to go on."""
+        ledger, found, into = self.ledger, self.found, self.into
+        if into is not None:
+            yield (
+                f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it "
+                "as evidence"
+            )
+            yield f"  fsar-ledger simulate {printable.word(into)} with the options of {ledger} continues there"
+            return
+        yield f"  keep {ledger} as it is: it is the evidence"
+        lost = dict.fromkeys((commit.file, commit.restore) for commit in found.later if commit.file is not None)
+        yield from _some([f"  {ledger / file} can be restored from a copy with SHA-256 {one}" for file, one in lost])
+        if found.head.commits:
+            yield (
+                f"  fsar-ledger maintain recover {printable.word(ledger)} --into NEW copies what can be trusted to a "
+                "new ledger; simulate NEW continues there"
+            )
+        else:
+            yield "  restore it from a copy that verifies, or begin a new ledger"
+
+
+def _recovered(
+    ledger: "Ledger", into: Path | None, *, anchor: Path | None, trusted_key: str | None, **given: int | None
+) -> Recovered:
+    from fsar_ledger.ledger.verify.report import Asked
+
+    asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
+    found = recover(ledger, into, anchor=anchor, trusted_key=trusted_key, **given)  # type: ignore[arg-type]
+    return Recovered(ledger.path, found, asked, into)
+
+
+@verb(
+    "maintain recover out/ledger",
+    "maintain recover out/ledger --json",
+    "maintain recover out/ledger --into out/continued",
+    name="maintain recover",
+    takes=("json",),
+    call=_recovered,
+    after_interruption="what was mended stays; run it again",
+    old="recover",
+)
+def recover(
+    ledger: "Ledger",
+    into: Annotated[
+        Place | None, declare("--into", "NEW", "Copy what can be trusted of a damaged ledger to this new folder.")
+    ] = None,
+    *,
+    anchor: Annotated[
+        Place | None, declare("--anchor", "FILE", "A copy of LEDGER/checkpoint that was kept elsewhere.")
+    ] = None,
+    trusted_key: TrustedKeyOption = None,
+    workers: WorkersOption = None,
+    progress: Annotated[Progress | None, Shows("examined", "segments")] = None,
+) -> "Recovery":
+    """Repair what a crash left; after tampering, say what can be trusted.
+
+    Nothing is deleted: what does not belong to the ledger moves to LEDGER.set-aside. A ledger whose rows or records
+    were altered or lost is left as it is; the answer says up to which commit it can be trusted, and --into copies that
+    much. Exit code 3 if LEDGER is damaged and nothing was copied.
+
+    Raises:
+        UsageError: `into` exists.
+        LedgerCorrupted: No commit can be trusted.
+        WriteFailed: Another writer is at work, or a write failed.
+    """
+    from fsar_ledger.ledger.verify.recover import recover
+    from fsar_ledger.ledger.verify.report import Asked
+
+    asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
+    return recover(ledger.path, readers_of(workers, ledger.path), progress, asked, None if into is None else Path(into))
+
+
+def _upgraded(ledger: "Ledger", into: Path, *, progress: Progress | None) -> Lines:
+    head = upgrade(ledger, into, progress=progress)
+    return Lines(
+        f"{into}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}, format 2",
+        f"root {head.root}",
+        **{"head": head_json(head), "ledger": str(into), "from": str(ledger.path), "commits": head.commits},
+    )
+
+
+@verb(
+    "maintain upgrade out/old --into out/upgraded",
+    "maintain upgrade out/old --into out/upgraded --json",
+    name="maintain upgrade",
+    takes=("json",),
+    call=_upgraded,
+    after_interruption="the commits written so far stay; run it again to go on",
+    old="upgrade",
+)
+def upgrade(
+    ledger: "Ledger",
+    into: Annotated[Place, declare("--into", "NEW", "The new folder of the ledger in format 2.")],
+    *,
+    progress: Annotated[Progress | None, Shows("written", "commits")] = None,
+) -> "Head":
+    """Write a ledger of format 1 as one of format 2: the same events, commits, signatures and roots.
+
+    LEDGER stays as it is. In format 2 runs may span commits, the hashes take a tenth of the room, and a few events at a
+    time go into a journal; see docs/ledger-format-2.md.
+
+    Raises:
+        UsageError: The ledger has format 2, or something else is at `into`.
+        LedgerCorrupted: A segment is not as committed.
+        WriteFailed: A write failed.
+    """
+    from fsar_ledger.ledger.upgrading import upgrade
+
+    return upgrade(ledger.path, Path(into), progress)
+
+
+def _compacted(ledger: "Ledger") -> Lines:
+    found = compact(ledger)
+    done = (
+        f"{counted(found.before, 'segment')} put into {found.after:,}"
+        if found.after < found.before
+        else f"nothing to do: {counted(found.after, 'segment')}"
+    )
+    return Lines(
+        f"{ledger.path}: {done}",
+        f"root {found.head.root}",
+        head=head_json(found.head),
+        ledger=str(ledger.path),
+        before=found.before,
+        after=found.after,
+    )
+
+
+@verb(
+    "maintain compact out/reviewed",
+    "maintain compact out/reviewed --json",
+    name="maintain compact",
+    takes=("json",),
+    call=_compacted,
+    after_interruption="nothing is lost; run it again to go on",
+    old="compact",
+)
+def compact(ledger: "Ledger") -> "Compacted":
+    """Put small segments of a ledger of format 2 together, and what is in its journal into one.
+
+    Answers from few large segments are quicker than from many small ones. No event, root, commit or proof changes.
+
+    Raises:
+        UsageError: The ledger has format 1, whose segments stay as they are.
+        LedgerCorrupted: A segment is not as placed.
+        WriteFailed: A write failed.
+    """
+    from fsar_ledger.ledger.compacting import compact
+
+    return compact(ledger.path)
+
+
+def _done(steps: "Sequence[Step]") -> Iterator[str]:
+    """Yield the steps, by kind."""
+    for did in dict.fromkeys(step.did for step in steps):
+        chosen = [step for step in steps if step.did == did]
+        yield did
+        yield from _some([f"  {step.file}{'' if step.to == step.file else f' -> {step.to}'}" for step in chosen])
+
+
+def _some(lines: list[str]) -> list[str]:
+    more = len(lines) - SHOWN
+    return lines if more <= 0 else [*lines[:SHOWN], f"  ... and {more:,} more; --json names all"]
+
+
+def _later(later: "Sequence[Later]") -> Iterator[str]:
+    """Yield a line for each row of like commits after the trusted ones."""
+    for (what, _), group in groupby(later, lambda commit: (commit.found, commit.restore)):
+        numbers = [f"{commit.number:,}" for commit in group]
+        yield f"  commit{f's {numbers[0]} to' if len(numbers) > 1 else ''} {numbers[-1]}: {what}"

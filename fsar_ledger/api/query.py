@@ -1,0 +1,238 @@
+"""The verb `query`: a packaged query, or a SELECT in a file."""
+
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from fsar_ledger import printable
+from fsar_ledger.errors import QueryFailed, UsageError
+from fsar_ledger.printable import Shown
+
+from .answers import Answer, Plain, Screen
+from .names import Place
+from .verbs import STREAM, ParameterOption, argument, declare, verb
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.library import Query
+
+    from .ledger import Ledger
+    from .sql import Rows
+    from .table import Table
+
+
+class Queries(Answer):
+    """The packaged queries; with `events` also the views of the events."""
+
+    def __init__(self, *, events: bool) -> None:
+        from fsar_ledger.metrics.groups import listed
+
+        self._events, self._found = events, listed(events=events)
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return a row for each."""
+        return {"head": None, "queries": list(map(_row, self._found))}
+
+    def table(self) -> "Table":
+        """Return a row for each."""
+        import pyarrow as pa
+
+        from .table import Table
+
+        return Table(pa.Table.from_pylist(list(map(_row, self._found))))
+
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield a table for each group, and how to read on."""
+        from fsar_ledger.metrics.groups import GROUPS, group_of, is_event_view
+        from fsar_ledger.metrics.library import library
+
+        shown = _on_a_terminal if screen.is_fitted else _plain
+        for group, queries in groupby(self._found, key=group_of):
+            rows = list(map(shown, queries))
+            has_parameters = any(row.get("parameters") for row in rows)
+            columns = ["name", "title", *(["parameters"] if has_parameters else [])]
+            yield printable.lines(f"{group}: {GROUPS[group]}" if group in GROUPS else group, "")
+            yield screen.table(rows, columns)
+            yield printable.line("")
+        hidden = sum(map(is_event_view, library().queries.values()))
+        yield printable.lines(
+            *([] if self._events else [f"{hidden} views of events are not listed; --all lists them, too"]),
+            "`fsar-ledger query NAME --show` prints the SQL of one, and what its rows and its NULLs mean",
+        )
+
+
+def _row(query: "Query") -> dict[str, str]:
+    from fsar_ledger.metrics.groups import group_of
+
+    parameters = " ".join(map(str, query.parameters.values()))
+    return {"group": group_of(query), "name": query.name, "title": query.header["Title"], "parameters": parameters}
+
+
+def _plain(query: "Query") -> dict[str, str]:
+    return {**_row(query), "title": _title(query)}
+
+
+def _on_a_terminal(query: "Query") -> dict[str, str]:
+    """Return the last part of the name, which is enough, and the title with the names of the parameters."""
+    parameters = f" ({', '.join(query.parameters)})" if query.parameters else ""
+    return {"name": query.name.rpartition("/")[2], "title": f"{_title(query)}{parameters}"}
+
+
+def _title(query: "Query") -> str:
+    return query.header["Title"].partition(". ")[0]
+
+
+class Sql(Plain):
+    """The SQL of a packaged query, which has no other form."""
+
+    def __init__(self, name: str, text: str) -> None:
+        super().__init__(text)
+        self._name = name
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Refuse. Raises: UsageError."""
+        raise self._refusal()
+
+    def table(self) -> "Table":
+        """Refuse. Raises: UsageError."""
+        raise self._refusal()
+
+    def _refusal(self) -> UsageError:
+        return UsageError(
+            f"query {self._name} --show: found --json, --csv or --ndjson, expected none of them; SQL is text"
+        )
+
+
+def _arrange(given: dict[str, Any]) -> None:
+    """With --file the first argument is the ledger. Raises: UsageError if the arguments contradict each other."""
+    name, ledger, file, parameters = (given[one] for one in ("name", "ledger", "file", "parameters"))
+    if given["all"] and not given["list"]:
+        raise UsageError("found --all without --list, expected both or neither")
+    if given["list"]:
+        return
+    if given["show"]:
+        if name is None:
+            raise UsageError("query --show: expected NAME, as in `fsar-ledger query failures --show`")
+        return
+    if file is None:
+        if (seconds := given["seconds"]) is not None:
+            raise UsageError(
+                f"--seconds {seconds}: expected only with --file; a packaged query takes as long as it takes"
+            )
+        if name is None or ledger is None:
+            raise UsageError(
+                "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query "
+                "--list` shows the names"
+            )
+        return
+    if parameters:
+        raise UsageError(
+            f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the "
+            "value into the file"
+        )
+    if name is None or ledger is not None:
+        raise UsageError(
+            f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file "
+            f"{printable.word(file)} out/ledger`"
+        )
+    given["ledger"] = Path(name)
+
+
+@verb(
+    "query --list",
+    "query policy_at --show",
+    "query metrics/policy_violations out/ledger --csv",
+    "query failures out/ledger --limit 20",
+    "query --file question.sql out/ledger --seconds 10",
+    takes=STREAM,
+    arrange=_arrange,
+    is_apart=lambda given: given["file"] is not None,
+)
+def query(
+    name: Annotated[
+        str | None, argument("NAME", "A name of `query --list`; its last part is enough.", complete="queries")
+    ] = None,
+    ledger: Annotated["Ledger | Place | None", argument("LEDGER", "The folder of a ledger.")] = None,
+    parameters: ParameterOption = None,
+    *,
+    file: Annotated[
+        Place | None,
+        declare("--file", "FILE", "Answer the SELECT in this file instead of NAME; `-` reads standard input."),
+    ] = None,
+    list: Annotated[bool, declare("--list", None, "List the queries by group, with titles and parameters.")] = False,
+    all: Annotated[
+        bool, declare("--all", None, "With --list: also the view of each event type and of each concern.")
+    ] = False,
+    show: Annotated[
+        bool, declare("--show", None, "Print the SQL of NAME, with the header that says what its rows mean.")
+    ] = False,
+    seconds: Annotated[int | None, declare("--seconds", "N", "The time limit for a SELECT of your own.", "60")] = None,
+    memory_mib: Annotated[
+        int | None,
+        declare(
+            "--memory",
+            "MIB",
+            "The memory limit; for a SELECT of your own at least 1024.",
+            "4096 for a SELECT of your own; else as for `metrics`",
+        ),
+    ] = None,
+) -> "Answer | Table | AbstractContextManager[Rows]":
+    """Answer a packaged query, or a SELECT in a file.
+
+    The packaged queries are SQL files; the header of each says what its rows and its NULLs mean. They have no time
+    limit, only that of --memory. A file of your own runs locked down, as with `sql`.
+    """
+    from .ledger import Ledger
+
+    if list:
+        return Queries(events=all)
+    if show:
+        from fsar_ledger.metrics.groups import text_of
+
+        return Sql(f"{name}", text_of(f"{name}"))
+    assert isinstance(ledger, Ledger)  # `_arrange` requires it, and the command line opens it
+    if file is not None:
+        return _of_file(ledger, Path(file), seconds, memory_mib)
+    return ledger.query(f"{name}", **(parameters or {}))
+
+
+@contextmanager
+def _of_file(ledger: "Ledger", file: Path, seconds: int | None, memory_mib: int | None) -> "Iterator[Rows]":
+    """Yield the answer of the SELECT in the file. Raises: As `sql`, and UsageError if the file cannot be read."""
+    from .sql import limits_of, rows_of_select
+
+    try:
+        select = _text_of(file, limits_of(seconds, memory_mib).sql_bytes)
+        with rows_of_select(ledger, select, seconds, memory_mib) as rows:
+            yield rows
+    except QueryFailed as problem:
+        raise QueryFailed(f"{file}: {problem}") from problem
+
+
+def _text_of(file: Path, most: int) -> str:
+    """Read the SELECT in the file, or in standard input.
+
+    Raises:
+        UsageError: The file cannot be read.
+        QueryFailed: It is too long, or not UTF-8.
+    """
+    try:
+        if str(file) == "-":
+            data = sys.stdin.buffer.read(most + 1)
+        else:
+            with file.open("rb") as stream:
+                data = stream.read(most + 1)
+    except OSError as problem:
+        raise UsageError(
+            f"{file}: cannot be read ({problem.strerror}), expected a file that holds one SELECT"
+        ) from problem
+    if len(data) > most:
+        raise QueryFailed(f"SQL: found more than {most:,} bytes of text, the limit; split the question")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        raise QueryFailed(
+            f"SQL: found a byte that is not UTF-8 at {problem.start}, expected text; save it as UTF-8"
+        ) from problem

@@ -1,0 +1,80 @@
+"""The verb `report`."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from .answers import Lines
+from .names import Place, pools_seeds
+from .verbs import Gives, PoolOption, WorkersOption, declare, verb
+from .workload import readers_of
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.progress import Showing
+
+    from .ledger import Ledger
+
+
+@verb(
+    "report out/ledger --out out/report.pdf",
+    "report out/ledger --with out/workflows --with out/untrusting --out out/report.pdf",
+    "report out/ledger --out out/report.pdf --numbers out/numbers.json",
+    takes=(),
+)
+def report(
+    ledger: "Ledger",
+    out: Annotated[Place, declare("--out", "FILE", "The PDF; replaced if it exists.")],
+    *,
+    beside: Annotated[
+        Sequence[Place],
+        declare(
+            "--with",
+            "LEDGER",
+            "Another ledger to show, of ablations, larger fleets or workflows; may be repeated.",
+            "say what is missing",
+        ),
+    ] = (),
+    workflows: Annotated[
+        Place | None,
+        declare("--workflows", "LEDGER", "A ledger of the paper's three workflows.", "say that there is none"),
+    ] = None,
+    sensitivity: Annotated[
+        Place | None,
+        declare("--sensitivity", "FILE", "A file of `study run sensitivity`.", "say how to make one"),
+    ] = None,
+    numbers: Annotated[
+        Place | None,
+        declare("--numbers", "FILE", "Write all numbers of the report, as JSON; replaced if it exists.", "not written"),
+    ] = None,
+    pool: PoolOption = None,
+    workers: WorkersOption = None,
+    showing: Annotated["Showing | None", Gives("showing")] = None,
+) -> Lines:
+    """Typeset the evaluation as a PDF.
+
+    Each number of the paper stands beside the ledger's, with its interval and a verdict. Ablations, larger fleets and
+    workflows have sections of their own where this ledger, or one given by --with, holds them. All rows are compared
+    with their root first, as `verify` does.
+
+    Raises:
+        LedgerCorrupted: The comparison found something.
+        WriteFailed: The PDF cannot be written.
+    """
+    from fsar_ledger.metrics.progress import unseen
+    from fsar_ledger.report.build import write_report
+
+    def path(place: Place | None) -> Path | None:
+        return None if place is None else Path(place)
+
+    write_report(
+        ledger.path,
+        Path(out),
+        path(workflows),
+        readers_of(workers, ledger.path),
+        showing or unseen,
+        beside=list(map(Path, beside or ())),
+        pools_seeds=pools_seeds(pool),
+        sensitivity=path(sensitivity),
+        numbers_out=path(numbers),
+    )
+    return Lines(*(f"{one}" for one in (out, numbers) if one is not None))

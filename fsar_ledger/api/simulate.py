@@ -1,0 +1,234 @@
+"""The verb `simulate`."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from fsar_ledger import printable
+from fsar_ledger.printable import Shown, counted
+
+from .answers import Answer, Screen, head_json
+from .names import Names, Place, names_of
+from .verbs import AdoptOption, KeyOption, Shows, WorkersOption, argument, declare, verb
+from .workload import WORTH_ROBOTS, Progress, workers_of
+
+if TYPE_CHECKING:
+    from fsar_ledger.runtime.experiment import SimulationResult
+
+    from .ledger import Ledger
+
+SCENARIOS = Path(__file__).parents[1] / "runtime/world/scenarios"
+CONTINUES = "what is committed stays, and the same command continues there"
+"""What an interrupted simulation leaves."""
+
+
+def named_in(folder: Path) -> str:
+    """List the designs in a folder of the package by name; to import them would slow `--help` down."""
+    *names, last = sorted(file.stem for file in folder.glob("*.toml"))
+    return f"{', '.join(names)} or {last}"
+
+
+@dataclass(frozen=True)
+class Simulated(Answer):
+    """The result of `simulate`; the ledger may also hold runs from before. `key` is the one to sign with."""
+
+    ledger: "Ledger"
+    made: "SimulationResult"
+    key: Place | None = None
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return the head, and how many runs were made and are there."""
+        head, counts = self.made.head, {f"runs_{name}": getattr(self.made, name) for name in ("asked", "made", "held")}
+        return {"head": head_json(head), "ledger": str(self.ledger.path), "commits": head.commits, **counts}
+
+    def text(self, _: Screen) -> Iterator[Shown]:
+        """Yield the head of the ledger, what was there before, and its signature."""
+        head, place = self.made.head, self.ledger.path
+        yield printable.lines(
+            f"{place}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}",
+            f"root {head.root}",
+            *before(self.made),
+            *([] if self.key is None else [_signed(place, Path(self.key))]),
+        )
+
+
+@verb(
+    "simulate out/ledger",
+    "simulate out/doors --architecture fsar --scenario door-relay --runs 3 --seed 7",
+    "simulate out/doors --architecture fsar --scenario door-relay --runs 5 --seed 7    # enlarges it",
+    "simulate out/untrusting --without trust-evaluation --runs 2",
+    "simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
+    "simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
+    "simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
+    "simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 --runs 2",
+    "simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
+    "simulate out/old --scenario door-relay --runs 1 --format 1",
+    takes=("json",),
+    after_interruption=CONTINUES,
+)
+def simulate(
+    out: Annotated[Place, argument("OUT", "A new folder, or that of a ledger to continue or enlarge.")],
+    *,
+    architecture: Annotated[
+        Names,
+        declare(
+            "--architecture",
+            "NAME",
+            "fsar, cfc or dhma; may be repeated.",
+            "all; with --without, the one that has the mechanism",
+            complete="architectures",
+        ),
+    ] = None,
+    scenario: Annotated[
+        Names,
+        declare(
+            "--scenario",
+            "NAME",
+            f"{named_in(SCENARIOS)}; may be repeated. Or one of your own: a .toml file (docs/own-fleet.md).",
+            "the paper's five",
+            complete="scenarios",
+        ),
+    ] = None,
+    workflow: Annotated[
+        Names,
+        declare(
+            "--workflow",
+            "NAME",
+            "Play one of the paper's workflows under FSAR instead: door-relay, layered-recovery or human-supervision; "
+            "may be repeated.",
+            complete="workflows",
+        ),
+    ] = None,
+    runs: Annotated[
+        int | None,
+        declare("--runs", "N", "Runs per scenario (or workflow) and architecture.", "20; with --workflow, 1"),
+    ] = None,
+    seed: Annotated[int, declare("--seed", "N", "Decides every draw of the world.")] = 42,
+    fleet: Annotated[
+        Place | None, declare("--fleet", "FILE", "A .toml file with a fleet of your own.", "the paper's")
+    ] = None,
+    settings: Annotated[
+        Names,
+        declare(
+            "--set",
+            "NAME=VALUE",
+            "A new value of a constant, such as world.review_share=0.5; may be repeated.",
+            complete="constants",
+        ),
+    ] = None,
+    fleet_size: Annotated[
+        int | None,
+        declare(
+            "--fleet-size",
+            "N",
+            "Robots: a multiple of 4, since a team has four roles, or of the size of your --fleet.",
+            "one team",
+        ),
+    ] = None,
+    teams_working: Annotated[
+        int | None,
+        declare("--teams-working", "N", "Teams that have tasks; the others stand by and can be asked.", "all"),
+    ] = None,
+    task_sets: Annotated[
+        int, declare("--task-sets", "N", "How often each team that works gets the tasks of its scenario, 30 s apart.")
+    ] = 1,
+    without: Annotated[
+        Names,
+        declare(
+            "--without",
+            "MECHANISM",
+            "Remove a mechanism of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry "
+            "(docs/model.md lists more, also of CFC and DHMA), or several of one architecture, joined by +. May be "
+            "repeated, for one configuration each.",
+            complete="mechanisms",
+        ),
+    ] = None,
+    origin: Annotated[
+        str | None,
+        declare(
+            "--origin",
+            "NAME",
+            "Publish the ledger under this name, such as host/path.",
+            "the key's name, else fsar-ledger/simulated",
+        ),
+    ] = None,
+    key: KeyOption = None,
+    adopt: AdoptOption = False,
+    format: Annotated[
+        int | None,
+        declare(
+            "--format",
+            "N",
+            "The format of a new ledger: in format 1 a commit holds whole runs, so fleets are small.",
+            "2",
+            least=1,
+            most=2,
+        ),
+    ] = None,
+    workers: WorkersOption = None,
+    progress: Annotated[Progress | None, Shows("simulated", "batches")] = None,
+) -> Simulated:
+    """Simulate fleets, and append every event to the ledger OUT.
+
+    Called again, an interrupted simulation continues where it stopped. With more --runs, or other scenarios, it adds
+    what is missing.
+
+    Raises:
+        InvalidExperiment: A name is unknown, or a number impossible.
+        UsageError: The arguments contradict each other.
+        WriteFailed: A write failed; what is committed stays.
+    """
+    from fsar_ledger.runtime.experiment import run_experiment
+
+    from .experiments import experiment_of
+    from .key import origin_of, signer_of
+    from .ledger import Ledger
+
+    experiment = experiment_of(
+        names_of(architecture),
+        names_of(scenario),
+        runs,
+        seed,
+        fleet_size,
+        names_of(without),
+        names_of(workflow),
+        (teams_working, task_sets),
+        None if fleet is None else str(fleet),
+        names_of(settings),
+    )
+    signer = signer_of(key, adopts=adopt)
+    processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)
+    made = run_experiment(
+        Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt, version=format
+    )
+    return Simulated(Ledger(out), made, key)
+
+
+def before(made: "SimulationResult") -> list[str]:
+    """Return a line on the runs that were there already, if there were any."""
+    more = made.held - made.asked
+    others = f", and {more:,} more" if more else ""
+    if not made.made:
+        are = "is" if made.asked == 1 else "are"
+        return [f"nothing to do: the {counted(made.asked, 'run')} asked for {are} there{others}"]
+    if made.made < made.asked:
+        there = made.asked - made.made
+        return [
+            f"made {counted(made.made, 'run')}; of the {made.asked:,} asked for {there:,} were there already{others}"
+        ]
+    return [f"made {counted(made.made, 'run')}, beside {more:,} of other experiments"] if more else []
+
+
+def _signed(ledger: Path, key: Path) -> str:
+    """Return whether this key signed the newest commit, in words."""
+    from fsar_ledger.ledger.log.note import signers_of
+    from fsar_ledger.ledger.opening import open_ledger
+    from fsar_ledger.ledger.store.keys import read_signer
+
+    note = open_ledger(ledger).note()
+    signers = None if note is None else signers_of(note)
+    if signers == read_signer(key).verifier.key:
+        return f"signed by {printable.value(signers)}"
+    signed = f"signed by {printable.value(signers)}" if signers else "unsigned"
+    return f"nothing was appended, so nothing was signed; the newest commit is {signed}"
