@@ -14,7 +14,7 @@ from .provenance import Provenance, of_judgement
 from .table import Table, of_structs
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.store.view import View
+    from fsar_ledger.ledger.chain.read import View
     from fsar_ledger.metrics.progress import Progress
 
 

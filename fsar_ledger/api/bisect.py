@@ -9,7 +9,7 @@ import msgspec
 
 from fsar_ledger.analysis.outcomes import Outcome, outcome_of
 from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.ledger.store.view import View
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.metrics.sides import Side, chosen, sides
 
 from .difference import Diff, difference_of

@@ -14,7 +14,7 @@ from .names import Place, names_of
 from .workload import WORTH_ROBOTS, Progress, workers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.store.proof import Proven
+    from fsar_ledger.ledger.chain.proof import Proven
     from fsar_ledger.report.sensitivity import Sensitivity
     from fsar_ledger.runtime.experiment import Made
 
@@ -47,7 +47,6 @@ def simulate(
     origin: str | None = None,
     key: Place | None = None,
     adopt: bool = False,
-    format: int | None = None,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Simulated:
@@ -69,7 +68,6 @@ def simulate(
         task_sets: How often each team gets the tasks of its scenario, 30 s apart.
         without: Mechanisms to remove, a configuration for each; names joined by + are removed together.
         origin: The name under which the ledger is published.
-        format: The format of a new ledger, 1 or 2; None: 2. In format 1 a commit holds whole runs.
         key: A file of `key_new`, to sign with.
         adopt: Continue a ledger that another key signed, or none.
         workers: Processes at once; None: one per core, if there is enough to do. The ledger does not depend on it.
@@ -97,9 +95,7 @@ def simulate(
     )
     signer = signer_of(key, adopts=adopt)
     processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)
-    made = carry_out(
-        Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt, version=format
-    )
+    made = carry_out(Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt)
     return Simulated(Ledger(out), made)
 
 
@@ -157,7 +153,7 @@ def verify_proof(
         UsageError: There is no such file, the anchor is none or is of another size, or the root is no hash.
     """
     from fsar_ledger.errors import option
-    from fsar_ledger.ledger.store.proof import check_proof, read_proof, require_root, require_tree
+    from fsar_ledger.ledger.chain.proof import check_proof, read_proof, require_root, require_tree
 
     from .keys import checkpoint_of, root_of
 

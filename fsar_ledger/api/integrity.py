@@ -8,8 +8,8 @@ from .names import Place
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
+    from fsar_ledger.ledger.chain.proof import Proof
     from fsar_ledger.ledger.compacting import Compacted
-    from fsar_ledger.ledger.store.proof import Proof
     from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.ledger.verify.recover import Recovery
     from fsar_ledger.witness.cosign import Cosigned
@@ -97,24 +97,23 @@ class Integrity:
         return recover(self.path, readers_of(workers, self.path), progress, asked, None if into is None else Path(into))
 
     def upgrade(self, into: Place, *, progress: Progress | None = None) -> "Head":
-        """Write this ledger of format 1 to the new folder `into` as one of format 2; return its head.
+        """Verify this ledger of format 1 and write it to the new folder `into` in today's format; return its head.
 
         Events, commits, signatures and roots are the same. The same call goes on after an interruption.
 
         Raises:
-            UsageError: The ledger has format 2, or something else is at `into`.
-            LedgerCorrupted: A segment is not as committed.
+            UsageError: The ledger is not of format 1, its writer was interrupted, or something else is at `into`.
+            LedgerCorrupted: It does not verify; nothing was written.
             WriteFailed: A write failed.
         """
-        from fsar_ledger.ledger.upgrading import upgrade
+        from fsar_ledger.ledger.v1 import upgrade
 
         return upgrade(self.path, Path(into), progress)
 
     def compact(self) -> "Compacted":
-        """Put small segments of a ledger of format 2 together, and what is in its journal into one.
+        """Put small segments together, and what is in the journal into one.
 
         Raises:
-            UsageError: The ledger has format 1, whose segments stay as they are.
             LedgerCorrupted: A segment is not as placed.
             WriteFailed: A write failed.
         """

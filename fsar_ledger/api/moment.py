@@ -11,7 +11,7 @@ from fsar_ledger.analysis.moments import Timeline
 from fsar_ledger.analysis.records import commits_of, record_of
 from fsar_ledger.analysis.standing import Standing, standing
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.ledger.store.view import View
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.projections.fold import State
 
 from .provenance import Provenance, of_run

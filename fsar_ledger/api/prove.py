@@ -4,10 +4,10 @@ from pathlib import Path
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.chain.places import event_at, place_of
+from fsar_ledger.ledger.chain.proof import Proof, prove
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.places import event_at, place_of
-from fsar_ledger.ledger.store.proof import Proof, prove
-from fsar_ledger.ledger.store.view import View
 from fsar_ledger.metrics.verified import is_verified
 
 from .lookup import resting_on_rows, run_in

@@ -10,8 +10,8 @@ from .lookup import robot_of, time_of
 from .names import Place, Run, Time, names_of
 
 if TYPE_CHECKING:
+    from fsar_ledger.ledger.chain.read import View
     from fsar_ledger.ledger.rows.codec import LedgerRun
-    from fsar_ledger.ledger.store.view import View
 
     from .bisect import Bisected
     from .causes import Caused

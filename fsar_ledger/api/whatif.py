@@ -10,9 +10,10 @@ from fsar_ledger.analysis.records import record_of, starts_of
 from fsar_ledger.analysis.whatif import Effects, Pair, Parted, effects, forked, keep
 from fsar_ledger.errors import UsageError, option
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.ledger.store.view import Head, View
+from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.printable import did_you_mean, value
 from fsar_ledger.runtime.change_texts import parsed, read_changes
 from fsar_ledger.runtime.changes import Changes

@@ -14,7 +14,8 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run

@@ -15,10 +15,10 @@ WHOLE = Experiment(("fsar", "cfc", "dhma"), ("door-relay", "fleet-contention"), 
 EVENTS = "SELECT run_id, seq, type FROM events ORDER BY ALL"
 
 
-@pytest.fixture(params=[1, 2], ids=["format 1", "format 2"])
-def ledger(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(staging, "COMMIT_EVENTS", 300)  # in format 2 most runs are in several segments
-    carry_out(tmp_path / "ledger", WHOLE, 1, version=request.param)
+@pytest.fixture
+def ledger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(staging, "COMMIT_EVENTS", 300)  # most runs are in several segments
+    carry_out(tmp_path / "ledger", WHOLE, 1)
     return tmp_path / "ledger"
 
 

@@ -10,7 +10,7 @@ AFTER_INTERRUPTION = "nothing is lost; run it again to go on"
 
 
 def compact(ledger: LedgerArgument, as_json: JsonOption = False) -> None:
-    """Put small segments of a ledger of format 2 together, and what is in its journal into one.
+    """Put small segments together, and what is in the journal into one.
 
     Answers from few large segments are quicker than from many small ones. No event, root, commit or proof changes.
     """

@@ -16,7 +16,7 @@ from fsar_ledger.printable import Shown
 if TYPE_CHECKING:
     from fsar_ledger.ledger.verify.recover import Recovery, Step
     from fsar_ledger.ledger.verify.report import Asked
-    from fsar_ledger.ledger.verify.trusted_prefix import Later
+    from fsar_ledger.ledger.verify.trusted import Later
 
 DAMAGED = 3
 SHOWN = 10

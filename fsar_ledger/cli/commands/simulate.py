@@ -45,7 +45,6 @@ EXAMPLES = examples(
         "--teams-working 2 --runs 2"
     ),
     "fsar-ledger simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
-    "fsar-ledger simulate out/old --scenario door-relay --runs 1 --format 1",
 )
 AFTER_INTERRUPTION = "what is committed stays, and the same command continues there"
 
@@ -66,17 +65,6 @@ def simulate(
     origin: OriginOption = None,
     key: KeyOption = None,
     adopt: AdoptOption = False,
-    format_: Annotated[
-        int | None,
-        typer.Option(
-            "--format",
-            metavar="N",
-            min=1,
-            max=2,
-            help="The format of a new ledger: in format 1 a commit holds whole runs, so fleets are small.",
-            show_default="2",
-        ),
-    ] = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -104,7 +92,6 @@ def simulate(
             origin=origin,
             key=key,
             adopt=adopt,
-            format=format_,
             workers=workers,
             progress=progress,
         ).made

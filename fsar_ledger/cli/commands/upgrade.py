@@ -18,13 +18,12 @@ AFTER_INTERRUPTION = "the commits written so far stay; run it again to go on"
 
 def upgrade(
     ledger: LedgerArgument,
-    into: Annotated[Path, typer.Option("--into", metavar="NEW", help="The new folder of the ledger in format 2.")],
+    into: Annotated[Path, typer.Option("--into", metavar="NEW", help="The new folder of the ledger.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Write a ledger of format 1 as one of format 2: the same events, commits, signatures and roots.
+    """Write a ledger of format 1, of fsar-ledger up to 0.8, in today's format: the same events, commits and root.
 
-    LEDGER stays as it is. In format 2 runs may span commits, the hashes take a tenth of the room, and a few events at a
-    time go into a journal; see docs/ledger-format-2.md.
+    LEDGER is verified first, and stays as it is. Signatures are kept.
     """
     from fsar_ledger.api.ledger import Ledger
 
@@ -37,7 +36,7 @@ def upgrade(
         return
     show(
         printable.lines(
-            f"{into}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}, format 2",
+            f"{into}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}",
             f"root {head.root}",
         )
     )

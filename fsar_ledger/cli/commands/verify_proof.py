@@ -12,7 +12,7 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.printable import Shown
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.store.proof import Proven
+    from fsar_ledger.ledger.chain.proof import Proven
 
 EXAMPLES = examples(
     "fsar-ledger verify-proof out/event.tlog-proof",

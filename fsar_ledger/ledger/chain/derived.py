@@ -1,4 +1,4 @@
-"""The files of a ledger of format 2 that are derived from the events that segments hold, and grow with these.
+"""The files of a ledger that are derived from the events that segments hold, and grow with these.
 
 `nodes` is the pack of the tree, `index.jsonl` the index.
 """

@@ -1,6 +1,6 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
-from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.shared import COMMON
 
@@ -16,6 +16,3 @@ CFC: HandlerTable = HandlerTable.of(
     own=answers.OWN,
     instead=answers.INSTEAD,
 )
-
-GROWTH = Growth(6, 350, 0, 12, 190, 0)
-"""Every candidate is matched, but the more candidates there are, the fewer steps the coordinator gets to."""

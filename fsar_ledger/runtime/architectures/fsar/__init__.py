@@ -3,7 +3,7 @@
 Paper: eq:federation, eq:fleet-model.
 """
 
-from fsar_ledger.runtime.architectures.handler_table import Growth, HandlerTable
+from fsar_ledger.runtime.architectures.handler_table import HandlerTable
 from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.shared import COMMON, PUBLIC
 
@@ -21,6 +21,3 @@ FSAR: HandlerTable = HandlerTable.of(
     availability,
     *PUBLIC,
 )
-
-GROWTH = Growth(5, 350, 0, 3, 180, 2.0)
-"""The registry names every candidate in its answer."""
