@@ -73,6 +73,7 @@ def print_runs() -> None:
             )
 
 
+# See docs/decisions/large-mappings-share-one-dict.md.
 def print_maps() -> None:
     """Print the times of one change and one look-up, against a dictionary that is copied."""
     kinds: dict[str, Callable[[dict[str, int]], Any]] = {"shelves cut by hand (0.7.0)": lambda _: Shelves()}

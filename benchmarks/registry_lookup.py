@@ -59,6 +59,7 @@ def founding(size: int) -> Iterator[Event]:
         yield TrustSet(robot=last, peer=robot_named("A", team), scope="task")
 
 
+# See docs/decisions/registry-is-a-tree.md.
 def scanned(state: State, records: list[Advertisement], query: Query) -> str:
     """Scan every record of the fleet, as the alternative, and return the nearest admissible robot."""
     matching = [

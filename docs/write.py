@@ -1,15 +1,13 @@
 """Write the parts of these pages that are real output, or (--check) say which of them are out of date.
 
     python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the
-                                    lists in docs/commands.md and docs/python.md, the tables of constants, of
-                                    readings and of mechanisms in docs/model.md, and the output in every
-                                    ```console block
+                                    lists in docs/commands.md and docs/python.md, the tables of constants, readings and
+                                    mechanisms in docs/model.md, and the output in every ```console block
     python docs/write.py PAGE...    only these of the first five pages, which takes a second
     python docs/write.py --check    exit code 1 and a diff where a page would change in what a reader notices: not in
                                     digests alone, but for docs/ledger-format.md, queries.md and event-types.json
 
-Within a ```console block, lines after `$ ` (and `> ` for continuation lines) are commands. They run in order, in an
-empty folder for each page.
+In a ```console block, lines after `$ ` (continued after `> `) are commands, run in order in an empty folder a page.
 """
 
 import base64
@@ -27,6 +25,7 @@ from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from typer.main import get_command
@@ -53,11 +52,14 @@ from fsar_ledger.report.printing import flat
 from fsar_ledger.report.provenance import WORDS, origins
 
 DOCS = Path(__file__).resolve().parent
-PAGES = tuple(DOCS / f"{name}.md" for name in ("auditors-hour", "open", "audit-example", "model", "recovery", "replay"))
+PAGES = (
+    DOCS.parent / "README.md",
+    *(DOCS / f"{name}.md" for name in ("auditors-hour", "open", "audit-example", "model", "recovery", "replay")),
+)
 FORMAT = DOCS / "ledger-format.md"
 NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")
 """One command of ours whose words are plain, or stand in quotes and mean themselves there."""
-INTERNAL = {"about_run", "database", "stream"}
+INTERNAL = {"about_run", "database"}
 """Methods of `Ledger` that only the command line and the report use."""
 DIGEST = re.compile(r"(?<![0-9a-zA-Z])(?=[0-9a-f]*[a-f])(?=[0-9a-f]*[0-9])[0-9a-f]{12,64}(?![0-9a-zA-Z])")
 FOLDERS = {
@@ -160,13 +162,17 @@ def _row(query: Query) -> str:
 
 def with_commands(page: str) -> str:
     """Return the page with a line for each command: its arguments and the first line of its help."""
-    rows = []
-    for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]
-        for part, one in getattr(command, "commands", {"": command}).items():
-            arguments = [each for each in one.params if each.param_type_name == "argument"]
-            words = [name, part, *(each.metavar if each.required else f"[{each.metavar}]" for each in arguments)]
-            rows.append(_line(" ".join(["fsar-ledger", *filter(None, words)]), one.help))
+    rows = _rows_of_commands(get_command(app), "fsar-ledger")
     return with_section(page, "commands", "\n".join(["", "| command | what it does |", "|---|---|", *rows, "", ""]))
+
+
+def _rows_of_commands(command: Any, *words: str) -> Iterator[str]:
+    for name, one in getattr(command, "commands", {}).items():
+        yield from () if one.hidden else _rows_of_commands(one, *words, name)
+    if not hasattr(command, "commands"):
+        arguments = (one for one in command.params if one.param_type_name == "argument")
+        words += tuple(one.metavar if one.required else f"[{one.metavar}]" for one in arguments)
+        yield _line(" ".join(words), command.help)
 
 
 def with_methods(page: str) -> str:
@@ -318,18 +324,13 @@ def example(path: Path) -> Iterator[str]:
         "The bytes of the three events, one a line (the third holds U+2028, which some editors show as a line break):",
         *[row.decode() for row in rows],
     )
-    yield block(
-        "Their leaf hashes, in hex:",
-        *[leaf.hex() for leaf in leaves],
-    )
+    yield block("Their leaf hashes, in hex:", *[leaf.hex() for leaf in leaves])
     yield block(
         "The root of the first two, which is the first commit's, and of all three, the second's:",
         *[merkle.root(leaves[:at]).hex() for at in (2, 3)],
     )
-    yield block(
-        "The second commit and its placement, the last two lines of `chain.jsonl`:",
-        *(path / "chain.jsonl").read_text().splitlines()[-2:],
-    )
+    chain = (path / "chain.jsonl").read_text().splitlines()
+    yield block("The second commit and its placement, the last two lines of `chain.jsonl`:", *chain[-2:])
     yield block("`checkpoint`:", (path / "checkpoint").read_text())
     proof = merkle.inclusion_proof(open_ledger(path).node(3), 1, 3)
     hashes = [base64.b64encode(each).decode() for each in (rows[1], *proof)]

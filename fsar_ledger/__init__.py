@@ -16,24 +16,20 @@ if TYPE_CHECKING:
     from fsar_ledger.api.audit import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explain import Account
-    from fsar_ledger.api.functions import (
-        Simulated,
-        calibrate,
-        judge,
-        predict,
-        reproduce,
-        sensitivity,
-        simulate,
-        verify_proof,
-    )
-    from fsar_ledger.api.keys import key_new, key_public
+    from fsar_ledger.api.functions import Simulated, reproduce, simulate
+    from fsar_ledger.api.key import key_new, key_public
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.opening import open_ledger
     from fsar_ledger.api.reproduce import Reproduced
     from fsar_ledger.api.table import Table
     from fsar_ledger.api.verify import Verification
+    from fsar_ledger.api.verify_proof import verify_proof
     from fsar_ledger.api.witness import witness_new
     from fsar_ledger.errors import FsarLedgerError
+    from fsar_ledger.studies.calibration import calibrate
+    from fsar_ledger.studies.comparison import judge
+    from fsar_ledger.studies.predictions import predict
+    from fsar_ledger.studies.sensitivity import sensitivity
 
 __version__ = "0.8.1"
 
@@ -66,24 +62,20 @@ _HOMES = {
     "api.audit": ("Audit",),
     "api.events": ("Events", "LoggedEvent"),
     "api.explain": ("Account",),
-    "api.keys": ("key_new", "key_public"),
+    "api.key": ("key_new", "key_public"),
     "api.ledger": ("Ledger",),
-    "api.functions": (
-        "Simulated",
-        "calibrate",
-        "judge",
-        "predict",
-        "reproduce",
-        "sensitivity",
-        "simulate",
-        "verify_proof",
-    ),
+    "api.functions": ("Simulated", "reproduce", "simulate"),
     "api.opening": ("open_ledger",),
     "api.reproduce": ("Reproduced",),
     "api.table": ("Table",),
     "api.verify": ("Verification",),
+    "api.verify_proof": ("verify_proof",),
     "api.witness": ("witness_new",),
     "errors": ("FsarLedgerError",),
+    "studies.calibration": ("calibrate",),
+    "studies.comparison": ("judge",),
+    "studies.predictions": ("predict",),
+    "studies.sensitivity": ("sensitivity",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

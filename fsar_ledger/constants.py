@@ -5,9 +5,9 @@ are part of how an architecture is built. No constant is the probability or the 
 violation, unattributed record, success, containment): outcomes must emerge.
 
 The type of each constant says where its value comes from. `Paper`: printed in the paper. `Fitted`: fitted to the
-paper's results table by `fsar-ledger calibrate` (record: reports/calibration.json). `AfterFits`: ours, chosen or kept
-while looking at the cells of that table, in the study before the first fit or since; most move a cell, and none is a
-prediction. `Chosen`: ours, and no cell depends on it.
+paper's results table by `fsar-ledger study run calibration` (reports/calibration.json). `AfterFits`: ours, chosen or
+kept while looking at the cells of that table, in the study before the first fit or since; most move a cell, and none is
+a prediction. `Chosen`: ours, and no cell depends on it.
 """
 
 from typing import Annotated, Any, TypeVar

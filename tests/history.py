@@ -2,9 +2,9 @@
 
 `python -m tests.history` walks the stages: the registration, the fit, the predictions, the comparison. Each is a file,
 and its stage is the last commit that changed what it says, but for the digests of queries (`rules`), which are renewed
-when the same results were made again (`python -m tests.records`). The commits must come in this order. Between the
-first and the last no file of the model may change, except for the values of the constants that the fit was free to
-choose. Exit code 1 names what does not hold; a missing stage is reported.
+when the same results were made again (`python -m tests.records`), and for the verb that does so (`command`). The
+commits must come in this order. Between the first and the last no file of the model may change, except for the values
+of the constants that the fit was free to choose. Exit code 1 names what does not hold; a missing stage is reported.
 """
 
 import json
@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from fsar_ledger.registration import registration
+from fsar_ledger.metrics.registration import registration
 
 ROOT = Path(__file__).parent.parent
 STAGES = (
@@ -67,20 +67,22 @@ def stage(root: Path, path: str) -> str:
     """Return the last commit that changed what the file says, the digests of queries aside; empty if there is none."""
     found, said = "", None
     for commit in git(root, "log", "--format=%H", "--", path).split():
-        says = without_rules(git(root, "show", f"{commit}:{path}"))
+        says = results_of(git(root, "show", f"{commit}:{path}"))
         if said is not None and says != said:
             break
         found, said = commit, says
     return found
 
 
-def without_rules(text: str) -> object:
-    """Return what a file says: a record without the digests of its queries, any other file its text."""
+def results_of(text: str) -> object:
+    """Return what a file says: a record without the digests of its queries and its verb, any other file its text."""
     try:
         record = json.loads(text)
     except ValueError:
         return text
-    return {name: part for name, part in record.items() if name != "rules"} if isinstance(record, dict) else record
+    if not isinstance(record, dict):
+        return record
+    return {name: part for name, part in record.items() if name not in ("rules", "command")}
 
 
 def is_before(root: Path, earlier: str, later: str) -> bool:

@@ -9,6 +9,7 @@ from grimp import ImportGraph
 from importlinter import Contract, ContractCheck, fields, output
 
 
+# See docs/decisions/imports-are-allow-listed.md.
 class OnlyContract(Contract):
     """Modules below `source_modules` import only modules below `allowed_modules`.
 

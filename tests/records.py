@@ -11,16 +11,16 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from fsar_ledger.calibration import calibrate
-from fsar_ledger.comparison import compare_predictions
-from fsar_ledger.prediction import predict
-from tests.history import ROOT, without_rules
+from fsar_ledger.studies.calibration import calibrate
+from fsar_ledger.studies.comparison import judge
+from fsar_ledger.studies.predictions import predict
+from tests.history import ROOT, results_of
 
 REPORTS = ROOT / "reports"
 MAKERS: Mapping[str, Callable[[Path], None]] = {
     "calibration": calibrate,
     "predictions": predict,
-    "comparison": lambda out: compare_predictions(REPORTS / "predictions.json", out),
+    "comparison": lambda out: judge(REPORTS / "predictions.json", out),
 }
 
 
@@ -29,7 +29,7 @@ def renew(record: Path, make: Callable[[Path], None]) -> bool:
     with TemporaryDirectory() as folder:
         made = Path(folder) / record.name
         make(made)
-        is_same = without_rules(made.read_text("utf-8")) == without_rules(record.read_text("utf-8"))
+        is_same = results_of(made.read_text("utf-8")) == results_of(record.read_text("utf-8"))
         if is_same:
             record.write_bytes(made.read_bytes())
     return is_same

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 import typer
+from typer.main import get_command
 
 from fsar_ledger.cli.app import app, run
 from fsar_ledger.ledger.log.note import parse_note
@@ -27,20 +28,26 @@ from tests.ledger.keep_release import LEDGERS
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
 README_BYTES_MAX = 10_240
+DECISIONS = ROOT / "docs" / "decisions"
 PAGES = {path.name: path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
 LABEL = re.compile(r"\b(?:eq|sec|tab|fig|app):[a-z0-9_:-]*[a-z0-9]")
 LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
-COMMANDS = {
-    command.name or command.callback.__name__: command for command in app.registered_commands if command.callback
-} | {
-    f"{group.name} {command.name}": command
-    for group in app.registered_groups
-    if group.typer_instance
-    for command in group.typer_instance.registered_commands
-}
-# The last two need each other (tests/witness/test_processes.py), and `judge` needs what `predict` writes
-# (tests/test_comparison.py).
-LONG = {"reproduce", "calibrate", "predict", "sensitivity", "judge", "witness serve", "witness ask"}
+
+
+def listed(group: Any, *words: str) -> Iterator[tuple[str, Any]]:
+    """Each command that help lists, with the words that call it."""
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            yield from listed(command, *words, name)
+        else:
+            yield " ".join([*words, name]), command
+
+
+COMMANDS: dict[str, Any] = dict(listed(get_command(app)))
+STUDIES = {f"study run {name}" for name in ("calibration", "predictions", "comparison", "sensitivity")} | {"study show"}
+# The last two need each other (tests/witness/test_processes.py), and a comparison and what is shown need what another
+# study writes (tests/studies).
+LONG = {"reproduce", *STUDIES, "witness serve", "witness ask"}
 
 
 def sources() -> Iterator[Path]:
@@ -133,8 +140,8 @@ def anchors(text: str) -> set[str]:
 
 
 def test_every_file_and_link_that_a_page_names_exists() -> None:
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-    assert {page.name: found for page in pages if (found := dangling(page))} == {}
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    assert {page.relative_to(ROOT).as_posix(): found for page in pages if (found := dangling(page))} == {}
 
 
 def test_a_link_or_file_that_does_not_exist_is_found(tmp_path: Path) -> None:
@@ -148,6 +155,31 @@ def test_every_page_is_in_the_index() -> None:
     linked = set(re.findall(r"\]\(([\w.-]+)\)", PAGES["README.md"]))
     pages = {path.name for path in (ROOT / "docs").iterdir() if path.suffix in (".md", ".json", ".ipynb")}
     assert pages - {"README.md"} == linked
+
+
+def test_every_decision_is_in_its_index() -> None:
+    linked = re.findall(r"^- \[[^]]+\]\(([\w.-]+)\)$", (DECISIONS / "README.md").read_text("utf-8"), re.MULTILINE)
+    assert sorted(linked) == sorted(path.name for path in DECISIONS.iterdir() if path.name != "README.md")
+
+
+def unknown_decisions(text: str) -> list[str]:
+    """Return the decision files that a source names and that do not exist."""
+    return [name for name in re.findall(r"docs/decisions/([\w.-]*\w)", text) if not (DECISIONS / name).is_file()]
+
+
+def test_every_decision_that_code_names_exists() -> None:
+    found = {
+        path.relative_to(ROOT).as_posix(): unknown_decisions(path.read_text("utf-8"))
+        for folder in ("fsar_ledger", "queries", "reports", "benchmarks", "tests")
+        for path in sorted((ROOT / folder).rglob("*"))
+        if path.suffix in (".py", ".c", ".sql", ".toml", ".typ") and path != Path(__file__).resolve()
+    }
+    assert {name: unknown for name, unknown in found.items() if unknown} == {}
+
+
+def test_a_decision_that_does_not_exist_is_found() -> None:
+    text = "# See docs/decisions/draws-are-named.md.\n# See docs/decisions/draws-are-gone.md: why\n"
+    assert unknown_decisions(text) == ["draws-are-gone.md"]
 
 
 def test_the_readme_is_short_and_says_where_it_runs() -> None:
@@ -299,8 +331,8 @@ ELSEWHERE = (
     "fsar-ledger statistics out/ledger --csv",
     "fsar-ledger compare out/ledger --first fsar --second dhma --by scenario",
     "fsar-ledger compare out/ledger out/large --first fsar --verified --json",
-    "fsar-ledger multiverse out/ledger",
-    "fsar-ledger multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
+    "fsar-ledger study run multiverse out/ledger",
+    "fsar-ledger study run multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
     "fsar-ledger explain out/ledger --run 1 --json",
     "fsar-ledger explain out/ledger --run 1 --request A1-1/2.1",
     "fsar-ledger log out/ledger",
@@ -312,7 +344,7 @@ ELSEWHERE = (
     "fsar-ledger diff out/ledger 1 1 --other out/large --verified --json",
     "fsar-ledger report out/ledger --out out/report.pdf",
     *(example for name, example in examples() if name == "report" and ("--with" in example or "--numbers" in example)),
-    *(one for name in {name for name, _ in examples()} for one in [one for of, one in examples() if of == name][2:]),
+    *(one for name in {name for name, _ in examples()} for one in [one for of, one in examples() if of == name][1:]),
 )
 """Examples that `make test` leaves to `make test-all`: others that it runs, or `docs/model.md`, do most of what they
 do."""

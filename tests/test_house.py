@@ -290,7 +290,6 @@ def test_the_wheel_has_every_module_query_and_report(tree: Path, tmp_path_factor
         "ledger/rows/_encoding",
         "ledger/rows/_joining",
         "ledger/rows/_parsing",
-        "runtime/_arenas",
     ):
         for built in (".abi3.so", sysconfig.get_config_var("EXT_SUFFIX")):
             expected.discard(f"fsar_ledger/{compiled}{built}")

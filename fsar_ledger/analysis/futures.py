@@ -180,6 +180,7 @@ def _facts(own: Sequence[Fact], other: Sequence[Fact], at_us: int) -> tuple[Fact
     return tuple(apart)
 
 
+# See docs/decisions/intervals-keep-their-coverage.md.
 def _chance(at_us: int, avoided: Sequence[bool | None]) -> Chance:
     """Return the share with its interval. Wilson, Probable Inference (1927)."""
     n, found, undefined = (avoided.count(False) + avoided.count(True), avoided.count(True), avoided.count(None))

@@ -1,27 +1,30 @@
-"""Check whether the invariants hold on a ledger."""
+"""The verb `audit`: whether the invariants hold on a ledger."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger.metrics.database import Slices, connect_view
-from fsar_ledger.metrics.invariants import AuditRow, audit_rows, chosen
-from fsar_ledger.metrics.models import models
+from fsar_ledger import printable
 
-from .names import known
-from .provenance import Provenance, of_judgement
-from .table import Table, of_structs
+from .answers import Answer, Screen
+from .names import known, names_of
+from .verbs import ArchitectureOption, InvariantOption, Shows, verb
+from .workload import Progress
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.chain.read import View
-    from fsar_ledger.metrics.progress import Progress
+    from fsar_ledger.metrics.invariants import AuditRow
 
+    from .fields import Row
+    from .ledger import Ledger
+    from .provenance import Provenance
+    from .table import Table
 
 _ARCHITECTURES = "SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL"
 
 
-class Audit(msgspec.Struct, frozen=True):
+class Audit(Answer, msgspec.Struct, frozen=True):
     """The findings of `audit`: a row for each invariant, architecture and configuration.
 
     `holds` is True if cases show that every invariant holds on all runs, False if an event offends one, and None if
@@ -29,24 +32,61 @@ class Audit(msgspec.Struct, frozen=True):
     judged.
     """
 
-    rows: list[AuditRow]
+    rows: list["AuditRow"]
     holds: bool | None
     runs_unreadable: int
-    provenance: Provenance
+    provenance: "Provenance"
 
-    def table(self) -> Table:
+    def table(self) -> "Table":
         """Return the rows as a table."""
+        from fsar_ledger.metrics.invariants import AuditRow
+
+        from .table import Table, of_structs
+
         return Table(of_structs(self.rows, AuditRow), self.provenance)
 
+    @property
+    def exit_code(self) -> int:
+        """0 if all hold on all runs, else 1."""
+        return 0 if self.holds else 1
 
-def audit_runs(
-    view: "View",
-    demanded: str | None,
-    invariants: Sequence[str],
-    architectures: Sequence[str],
-    progress: "Progress | None" = None,
+    def document(self, screen: Screen) -> Mapping[str, object]:
+        """Return the findings."""
+        return {
+            "ledger": str(screen.path),
+            "holds": self.holds,
+            "runs_unreadable": self.runs_unreadable,
+            "rows": self.rows,
+        }
+
+    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+        """Yield the verdicts, how many invariants hold, and what next."""
+        from .plans import runs
+
+        if screen.is_fitted:
+            yield from _on_a_terminal(self.rows, screen)
+        else:
+            yield screen.table([_shown(row) for row in self.rows])
+        yield printable.lines("", *_footer(self.rows, screen.path))
+        if self.runs_unreadable:
+            yield printable.line(
+                f"{runs(self.runs_unreadable)} with parameters that cannot be read: their recovery budgets are "
+                "unknown, and none is judged"
+            )
+
+
+@verb("audit out/ledger --architecture fsar", "audit out/ledger --architecture fsar --invariant i4 --json")
+def audit(
+    ledger: "Ledger",
+    invariant: InvariantOption = None,
+    architecture: ArchitectureOption = None,
+    *,
+    progress: Annotated[Progress | None, Shows("judged", "invariants")] = None,
 ) -> Audit:
-    """Check these invariants (none named: all) on the runs of these architectures (none named: all).
+    """Check the invariants I1 to I5 and A1 to A5.
+
+    For each invariant, architecture and configuration: how many events offend it, and the first of them. Exit code 0 if
+    all hold on all runs, else 1.
 
     Raises:
         LedgerCorrupted, SequenceConflict: As `connect_view`.
@@ -54,15 +94,22 @@ def audit_runs(
         UnknownQuery: An invariant is unknown.
         UsageError: The ledger has no run of these architectures.
     """
+    from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.metrics.database import Slices, connect_view
+    from fsar_ledger.metrics.invariants import audit_rows, chosen
+    from fsar_ledger.metrics.models import models
     from fsar_ledger.runtime.architectures import REGISTERED
 
-    queries = chosen(invariants)
-    with connect_view(view, demanded=demanded) as database:
+    from .provenance import of_judgement
+
+    view = open_for_answers(ledger.path)
+    queries = chosen(names_of(invariant) or ())
+    with connect_view(view, demanded=ledger.demanded) as database:
         there = [str(row["architecture"]) for row in database.rows(_ARCHITECTURES)]
         unreadable = sum(one.runs for one in models(database) if one.parameters is None)
         provenance = of_judgement(database)
-        wanted = known("architecture", architectures, tuple(dict.fromkeys([*REGISTERED, *there])))
-        slices = Slices(view, demanded)
+        wanted = known("architecture", names_of(architecture), tuple(dict.fromkeys([*REGISTERED, *there])))
+        slices = Slices(view, ledger.demanded)
         is_one = len(slices) == 1
         rows = audit_rows([database], queries, wanted, progress) if is_one else []
     if not is_one:  # what the first held is no longer in memory
@@ -71,12 +118,93 @@ def audit_runs(
     return Audit(rows, holds, unreadable, provenance)
 
 
-def is_empty(row: AuditRow) -> bool:
+def is_empty(row: "AuditRow") -> bool:
     """Return whether everything was observed, and nothing happened that the invariant is about."""
     return row.holds is None and not row.runs_not_observed
 
 
-def all_shown(rows: Sequence[AuditRow]) -> bool:
+def all_shown(rows: "Sequence[AuditRow]") -> bool:
     """Return whether a case of some architecture shows each invariant to hold, and none is broken or not observable."""
     shown = {row.invariant for row in rows if row.holds}
     return all(row.holds or (is_empty(row) and row.invariant in shown) for row in rows)
+
+
+def _shown(row: "AuditRow") -> "Row":
+    first = None if row.first_run is None else f"{row.first_run} seq {row.first_seq}: {row.first_found}"
+    return {
+        "invariant": row.invariant,
+        "architecture": row.architecture,
+        "configuration": row.configuration,
+        "runs": row.runs,
+        "verdict": _word(row) if row.holds is None or row.cases is None else f"{_word(row)} ({_cases(row.cases)})",
+        "offending events": row.events,
+        "first offending event": first,
+    }
+
+
+def _on_a_terminal(rows: "Sequence[AuditRow]", screen: Screen) -> Iterator[printable.Shown]:
+    """Yield the verdicts as a table, and under it what the first offending events are, as `prove` names them."""
+    numbers = screen.numbers()
+    verdicts, first = [], []
+    for row in rows:
+        verdict = {"architecture": row.architecture, "configuration": row.configuration}
+        counts = {"cases": row.cases, "offending events": row.events}
+        verdicts.append({"invariant": row.invariant, **verdict, "runs": row.runs, "verdict": _word(row), **counts})
+        if row.first_run is not None:
+            event = f"{numbers.get(row.first_run, row.first_run)}:{row.first_seq}"
+            first.append({"invariant": _short([row.invariant]), **verdict, "event": event, "found": row.first_found})
+    yield screen.table(verdicts)
+    if first:
+        proven = f"`fsar-ledger prove {printable.word(screen.path)} RUN:SEQ`"
+        yield printable.lines("", f"the first offending events, as {proven} takes them", "")
+        yield screen.table(first)
+
+
+def _word(row: "AuditRow") -> str:
+    """Return the verdict on one invariant."""
+    if is_empty(row):
+        return "no case"
+    if row.holds is None:
+        return f"not observable: {row.not_observed}" + (
+            f" ({row.runs_not_observed} of {row.runs} runs)" if row.runs_not_observed < row.runs else ""
+        )
+    return "holds" if row.holds else "broken"
+
+
+def _cases(count: int) -> str:
+    return "1 case" if count == 1 else f"{count:,} cases"
+
+
+def _footer(rows: "Sequence[AuditRow]", ledger: Path) -> Iterator[str]:
+    """Yield how many invariants hold, for each architecture (and configuration) if there are several, and what next."""
+    configurations = {row.configuration for row in rows}
+    judged: dict[str, list[AuditRow]] = {}
+    for row in rows:
+        name = [row.architecture, row.configuration] if len(configurations) > 1 else [row.architecture]
+        judged.setdefault(" ".join(filter(None, name)) or "runs of no architecture", []).append(row)
+    for named, of_it in judged.items():
+        yield from (f"{named}: {line}" if len(judged) > 1 else line for line in _verdict(of_it))
+    if broken := [row.invariant for row in rows if row.holds is False]:
+        yield (
+            f"`fsar-ledger query {broken[0]} {printable.word(ledger)}` lists every offending event of the first that "
+            "does not hold"
+        )
+
+
+def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
+    """Yield how many invariants hold under one architecture, and which ones had no case or are not observable."""
+    unseen = [row.invariant for row in rows if row.holds is None and not is_empty(row)]
+    empty = [row.invariant for row in rows if is_empty(row)]
+    held = sum(row.holds is True for row in rows)
+    yield f"{held} of {len(rows)} hold, {len(empty)} had no case" if empty else f"{held} of {len(rows)} invariants hold"
+    if unseen:
+        yield (
+            f"{len(unseen)} cannot be told, because runs do not observe what they rest on: {_short(unseen)}; that "
+            "is no pass"
+        )
+    if empty:
+        yield f"nothing to judge was on record for {_short(empty)}; that is no pass"
+
+
+def _short(names: Sequence[str]) -> str:
+    return ", ".join(name.partition("_")[0].upper() for name in names)

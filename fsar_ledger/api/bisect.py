@@ -1,25 +1,28 @@
-"""The first run in which two sides disagree on an outcome, and the first event at which they part there."""
+"""The verb `bisect`: the first run, and in it the first event, at which two sides disagree on an outcome."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import islice
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger.analysis.outcomes import Outcome, outcome_of
-from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.ledger.chain.read import View
-from fsar_ledger.metrics.sides import Side, chosen, sides
+from fsar_ledger import printable
+from fsar_ledger.errors import QueryFailed, UsageError, option
+from fsar_ledger.printable import Shown, counted
 
-from .difference import Diff, difference_of
-from .provenance import Provenance
-from .whatif import Asked, changes_of, fork_pairs, runs_of
+from .answers import Answer, Screen
+from .diff import Diff, story
+from .names import Names, names_of
+from .verbs import ArchitectureOption, FirstOption, OtherArgument, SecondOption, declare, verb
 
 if TYPE_CHECKING:
+    from fsar_ledger.analysis.outcomes import Outcome
     from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.sides import Side
 
     from .ledger import Ledger
+    from .provenance import Provenance
 
 PAIRS = """
     SELECT run_id, run_number, seed, scenario, run FROM (
@@ -35,7 +38,7 @@ PAIRS_AT_ONCE = 100
 World = tuple[object, object, object]
 
 
-class Bisected(msgspec.Struct, frozen=True, kw_only=True):
+class Bisected(Answer, msgspec.Struct, frozen=True, kw_only=True):
     """The pairs of two sides that met the same seed, scenario and number, by whether they have the outcome.
 
     `undefined` pairs more have a run in which there is no value to compare; they neither agree nor disagree. `diff` are
@@ -52,21 +55,92 @@ class Bisected(msgspec.Struct, frozen=True, kw_only=True):
     second_only: int
     undefined: int
     diff: Diff | None
-    provenances: tuple[Provenance, ...]
+    provenances: tuple["Provenance", ...]
+
+    def document(self, screen: Screen) -> Mapping[str, object]:
+        """Return the counts, and the differences of the first pair that disagrees."""
+        return {**Answer.document(self, screen), "diff": None if self.diff is None else self.diff.document(screen)}
+
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield the counts, and how the first pair that disagrees parts."""
+        head = [
+            f"outcome: {self.outcome}",
+            f"first: {self.first}",
+            f"second: {self.second}",
+            f"{counted(self.pairs, 'pair')}: {self.both:,} have it on both sides, {self.neither:,} on neither, "
+            f"{self.first_only:,} on the first alone, {self.second_only:,} on the second alone",
+        ]
+        if self.undefined:
+            head.append(f"in {counted(self.undefined, 'pair')} more, a run has no value to compare")
+        if self.diff is None:
+            yield printable.lines(*head, "no pair disagrees")
+            return
+        found = f"the first pair that disagrees: {screen.run_text(self.diff.first)}"
+        yield printable.lines(*head, "", found, f"and {printable.value(self.diff.second)}", "")
+        yield from story(self.diff, ("first", "second"), screen)
 
 
-def bisect_sides(
+@verb(
+    'bisect out/ledger --first fsar --second cfc --outcome "policy_violations > 0"',
+    'bisect out/ledger --change "without shared-registry" --architecture fsar --outcome "coordination_success < 1"',
+    'bisect out/ledger --first fsar --second dhma --outcome "authority_conflicts > 3" --json',
+)
+def bisect(
+    ledger: "Ledger",
+    outcome: Annotated[
+        str,
+        declare(
+            "--outcome",
+            "CONDITION",
+            "On what they disagree: METRIC > NUMBER, INVARIANT > NUMBER, or a SELECT of run_id.",
+        ),
+    ] = "",
+    first: FirstOption = None,
+    second: SecondOption = None,
+    other: OtherArgument = None,
+    *,
+    changes: Annotated[
+        Names, declare("--change", "TEXT", "Instead of two sides: the runs, and forks with this.")
+    ] = None,
+    architecture: ArchitectureOption = None,
+) -> Bisected:
+    """Find the first run in which two sides disagree on an outcome, and the event at which they part there.
+
+    The sides are architectures, configurations, constants or models, as in `compare`, from one ledger or two: two
+    releases that made the same experiment, too. Or they are the runs as recorded and their forks with --change. Runs
+    are paired by seed, scenario and number, in the order of the ledger.
+
+    Raises:
+        UsageError: There is no such side or outcome, or nothing to pair.
+        QueryFailed: The SELECT of the outcome fails.
+    """
+    from .lookup import ledgers_of, present
+
+    if not outcome:
+        example = option("outcome", '"policy_violations > 0"')
+        raise UsageError(f"{option('outcome')}: found none, expected one, as in {example}")
+    if changes is not None:
+        if first is not None or second is not None or other is not None:
+            raise UsageError("bisect: found changes and two sides, expected one or the other")
+        return _changes(ledger, changes, names_of(architecture) or (), outcome)
+    if architecture is not None:
+        raise UsageError("bisect: found an architecture without changes; sides name theirs")
+    ledgers = ledgers_of(ledger, other)
+    return _sides(ledgers, tuple(present(one)[1] for one in ledgers), (first, second), outcome)
+
+
+def _sides(
     ledgers: "Sequence[Ledger]",
-    provenances: tuple[Provenance, ...],
+    provenances: "tuple[Provenance, ...]",
     names: tuple[str | None, str | None],
     outcome: str,
 ) -> Bisected:
-    """Compare two sides of one ledger, or of two, by an outcome.
+    """Compare two sides of one ledger, or of two, by an outcome."""
+    from fsar_ledger.analysis.outcomes import outcome_of
+    from fsar_ledger.metrics.sides import chosen, sides
 
-    Raises:
-        UsageError: There is no such side, metric or invariant, or the sides have no pair.
-        QueryFailed: The SELECT of the outcome fails.
-    """
+    from .diff import difference_of
+
     asked = outcome_of(outcome)
     with ExitStack() as stack:
         held = [stack.enter_context(ledger.database()) for ledger in ledgers]
@@ -88,10 +162,15 @@ def bisect_sides(
     return _bisected(asked, (str(both[0]), str(both[1])), has, diff, provenances)
 
 
-def bisect_changes(
-    view: View, provenance: Provenance, changes: Asked, architectures: Sequence[str], outcome: str
-) -> Bisected:
-    """Compare the runs of a ledger with their forks by an outcome. Raises: as `bisect_sides` and `Ledger.whatif`."""
+def _changes(ledger: "Ledger", changes: str | Sequence[str], architectures: Sequence[str], outcome: str) -> Bisected:
+    """Compare the runs of a ledger with their forks by an outcome."""
+    from fsar_ledger.analysis.outcomes import outcome_of
+
+    from .diff import difference_of
+    from .lookup import present
+    from .whatif import changes_of, fork_pairs, runs_of
+
+    view, provenance = present(ledger)
     asked = outcome_of(outcome)
     runs, parsed = runs_of(view, architectures), changes_of(changes)
     has: list[tuple[bool | None, bool | None]] = []
@@ -110,11 +189,11 @@ def bisect_changes(
 
 
 def _bisected(
-    asked: Outcome,
+    asked: "Outcome",
     names: tuple[str, str],
     has: list[tuple[bool | None, bool | None]],
     diff: Diff | None,
-    provenances: tuple[Provenance, ...],
+    provenances: "tuple[Provenance, ...]",
 ) -> Bisected:
     return Bisected(
         outcome=asked.text,
@@ -131,7 +210,7 @@ def _bisected(
     )
 
 
-def _runs(database: "Database", side: Side) -> dict[World, str]:
+def _runs(database: "Database", side: "Side") -> dict[World, str]:
     """Return the runs of a side that can be paired, by seed, scenario and number, in the order of the ledger."""
     rows = database.rows(PAIRS, {"side": side.side})
     return {(row["seed"], row["scenario"], row["run"]): row["run_id"] for row in rows}
@@ -142,7 +221,7 @@ def disagree(first: bool | None, second: bool | None) -> bool:
     return {first, second} == {True, False}
 
 
-def _having(ledger: "Ledger", database: "Database", outcome: Outcome) -> Callable[[object], bool | None]:
+def _having(ledger: "Ledger", database: "Database", outcome: "Outcome") -> Callable[[object], bool | None]:
     """Return what tells of a run of the ledger whether it has the outcome, None if undefined. Raises: QueryFailed."""
     valued = {row["run_id"] for row in database.rows(outcome.defined)} if outcome.defined else None
     if outcome.is_own:

@@ -1,58 +1,241 @@
-"""Compare two sides over paired runs, from one ledger or two."""
+"""The verb `compare`: a paired table of any two sides, from one ledger or two."""
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, ExitStack
-from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
 
 from msgspec import structs
 
+from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-from fsar_ledger.metrics.sides import Paired, Side, SideRow, chosen, paired, sides
+from fsar_ledger.metrics.sides import LeftOut, Paired, Side, SideRow, chosen, paired, sides
+from fsar_ledger.printable import counted
 
-from .provenance import Provenance, of_judgement
-from .table import Table, of_structs
+from .answers import Answer, Screen
+from .names import by_scenario, pools_seeds
+from .verbs import ROWS, ByOption, FirstOption, OtherArgument, PoolOption, SecondOption, verb
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.database import Database
+    from .ledger import Ledger
+    from .provenance import Provenance
+    from .table import Table
+
+LEFT_OUT = {
+    "facts": "did not meet the same facts of the world, although made under the same constants",
+    "repeated": "cannot be told from others: one side has several runs of one seed, scenario and number",
+    "unobserved": "are not known to have met the same world, which one of them does not observe",
+}
+FAULTS = ("facts", "repeated")
+"""Differences that no experiment makes on purpose, as in `statistics`."""
 
 
-class Held(Protocol):
-    """A ledger that can be queried."""
-
-    path: Path
-
-    def database(self) -> "AbstractContextManager[Database]":
-        """Open a connection over its events and the packaged queries."""
-
-
-class Comparison(Paired, frozen=True, kw_only=True):
+class Comparison(Answer, Paired, frozen=True, kw_only=True):
     """A `Paired` with both sides, and the provenance of each ledger."""
 
     sides: tuple[Side, Side]
-    provenances: tuple[Provenance, ...]
+    provenances: tuple["Provenance", ...]
 
-    def table(self) -> Table:
+    @property
+    def exit_code(self) -> int:
+        """1 where pairs are left out that no experiment makes different on purpose."""
+        return int(any(one.differs in FAULTS for one in self.left_out))
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return both sides, how their runs pair, and the rows."""
+        first, second = ({"name": side.name, **structs.asdict(side)} for side in self.sides)
+        further = [
+            {
+                "head": one.head and {"size": one.head.size, "root": one.head.root},
+                "rows_verified": one.rows_verified,
+                **one.answer(),
+            }
+            for one in self.provenances[1:]
+        ]
+        return {
+            "other": further[0] if further else None,
+            "first": first,
+            "second": second,
+            "pairs": self.pairs,
+            **{name: getattr(self, name) for name in Paired.__struct_fields__},
+            "remarks": self.beside_rows(),
+        }
+
+    def table(self) -> "Table":
         """Return the rows as a table; its provenance is that of the first ledger."""
+        from .table import Table, of_structs
+
         return Table(of_structs(self.rows, SideRow), self.provenances[0])
 
+    def rows_alone(self) -> "Table":
+        """Return the rows, with scenarios only where they tell rows apart."""
+        from .table import Table
 
-def compare_sides(
-    ledgers: Sequence[Held], names: tuple[str | None, str | None], *, by_scenario: bool, pooled: bool
+        whole = self.table()
+        is_divided = any(row.scenario is not None for row in self.rows)
+        return whole if is_divided else Table(whole.stored.drop_columns(["scenario"]), whole.provenance)
+
+    def beside_rows(self) -> list[str]:
+        """Return what is compared, what the numbers leave out, and how to read them."""
+        return [*_pairing(self.sides, self), *_missing(self.sides, self), *_how_to_read(self)]
+
+    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+        """Yield what is compared, the rows, and how to read them."""
+        below = [*_missing(self.sides, self), *_how_to_read(self)]
+        yield printable.lines(*_pairing(self.sides, self))
+        if self.rows:
+            dull = {"seed": self.seeds <= 1, "family_tests": True}
+            table = self.rows_alone()
+            yield printable.line("")
+            yield screen.table(table.rows(), [name for name in table.columns if not dull.get(name)])
+            yield printable.lines(*([""] if below else []))
+        yield printable.lines(*below)
+
+
+@verb(
+    "compare out/ledger --first fsar --second cfc",
+    "compare out/ledger --first fsar --second dhma --by scenario",
+    "compare out/ledger out/large --first fsar --verified --json",
+    takes=ROWS,
+)
+def compare(
+    ledger: "Ledger",
+    first: FirstOption = None,
+    second: SecondOption = None,
+    other: OtherArgument = None,
+    by: ByOption = None,
+    pool: PoolOption = None,
 ) -> Comparison:
-    """Compare the sides of these names, from one ledger or two.
+    """Compare any two sides in pairs, from one ledger or two.
+
+    A side is an architecture with its configuration, constants, model and fleet size.
+
+    Runs are paired by seed, scenario and number. For each metric: both means, first minus second with its 95 %
+    interval, the number of pairs that differ at all, p of the paired t-test, or of the exact sign test where few
+    differ, Holm over these tests, and d_z. The t-test has as many degrees of freedom as pairs differ, less one;
+    `statistics` counts every pair, so that its p differs. Containment and latency are ratios over all pairs. The answer
+    also says how many pairs met the same facts of the world, how many only the same draws, and which constants differ.
 
     Raises:
         UsageError: A side does not exist, or both are the same events.
     """
-    places = [str(ledger.path) for ledger in ledgers]
+    from .lookup import ledgers_of
+    from .provenance import of_judgement
+
+    divides, pooled = by_scenario(by), pools_seeds(pool)
+    ledgers = ledgers_of(ledger, other)
+    places = [str(one.path) for one in ledgers]
     with ExitStack() as stack:
-        held = [stack.enter_context(ledger.database()) for ledger in ledgers]
-        both = chosen([sides(database) for database in held], names, places)
+        held = [stack.enter_context(one.database()) for one in ledgers]
+        both = chosen([sides(database) for database in held], (first, second), places)
         if len(held) > 1 and both[0].side == both[1].side and held[0].head == held[1].head:
             raise UsageError(
                 f"{' and '.join(places)}: found the same events in both, and {both[0]} as both sides, expected two "
                 "that differ"
             )
-        found = paired(held, both, pools_seeds=pooled, by_scenario=by_scenario)
-        return Comparison(**structs.asdict(found), sides=both, provenances=tuple(map(of_judgement, held)))
+        found = paired(held, both, pools_seeds=pooled, by_scenario=divides)
+        judged = tuple(map(of_judgement, held))
+        return Comparison(**structs.asdict(found), sides=both, provenances=judged)
+
+
+def _pairing(both: tuple[Side, Side], found: Paired) -> list[str]:
+    """Return lines on what is compared, what the pairs share, and which constants differ."""
+    first, second = both
+    lines = [f"first: {_described(first)}", f"second: {_described(second)}"]
+    if not found.pairs:
+        left = " that is not left out" if found.left_out else ""
+        lines.append(
+            f"nothing to compare: no run of both has the same seed, scenario and number{left}; simulate one as the "
+            "other"
+        )
+        lines += [f"found {side.held()}" for side in both]
+    else:
+        lines.append(f"{counted(found.pairs, 'pair')} by seed, scenario and number: {_shared(found)}")
+        if first.fleet_size != second.fleet_size:
+            lines.append(
+                f"the fleets differ in size ({first.fleet_size} and {second.fleet_size} robots): the robots that both "
+                "have meet what is drawn for them"
+            )
+    lines += [f"left out: {_left_out(one)}" for one in found.left_out]
+    differing = [f"{one.name}={one.first_value} and {one.second_value}" for one in found.constants]
+    unread = " as far as they are on record" if first.parameter_set is None or second.parameter_set is None else ""
+    said = (
+        f"the constants are the same{unread}"
+        if not differing
+        else f"constants that differ, first and second: {printable.some(differing)}"
+    )
+    return [*lines, said]
+
+
+def _described(side: Side) -> str:
+    named = (side.kind, side.source, side.model_version and f"model {side.model_version}")
+    return f"{side}, {', '.join(printable.value(one) for one in named if one)}"
+
+
+def _shared(found: Paired) -> str:
+    """Return how many pairs share their facts, only their draws, or only their seed."""
+    parts = {
+        "met the same facts of the world": found.same_facts,
+        "share what was drawn, but not the facts, because their constants or robots differ": found.same_draws,
+        "share only seed, scenario and number, because their models differ or are not on record": found.same_seed,
+    }
+    return "; ".join(f"{count:,} {what}" for what, count in parts.items() if count)
+
+
+def _left_out(one: LeftOut) -> str:
+    place: dict[str, Any] = one.one
+    scenario, first, second = (printable.value(str(place[name])) for name in ("scenario", "first", "second"))
+    where = f"first under seed {place['seed']}, {scenario}, run {place['run']}: {first} and {second}"
+    return f"{counted(one.pairs, 'pair')} that {LEFT_OUT[one.differs]}; {where}"
+
+
+def _missing(both: tuple[Side, Side], found: Paired) -> list[str]:
+    """Return lines on what the numbers leave out."""
+    lines = []
+    for side, alone, which in zip(both, (found.first_alone, found.second_alone), ("first", "second"), strict=True):
+        nameless = side.run_count - side.named_count
+        if found.pairs and alone:
+            lines.append(f"{counted(alone, 'run')} of the {which} side {'has' if alone == 1 else 'have'} no partner")
+        if found.pairs and nameless:
+            lines.append(
+                f"{counted(nameless, 'run')} of the {which} side without seed, scenario, number or size "
+                f"{'is' if nameless == 1 else 'are'} in no pair"
+            )
+    if found.pairs and found.absent:
+        lines.append(
+            f"no pair of runs in which both have a value of {', '.join(found.absent)}: undefined, or not observed"
+        )
+    return lines
+
+
+def _how_to_read(found: Paired) -> list[str]:
+    """Return lines on how to read the numbers, and why some rows have none."""
+    from fsar_ledger.metrics.definitions import metric_named
+
+    if not found.rows:
+        return []
+    alike = [row for row in found.rows if row.n and not row.differing_pairs]
+    few = [row for row in found.rows if row.test == "sign" and metric_named(row.metric).scale != "yes-no"]
+    lines = [
+        (
+            "differences are first minus second; containment and latency are ratios over all pairs; Holm adjusts "
+            f"{found.rows[0].family_tests} tests together"
+        )
+    ]
+    if fewer := [row for row in found.rows if row.test == "paired t" and row.differing_pairs < row.n]:
+        lines.append(
+            "paired t has as many degrees of freedom as pairs differ, less one; `statistics` counts every pair, so "
+            f"that its p differs: {_cells(fewer)}"
+        )
+    if any(row.metric == "human_intervention" for row in found.rows):
+        lines.append("human_intervention is the share of runs that called the fleet supervisor")
+    if alike:
+        lines.append(f"no pair differs, so there is no test: {_cells(alike)}")
+    if few:
+        lines.append(f"exact sign test, since few pairs differ, or all alike: {_cells(few)}")
+    return lines
+
+
+def _cells(rows: list[SideRow]) -> str:
+    return printable.some(
+        [row.metric if row.scenario is None else f"{row.metric} ({printable.value(row.scenario)})" for row in rows]
+    )

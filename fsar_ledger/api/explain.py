@@ -1,26 +1,47 @@
-"""List the requests of a run, and give an account of one of them.
+"""The verb `explain`: the requests of a run, and an account of one of them.
 
 The rows are those of `queries/audit/requests.sql`, `request_timeline.sql` and `failure_timeline.sql`.
 """
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.metrics.database import Database, plain_rows
 
-from .lookup import AboutRun, names_on_record, no_run, numbers_of, resting_on_rows
-from .provenance import Provenance, of_rows
-from .table import Table
+from .accounts import account_lines, shown
+from .answers import Answer, Drawable, Screen, drawn
+from .names import Place, Run
+from .verbs import SvgOption, declare, verb
 
 if TYPE_CHECKING:
-    from os import PathLike
+    from fsar_ledger.metrics.database import Database
+
+    from .ledger import Ledger
+    from .lookup import AboutRun
+    from .provenance import Provenance
+    from .table import Table
 
 Rows = list[dict[str, Any]]
+COLUMNS = (
+    "began_s",
+    "action_id",
+    "capability",
+    "asked_by",
+    "allowed_by",
+    "denied_by",
+    "denied_under",
+    "executed_by",
+    "supervised_by",
+    "failures",
+    "result",
+    "seq",
+)
+LATER = ("capability", "denied_under", "executed_by", "supervised_by", "failures")
+"""Columns that a terminal shows if there is room beside the others."""
 
 GROUNDS = """
     SELECT DISTINCT unnest(ground_seqs) AS seq
@@ -34,7 +55,7 @@ GROUNDS = """
 """The windows and rules of the event that decided a request, and of the calls for review that are told of it."""
 
 
-class Account(msgspec.Struct, frozen=True):
+class Account(Drawable, msgspec.Struct, frozen=True):
     """The account of one request: who asked, who allowed or denied, who acted, who supervised.
 
     `timeline` has a row for each step, `recovery` one for each attempt after a failure, level by level. `grounds` are
@@ -49,7 +70,7 @@ class Account(msgspec.Struct, frozen=True):
     recovery: Rows
     grounds: tuple[int, ...]
     is_failure: bool
-    provenance: Provenance
+    provenance: "Provenance"
 
     @property
     def decisive_seq(self) -> int:
@@ -57,7 +78,7 @@ class Account(msgspec.Struct, frozen=True):
         seq = self.parties["seq"]
         return int(self.timeline[-1]["seq"] if seq is None else seq)
 
-    def draw(self, file: "str | PathLike[str]", kind: Literal["svg", "pdf"] | None = None) -> None:
+    def draw(self, file: Place, kind: Literal["svg", "pdf"] | None = None) -> None:
         """Draw the timeline, or the levels of a failure's recovery, as SVG or PDF; the file is replaced if it exists.
 
         `kind` decides the format, else the suffix of the file.
@@ -66,7 +87,9 @@ class Account(msgspec.Struct, frozen=True):
             UsageError: Neither gives a format, or the file lies inside a ledger.
             WriteFailed: The file cannot be written.
         """
-        from fsar_ledger.report import sequence, typeset
+        from fsar_ledger.ledger.store.paths import require_outside
+        from fsar_ledger.publishing import publish
+        from fsar_ledger.report import sequence
 
         place = Path(file)
         form = place.suffix[1:] if kind is None else kind
@@ -74,15 +97,136 @@ class Account(msgspec.Struct, frozen=True):
             raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
         require_outside(place, str(place))
         rows, figure = (self.recovery, sequence.ladder) if self.is_failure else (self.timeline, sequence.sequence)
-        typeset.publish(place, figure(rows, form))
+        publish(place, figure(rows, form))
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return the account."""
+        told = {"parties": self.parties, "timeline": self.timeline, "recovery": self.recovery}
+        return {"run": self.run, "action": self.action, **told}
+
+    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+        """Yield the timeline, the parties, the recovery, and how to prove what decided."""
+        steps, parties = shown([] if self.is_failure else self.timeline), shown([self.parties])[0]
+        lines = account_lines(screen, (self.run, self.action), steps, parties, shown(self.recovery))
+        hints = [self._proof(screen, self.decisive_seq)]
+        hints += [self._proof(screen, seq, " (the window or rule)") for seq in self.grounds]
+        yield printable.lines(*lines, "", *hints)
+
+    def _proof(self, screen: Screen, seq: int, what: str = "") -> str:
+        """Return the call that proves an event, and what it is."""
+        event = printable.word(f"{screen.numbers().get(self.run, self.run)}:{seq}")
+        return f"`fsar-ledger prove {printable.word(screen.path)} {event}` proves event {seq}{what} to others"
 
 
-def account(about: AboutRun, ledger: Path, request: str | None, failure: str | None) -> Account:
+class Requests(Answer, msgspec.Struct, frozen=True):
+    """The requests of a run."""
+
+    run: str
+    found: "Table"
+
+    @property
+    def provenance(self) -> "Provenance":
+        """What the answer holds for."""
+        return self.found.provenance
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return the requests."""
+        return {"run": self.run, "requests": self.found.rows()}
+
+    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+        """Yield the requests, and how to ask about the first."""
+        rows = self.found.rows()
+        if not rows:
+            unseen = " on record; not all that a request leaves was observed" if self.provenance.not_observed else ""
+            yield printable.lines(screen.run_text(self.run), f"no requests{unseen}")
+            return
+        began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
+        hint = (
+            f"`fsar-ledger explain {printable.word(screen.path)} --run {screen.run_word(self.run)} --request "
+            f"{printable.word(rows[0]['action_id'])}` tells one of them"
+        )
+        yield printable.lines(screen.run_text(self.run), "")
+        yield screen.table(began, sorted(COLUMNS, key=LATER.__contains__) if screen.is_fitted else COLUMNS)
+        yield printable.lines("", hint)
+
+
+def _asked(
+    ledger: "Ledger",
+    run: Run | None,
+    request: str | None,
+    failure: str | None,
+    svg: SvgOption = None,
+    pdf: Annotated[Place | None, declare("--pdf", "FILE", "Also draw it, as PDF; replaced if it exists.")] = None,
+) -> Answer:
+    """Tell one request, or list them."""
+    if request is not None and failure is not None:
+        raise UsageError(
+            f"--request {request} and --failure {failure}: expected one of them; --request shows a failure, too"
+        )
+    if request is not None or failure is not None:
+        return drawn(lambda: explain(ledger, run, request, failure), svg=svg, pdf=pdf)
+    if svg is not None or pdf is not None:
+        found = "svg" if svg is not None else "pdf"
+        raise UsageError(f"--{found}: found no request to draw; give --request ACTION or --failure ACTION")
+    with ledger.about_run(run) as (database, name, _):
+        return Requests(name, _requests(database, name))
+
+
+@verb(
+    "explain out/ledger",
+    "explain out/ledger --run 1 --request A1-1/2.1",
+    "explain out/ledger --run 2 --request A1-1/2.1 --svg out/request.svg",
+    "explain out/ledger --run 1 --json",
+    call=_asked,
+)
+def explain(
+    ledger: "Ledger",
+    run: Annotated[
+        Run | None,
+        declare(
+            "--run",
+            "RUN",
+            "A run: its number, its name, or a part of it that no other run has.",
+            "the first run, or the only one that has the ACTION",
+            complete="runs",
+        ),
+    ] = None,
+    request: Annotated[
+        str | None,
+        declare("--request", "ACTION", "The request (action) to show, as in the list.", "list all", complete="actions"),
+    ] = None,
+    failure: Annotated[
+        str | None,
+        declare("--failure", "ACTION", "The failed action whose recovery to show, level by level.", complete="actions"),
+    ] = None,
+) -> Account:
+    """Show the timeline of a request: who asked, who allowed or denied, who acted, who supervised.
+
+    Each line has its position in the run (seq), which `prove RUN:SEQ` takes. For a request that failed, also what
+    recovery tried at each level, for how long, and why it moved on. Without --request and --failure, list the requests
+    of the run.
+
+    Raises:
+        UsageError: There is no such request, several runs have it, it has not failed, or both or neither are named.
+    """
+    with ledger.about_run(run, request or failure) as about:
+        return _account(about, ledger.path, request, failure)
+
+
+def requests(ledger: "Ledger", run: Run | None = None) -> "Table":
+    """Return the requests of a run, the first by default: who asked, allowed, executed, supervised; the result."""
+    with ledger.about_run(run) as (database, name, _):
+        return _requests(database, name)
+
+
+def _account(about: "AboutRun", ledger: Path, request: str | None, failure: str | None) -> Account:
     """Give an account of this action, as a request or as a failure.
 
     Raises:
         UsageError: The run has no such action, the action has not failed, or both or neither are named.
     """
+    from .lookup import resting_on_rows
+
     database, run, number = about
     if "" in (request, failure):
         empty = option("request" if request == "" else "failure")
@@ -94,12 +238,12 @@ def account(about: AboutRun, ledger: Path, request: str | None, failure: str | N
         raise UsageError(
             "explain: expected the name of a request or of a failure; requests() lists the requests of a run"
         )
-    timeline = _asked(database, "request_timeline", run, action)
+    timeline = _rows(database, "request_timeline", run, action)
     if not timeline:
         with resting_on_rows(database.rows_verified):
             raise UsageError(_no_action(database, ledger, run, action, number))
-    (parties,) = _asked(database, "requests", run, action)
-    recovery = _asked(database, "failure_timeline", run, action)
+    (parties,) = _rows(database, "requests", run, action)
+    recovery = _rows(database, "failure_timeline", run, action)
     if failure is not None and not recovery:
         with resting_on_rows(database.rows_verified):
             raise UsageError(
@@ -111,13 +255,17 @@ def account(about: AboutRun, ledger: Path, request: str | None, failure: str | N
     return Account(run, action, parties, timeline, recovery, found, failure is not None, _about(database, run))
 
 
-def requests(database: Database, run: str) -> Table:
+def _requests(database: "Database", run: str) -> "Table":
     """Return the requests of a run, one row each."""
+    from .table import Table
+
     return Table(database.query("audit/requests", {"run": run, "action": "all"}), _about(database, run))
 
 
-def run_with(database: Database, ledger: Path, action: str) -> str:
+def run_with(database: "Database", ledger: Path, action: str) -> str:
     """Return the only run that has the action. Raises: UsageError if there is none, or several."""
+    from .lookup import no_run, numbers_of, resting_on_rows
+
     sql = """
         SELECT run_id FROM run_numbers
         WHERE run_id IN (SELECT run_id FROM keyed_events WHERE action_id = $action)
@@ -140,16 +288,22 @@ def run_with(database: Database, ledger: Path, action: str) -> str:
         raise UsageError(_no_action(database, ledger, only, action, number) if runs else no_run(ledger))
 
 
-def _about(database: Database, run: str) -> Provenance:
+def _about(database: "Database", run: str) -> "Provenance":
+    from .provenance import of_rows
+
     return of_rows(database, database.library.find("audit/request_timeline"), run)
 
 
-def _asked(database: Database, query: str, run: str, action: str) -> Rows:
+def _rows(database: "Database", query: str, run: str, action: str) -> Rows:
+    from fsar_ledger.metrics.database import plain_rows
+
     return plain_rows(database.query(f"audit/{query}", {"run": run, "action": action}))
 
 
-def _no_action(database: Database, ledger: Path, run: str | None, asked: str, number: int | None = None) -> str:
+def _no_action(database: "Database", ledger: Path, run: str | None, asked: str, number: int | None = None) -> str:
     """Say that the run, or with None every run, lacks the action; name the nearest, and how to list those there are."""
+    from .lookup import names_on_record
+
     place = "any run" if run is None else f"run {printable.value(run)}"
     hint = printable.did_you_mean(asked, names_on_record(database, "action", run)) or ";"
     called = (

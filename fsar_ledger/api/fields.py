@@ -75,3 +75,8 @@ def field_text(value: object, *, raw: bool) -> str:
         text = json_bytes(value).decode()
         return text if raw else printable.ascii_json(text)
     return repr(value) if isinstance(value, float) else str(value)
+
+
+def json_rows(rows: Sequence[Row]) -> Shown:
+    """Return a JSON object for each row, one a line, in ASCII."""
+    return printable.ascii_json("".join(f"{json_bytes(row).decode()}\n" for row in rows))

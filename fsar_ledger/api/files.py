@@ -10,7 +10,6 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
-import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
@@ -34,17 +33,10 @@ GROUP_ROWS, GROUP_BYTES = 122_880, 64 << 20
 """Rows of a row group of Parquet, as many as DuckDB takes; bytes in memory after which none waits for more."""
 
 
-class Written(msgspec.Struct, frozen=True):
-    """The number of rows that were written to a file, and their provenance."""
-
-    row_count: int
-    provenance: Provenance
-
-
 def write_events(
     ledger: Path, out: Path, *, raw: bool = False, demanded: str | None = None, progress: Progress | None = None
-) -> Written:
-    """Write every event as it is stored, retired types too, in commit order; return their number.
+) -> tuple[int, Provenance]:
+    """Write every event as it is stored, retired types too, in commit order; return their number and provenance.
 
     Text in CSV is as `printable.field` makes it, unless `raw`. `progress` is called with the commits that were written
     and their number.
@@ -57,7 +49,7 @@ def write_events(
     view = open_for_answers(ledger)
     rows_verified = is_verified(view, demanded)
     tables = (table for table, _ in zip(view.tables(), each(view.releases, progress), strict=True))
-    return Written(_write_tables(out, SCHEMA, tables, raw=raw), Provenance(view.head, rows_verified))
+    return _write_tables(out, SCHEMA, tables, raw=raw), Provenance(view.head, rows_verified)
 
 
 def write_table(out: Path, table: pa.Table, *, raw: bool = False) -> int:

@@ -1,6 +1,6 @@
-"""The functions of the API: those that make ledgers and records, and `verify_proof`."""
+"""The functions of the API that make ledgers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,19 +8,15 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from .experiments import experiment_of
-from .keys import origin_of, signer_of, trusted_of
+from .key import origin_of, signer_of
 from .ledger import Ledger
-from .names import Place, names_of
+from .names import Names, Place, names_of
 from .workload import WORTH_ROBOTS, Progress, workers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.chain.proof import Proven
-    from fsar_ledger.report.sensitivity import Sensitivity
     from fsar_ledger.runtime.experiment import Made
 
     from .reproduce import Reproduced
-
-Names = str | Sequence[str] | None
 
 
 class Simulated(msgspec.Struct, frozen=True):
@@ -135,79 +131,3 @@ def reproduce(
         only=names_of(only),
         runs=runs,
     )
-
-
-def verify_proof(
-    file: Place, trusted_key: str | None = None, *, anchor: Place | None = None, root: str | None = None
-) -> "Proven":
-    """Check a proof of `Ledger.prove`, kept in a file, without the ledger; return what it shows.
-
-    Args:
-        file: A file, or a pipe.
-        trusted_key: A public key, from a .pub file or text, that must have signed it.
-        anchor: A copy of `checkpoint` of the same size, kept elsewhere, that must have the proof's root.
-        root: The root in hex that it must have.
-
-    Raises:
-        LedgerCorrupted: It proves nothing, the trusted key did not sign it, or it leads to another root.
-        UsageError: There is no such file, the anchor is none or is of another size, or the root is no hash.
-    """
-    from fsar_ledger.errors import option
-    from fsar_ledger.ledger.chain.proof import check_proof, read_proof, require_root, require_tree
-
-    from .keys import checkpoint_of, root_of
-
-    kept, expected = checkpoint_of(anchor), root_of(root)
-    proven = check_proof(str(file), read_proof(Path(file)), trusted_of(trusted_key))
-    if kept is not None:
-        require_tree(str(file), proven, kept, str(anchor))
-    if expected is not None:
-        require_root(str(file), proven, expected, option("root"))
-    return proven
-
-
-def calibrate(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
-    """Fit the constants again as registered, and write the record; takes the better part of an hour."""
-    from fsar_ledger.calibration import calibrate
-
-    calibrate(Path(out), progress, workers_of(workers))
-
-
-def predict(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
-    """Simulate the experiments registered for prediction, and write their numbers; takes minutes."""
-    from fsar_ledger.prediction import predict
-
-    predict(Path(out), progress, workers_of(workers))
-
-
-def judge(predictions: Place, out: Place) -> None:
-    """Compare predicted numbers with the paper's, and write the comparison; nothing is simulated."""
-    from fsar_ledger.comparison import compare_predictions
-
-    compare_predictions(Path(predictions), Path(out))
-
-
-def sensitivity(
-    out: Place,
-    *,
-    trajectories: int = 20,
-    runs: int = 10,
-    points: int = 512,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> "Sensitivity":
-    """Measure how much each number depends on each constant, and write the effects as Parquet.
-
-    Takes most of an hour.
-
-    Args:
-        out: The file. An interrupted study continues from what is kept beside it.
-        trajectories: How often each factor is moved.
-        runs: Runs of each scenario and architecture in each evaluation.
-        points: Evaluations for the Sobol indices; 0: only the screening.
-        workers: Processes at once.
-        progress: Called with the evaluations done and their total.
-    """
-    from fsar_ledger.screening.study import Size, sensitivity
-
-    return sensitivity(Path(out), Size(trajectories, runs, points), workers_of(workers), progress)

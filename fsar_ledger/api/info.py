@@ -1,25 +1,26 @@
-"""Summarize what a ledger holds: its plans, which of their runs are there, and which worlds met which architectures.
+"""The verb `info`: what a ledger holds, its plans, which of their runs are there, and which worlds they met.
 
 A plan on record says what is missing. Without one (live runs, ledgers from before plans were recorded) nothing does;
 then the summary describes the shape of what is there, and never says that it is complete.
 """
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from msgspec import structs
 
 from fsar_ledger import printable
-from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.metrics.database import connect
-from fsar_ledger.metrics.models import Model, lettered, models
-from fsar_ledger.metrics.observing import Unobserved, never_observed, shown
-from fsar_ledger.metrics.plans import completeness
 
-from .plans import Shown, plans, runs, shape
-from .provenance import Provenance
+from .answers import Answer, Screen
+from .verbs import verb
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.models import Model
+    from fsar_ledger.metrics.observing import Unobserved
+
+    from .ledger import Ledger
+    from .provenance import Provenance
 
 # Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture,
 # configuration and changes of forks; NULL where runs have none.
@@ -118,7 +119,7 @@ COLUMNS = (
 """The columns of `groups` that people are shown."""
 
 
-class Contents(msgspec.Struct, frozen=True):
+class Contents(Answer, msgspec.Struct, frozen=True):
     """The runs of a ledger in groups, their models with constants, and the plans.
 
     A group has one model, seed, fleet size, architecture and configuration. `not_observed` names the concerns that some
@@ -131,8 +132,8 @@ class Contents(msgspec.Struct, frozen=True):
     missing: int | None
     """Planned runs that are missing, each counted once; None where the plans name too many to count."""
 
-    provenance: Provenance
-    not_observed: tuple[Unobserved, ...] = ()
+    provenance: "Provenance"
+    not_observed: tuple["Unobserved", ...] = ()
 
     @property
     def run_count(self) -> int:
@@ -154,9 +155,12 @@ class Contents(msgspec.Struct, frozen=True):
             return False
         return None if self.unplanned or not self.plans else True
 
-    def answer(self) -> dict[str, object]:
-        """Return all of it, for JSON."""
+    def document(self, screen: Screen) -> Mapping[str, object]:
+        """Return all of it."""
+        assert self.provenance.head is not None  # only rows in memory have none
         return {
+            "ledger": str(screen.path),
+            "commits": self.provenance.head.commits,
             "groups": self.groups,
             "models": self.models,
             "plans": self.plans,
@@ -167,8 +171,22 @@ class Contents(msgspec.Struct, frozen=True):
             "not_observed": self.not_observed,
         }
 
+    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+        """Yield what is there without the parameters, which are too many."""
+        head = self.provenance.head
+        assert head is not None
+        standing = "" if self.provenance.rows_verified else " (the rows were not compared with it)"
+        yield printable.lines(
+            f"{screen.path}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}",
+            f"root {head.root}{standing}",
+            *self.summary(),
+        )
+        if rows := self.rows():
+            yield printable.line("")
+            yield screen.table(rows)
+
     def summary(self) -> list[str]:
-        """Return lines for people, without the parameters, which are too many."""
+        """Return lines on the runs and the plans."""
         return [
             *self._standing(),
             *self._forks(),
@@ -180,6 +198,8 @@ class Contents(msgspec.Struct, frozen=True):
         ]
 
     def _standing(self) -> list[str]:
+        from .plans import runs
+
         held = runs(self.run_count)
         if not self.plans:
             nothing = "no plan is on record, so nothing says whether they are all that was meant"
@@ -208,6 +228,8 @@ class Contents(msgspec.Struct, frozen=True):
 
     def _unfinished(self) -> list[str]:
         """Return a line for each plan that lacks runs, except those that a larger plan covers."""
+        from .plans import shape
+
         lines = []
         for plan in self.plans:
             if plan["missing_count"] and not plan["larger_plans"]:
@@ -232,6 +254,8 @@ class Contents(msgspec.Struct, frozen=True):
 
     def _unlike(self) -> list[str]:
         """Describe the shape of what is there, where no plan says what is missing."""
+        from .plans import runs
+
         if self.is_complete is False:
             return []
         measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
@@ -257,6 +281,8 @@ class Contents(msgspec.Struct, frozen=True):
         ]
 
     def _unseen(self) -> list[str]:
+        from fsar_ledger.metrics.observing import shown
+
         return [f"not observed, so that no answer is about it: {shown(self.not_observed)}"] if self.not_observed else []
 
     def rows(self) -> list[dict[str, Any]]:
@@ -269,21 +295,32 @@ class Contents(msgspec.Struct, frozen=True):
         return [{name: group[name] for name in COLUMNS if not is_dull.get(name)} for group in self.groups]
 
 
-def contents(ledger: Path, demanded: str | None = None) -> Contents:
-    """Return the runs of the ledger, counted by SQL, and its plans.
+@verb("info out/ledger", "info out/ledger --json")
+def info(ledger: "Ledger") -> Contents:
+    """Show what a ledger holds, and whether it is complete.
+
+    Shows the head, which planned runs are there, the runs by model, seed, fleet size, architecture and configuration,
+    and (with --json) the parameters of their worlds. Without a plan on record nothing shows what is missing.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`, and `models`.
     """
-    with connect(ledger, demanded=demanded) as database:
-        assert database.head is not None  # only a database over rows in memory has none
+    from fsar_ledger.ledger.opening import open_ledger
+    from fsar_ledger.metrics.models import lettered, models
+    from fsar_ledger.metrics.observing import never_observed
+    from fsar_ledger.metrics.plans import completeness
+
+    from .plans import Shown, plans
+    from .provenance import Provenance
+
+    with ledger.database() as database:
         found = lettered(models(database))
         letters = {_key(structs.asdict(one)): letter for one, letter in found}
         groups = [
             {"constants": letters.get(_key(row)), **row, "numbers": ranges(row["numbers"])}
             for row in database.rows(GROUPS)
         ]
-        planned = plans(database, Shown(ledger, open_ledger(ledger)))
+        planned = plans(database, Shown(ledger.path, open_ledger(ledger.path)))
         named = [_of_model(one, letter) for one, letter in found]
         missing = completeness(database).missing
         provenance = Provenance(database.head, database.rows_verified)
@@ -314,7 +351,7 @@ def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:
     return row["kind"], row["source"], row["model_version"], row["parameter_set"]
 
 
-def _of_model(one: Model, letter: str | None) -> dict[str, Any]:
+def _of_model(one: "Model", letter: str | None) -> dict[str, Any]:
     """Describe a model for JSON; `differing` names its constants that differ from others of its kind and version."""
     return {
         "constants": letter,
@@ -348,6 +385,8 @@ def _described(model: Mapping[str, Any]) -> str:
 
 def _among_others(model: Mapping[str, Any]) -> str:
     """Describe a model beside others: its letter, and the constants that differ from theirs."""
+    from .plans import runs
+
     letter = "no constants on record" if model["constants"] is None else f"constants {model['constants']}"
     differing = (
         f": {printable.value(model['differing'], MAX_DIFFERING)}"

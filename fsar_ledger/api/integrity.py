@@ -1,6 +1,5 @@
 """The methods of `Ledger` that rest on hashes, signatures and witnesses."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,69 +7,16 @@ from .names import Place
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.chain.proof import Proof
     from fsar_ledger.ledger.compacting import Compacted
     from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.ledger.verify.recover import Recovery
     from fsar_ledger.witness.cosign import Cosigned
-
-    from .verify import Verification
 
 
 class Integrity:
     """The part of `Ledger` that verifies, proves, recovers, upgrades and compacts."""
 
     path: Path
-    _demanded: str | None
-
-    def verify(
-        self,
-        *,
-        quick: bool = False,
-        anchor: Place | None = None,
-        trusted_key: str | None = None,
-        witness_policy: Place | None = None,
-        cosigned: Sequence[Place] = (),
-        replay: bool = False,
-        recorded: bool = False,
-        workers: int | None = None,
-        progress: Progress | None = None,
-        now_s: int | None = None,
-    ) -> "Verification":
-        """Derive every hash, count and record again; damage does not raise, but is in `ok` and `problems`.
-
-        Args:
-            quick: Read no rows.
-            anchor: A copy of `checkpoint` kept elsewhere; since then the ledger must only have grown.
-            trusted_key: A public key that must have signed, as a .pub file or text.
-            witness_policy: A C2SP tlog-policy; enough of its witnesses must have seen the ledger. Needs `now_s`.
-            cosigned: Notes that show what the witnesses saw; without any, they are asked.
-            replay: Also play every run again.
-            recorded: Play in the world that is on record: check the decisions alone, not that the world was the seed's.
-            workers: Processes at once; None: one per core, if there is enough to do.
-            progress: Called with the segments done and their total.
-            now_s: The present time in seconds since 1970.
-
-        Raises:
-            NotALedger: There is none.
-            UsageError: The arguments contradict each other.
-        """
-        from .verify import verify_ledger
-
-        witnesses, replays = (witness_policy, cosigned, now_s), (replay, recorded)
-        return verify_ledger(self.path, quick, anchor, trusted_key, witnesses, replays, workers, progress)
-
-    def prove(self, event: str | int) -> "Proof":
-        """Prove that an event, given as `RUN:SEQ` or by its number, is in the ledger.
-
-        `str` of the answer is a C2SP tlog-proof.
-
-        Raises:
-            UsageError: There is no such event, or more than one such run.
-        """
-        from .prove import prove_event
-
-        return prove_event(self.path, str(event), self._demanded)
 
     def recover(
         self,
@@ -91,7 +37,7 @@ class Integrity:
         from fsar_ledger.ledger.verify.recover import recover
         from fsar_ledger.ledger.verify.report import Asked
 
-        from .keys import anchor_of, trusted_of
+        from .key import anchor_of, trusted_of
 
         asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
         return recover(self.path, readers_of(workers, self.path), progress, asked, None if into is None else Path(into))

@@ -1,190 +1,198 @@
-"""The timeline of runs: a line that people read for each event, as rows of `queries/facts/log_lines.sql`.
+"""The verb `log`: the timeline of a run, a line for each event."""
 
-The lines of all runs are told segment by segment, or by groups of those that share runs, with one in memory at a time.
-"""
-
-from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from typing import NamedTuple
-
-import pyarrow as pa
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import chain
+from typing import TYPE_CHECKING, Annotated, Any
 
 from fsar_ledger import printable
-from fsar_ledger.errors import LedgerCorrupted, UsageError, option
-from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
-from fsar_ledger.ledger.chain.read import View
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST
-from fsar_ledger.metrics import relation
-from fsar_ledger.metrics.connection import Value
-from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.verified import is_verified
+from fsar_ledger.errors import UsageError
+from fsar_ledger.printable import Shown
 
-from .events import Filter, span
-from .lookup import resting_on_rows, robot_of, run_of
-from .names import Run, Time, known, names_of
-from .provenance import Provenance, of_rows
-from .table import Table
+from .answers import Answer, Screen
+from .names import Names, Run, Time
+from .verbs import Pause, declare, verb
+
+if TYPE_CHECKING:
+    from .ledger import Ledger
+    from .provenance import Provenance
+    from .table import Table
 
 ALL = "all"
 """Instead of the name of a run: all runs."""
-
-_QUERY = "facts/log_lines"
-_PLURALS = {f"{name}s": name for name in CONCERNS} | {
-    f"{name.removesuffix('y')}ies": name for name in CONCERNS if name.endswith("y")
-}
-
-Pause = Callable[[], None]
-"""Waits a moment; what it raises ends the waiting."""
+UNKNOWN = "?"
+MAX_WORDS = 1_000
+BESIDE = 25
+"""Characters of a line beside its action, names and words: seq, time and gaps."""
+LOOK_EVERY_S = 0.5
+"""Seconds between two looks for more commits."""
 
 
-class Asked(NamedTuple):
-    """Which lines to tell: of the events that the filter takes, those of these concerns (empty: of all)."""
+class Timeline(Answer):
+    """Lines of events, as they are read: those of one run after another."""
 
-    meant: Filter
-    about: tuple[str, ...]
+    def __init__(self, tables: "Iterable[Table]", *, as_json: bool, ends: bool) -> None:
+        """Read the first. `ends` says whether it can be said that there are none."""
+        rest = iter(tables)
+        first = next(rest, None)
+        self._tables = chain([] if first is None else [first], rest)
+        self._as_json, self._ends = as_json, ends
+        self.provenances: tuple[Provenance, ...] = () if first is None else (first.provenance,)
+
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield the lines, or a JSON object for each."""
+        from .fields import json_rows
+
+        lines = Lines(screen)
+        for table in self._tables:
+            for rows in table.parts():
+                yield json_rows(rows) if self._as_json else lines.text(rows)
+        if self._ends and lines.run is None and not self._as_json:
+            yield printable.line("no such events")
 
 
-def asked_of(
-    database: Database,
-    ledger: Path,
-    run: Run,
+def _asked(
+    ledger: "Ledger",
+    run: Run | None,
     since: Time,
     until: Time,
     robot: str | None,
-    about: str | Sequence[str] | None,
-    *,
-    is_growing: bool = False,
-) -> Asked:
-    """Return what a person asks for, with full names; the run is `all` for every one.
-
-    Raises:
-        UsageError: There is no such run, robot or concern, or no such time in these runs. If the ledger is growing, any
-            time may come.
-    """
-    since_us, until_us = span(since, until)
-    concerns = concerns_of(about)
-    name = None if run == ALL else run_of(database, run, ledger)
-    if since_us is not None and not is_growing:
-        with resting_on_rows(database.rows_verified):
-            _require_in_run(database, name, since, since_us)
-    full = None if robot is None else robot_of(database, robot, name)
-    return Asked(Filter(name, since_us, until_us, full), concerns)
-
-
-def concerns_of(about: str | Sequence[str] | None) -> tuple[str, ...]:
-    """Return the concerns of these words, which may be plural and parted by commas. Raises: As `known`."""
-    words = [word.strip() for text in names_of(about) or () for word in text.split(",")]
-    return known("concern", [_PLURALS.get(word, word) for word in words], CONCERNS)
-
-
-def timeline(database: Database, asked: Asked) -> Table:
-    """Return the lines asked for, by run and seq, with their provenance. Raises: As `Database.table`."""
-    return Table(_lines(database, asked), about_of(database, asked))
-
-
-def about_of(database: Database, asked: Asked) -> Provenance:
-    """Return the provenance of these lines; of what is not observed only what is asked about."""
-    found = of_rows(database, database.library.find(_QUERY), asked.meant.run)
-    missing = tuple(one for one in found.not_observed if not asked.about or one.concern in asked.about)
-    return Provenance(found.head, found.rows_verified, None, missing)
-
-
-def stream(ledger: Path, asked: Asked, about: Provenance, demanded: str | None, pause: Pause | None) -> Iterator[Table]:
-    """Yield the lines of all runs, some at a time; with `pause`, go on with later commits as they come.
-
-    Args:
-        ledger: Its folder.
-        asked: What to tell.
-        about: The provenance, but for head and rows.
-        demanded: As in `connect`.
-        pause: Called before each look for more commits; None: end after those that are there.
-
-    Raises:
-        LedgerCorrupted: The ledger is damaged, or no longer the one whose lines were told.
-    """
-    for view, first in _growth(ledger, pause):
-        provenance = Provenance(view.head, is_verified(view, demanded), None, about.not_observed)
-        for group in view.groups():
-            if view.end(group[-1]) > first:
-                yield Table(_lines_in(view, group, asked, first), provenance)
-
-
-def _lines(database: Database, asked: Asked, *conditions_too: str) -> pa.Table:
-    """Return the lines asked for of all runs here, in the order of the ledger."""
-    meant, values = asked.meant.sql()
-    bound: dict[str, Value] = dict(values)
-    conditions = [*conditions_too, *(["run_id = $run"] if asked.meant.run is not None else [])]
-    if asked.about:
-        conditions.append("list_contains($about, concern)")
-        bound["about"] = list(asked.about)
-    if values.keys() - {"run"}:
-        conditions.append(f"(run_id, seq) IN (SELECT run_id, seq FROM ({meant}))")
-    bound["runs"] = [row["run_id"] for row in database.rows("SELECT run_id FROM events WHERE seq = 0")]
-    where = f"WHERE {' AND '.join(conditions)}" if conditions else ""
-    return database.table(f"SELECT * FROM log_lines {where} ORDER BY list_position($runs, run_id), seq", bound)
-
-
-def _lines_in(view: View, group: Sequence[int], asked: Asked, first: int) -> pa.Table:
-    """Return the lines of the events in these segments from this index on."""
-    segments, releases = [view.segment(number) for number in group], view.releases
-    with Database(view.head, segments) as database:
-        relation.hold_segments(database, segments, [releases[number] for number in group])
-        if view.first(group[0]) >= first:
-            return _lines(database, asked)
-        database.hold("untold", pa.concat_tables(view.tables_from(first, ["run_id", "seq"])))
-        return _lines(database, asked, "(run_id, seq) IN (SELECT run_id, seq FROM untold)")
-
-
-def _require_in_run(database: Database, run: str | None, since: Time, since_us: int) -> None:
-    """Require that the run, or any if it is None, has not ended before this time. Raises: UsageError."""
-    sql = "SELECT max(time_us) AS end_us FROM events WHERE $run IS NULL OR run_id = $run"
-    ((end_us),) = (row["end_us"] for row in database.rows(sql, {"run": run}))
-    if end_us is None or since_us <= end_us:
-        return
-    where = "the last of all runs" if run is None else f"run {printable.value(run)}"
-    raise UsageError(f"{option('since', since)}: {where} ends at {end_us / 1_000_000:.3f} s, expected an earlier time")
-
-
-def _growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[View, int]]:
-    """Yield the ledger as it is, then, with `pause`, each time it has grown; and the first event not yet yielded.
-
-    Between two looks only the state of a few files is read. Raises: As `open_for_answers` and `_require_same`.
-    """
-    state = _state(ledger)
-    view = open_for_answers(ledger)
-    yield view, 0
-    while pause is not None:
-        pause()
-        # A file system may give two changes in a row one time.
-        if (found := _state(ledger)) == state and view.is_current():
-            continue
-        state, grown = found, open_for_answers(ledger)
-        _require_same(view, grown)
-        if grown.head.size > view.head.size:
-            yield grown, view.head.size
-        view = grown
-
-
-def _state(ledger: Path) -> tuple[tuple[int, int, int] | None, ...]:
-    """Return what changes when the ledger grows or is replaced; None for a file that is not there."""
-    found: list[tuple[int, int, int] | None] = []
-    for name in (MANIFEST, CHAIN, JOURNAL, CHECKPOINT):
-        try:
-            status = (ledger / name).stat()
-        except OSError:
-            found.append(None)
-        else:
-            found.append((status.st_ino, status.st_size, status.st_mtime_ns))
-    return tuple(found)
-
-
-def _require_same(view: View, grown: View) -> None:
-    """Require that the ledger still begins with the commits that it had. Raises: LedgerCorrupted."""
-    count = len(view.commits)
-    if grown.manifest_sha256 != view.manifest_sha256 or grown.commits[:count] != view.commits:
-        raise LedgerCorrupted(
-            f"{view.path}: found another ledger of {len(grown.commits):,} commits, expected the one of {count:,} whose "
-            "lines were told, or more of it; it was replaced; run fsar-ledger verify"
+    about: Names,
+    follow: Annotated[
+        bool, declare("--follow", None, "Show every run, then wait for more commits, until Ctrl-C.")
+    ] = False,
+    as_json: Annotated[bool, declare("--json", None, "A JSON object for each event, one a line.")] = False,
+    pause: Annotated[Callable[[], None] | None, Pause(LOOK_EVERY_S)] = None,
+) -> Timeline:
+    """Tell a run, or all runs as the ledger grows."""
+    if follow and run not in (None, ALL):
+        raise UsageError(
+            f"--follow and --run {run}: a run is committed whole, so nothing more of it comes; expected one of them"
         )
+    if follow and ledger.demands:
+        raise UsageError(
+            "--follow and --verified: rows that come later cannot have been compared yet; expected one of them"
+        )
+    tables: Iterable[Table] = (
+        stream_log(ledger, since, until, robot, about, pause=pause if follow else None)
+        if follow or run == ALL
+        else [log(ledger, run, since, until, robot, about)]
+    )
+    return Timeline(tables, as_json=as_json, ends=not follow)
+
+
+@verb(
+    "log out/ledger",
+    "log out/ledger --from 10s --to 30s --robot B1",
+    "log out/ledger --run all --about requests,policy --json",
+    takes=("verified",),
+    call=_asked,
+    after_interruption="what is shown stays committed, and nothing was changed",
+)
+def log(
+    ledger: "Ledger",
+    run: Annotated[
+        Run | None,
+        declare("--run", "RUN", "A run, or a part of its name; all: every run.", "the first run"),
+    ] = None,
+    since: Annotated[
+        Time, declare("--from", "TIME", "Only from this time on, within the run: 46.6, 46.6s or 46600ms.", "0")
+    ] = None,
+    until: Annotated[
+        Time, declare("--to", "TIME", "Only before this time, which may be after the end of the run.", "the end")
+    ] = None,
+    robot: Annotated[str | None, declare("--robot", "ROBOT", "Only events that name this robot.", "all")] = None,
+    about: Annotated[
+        Names,
+        declare("--about", "CONCERN", "Only events of these concerns, as in requests,policy; may be repeated.", "all"),
+    ] = None,
+) -> "Table":
+    """Show a run event by event: who told whom what, or did what, and when.
+
+    The words are those of `explain`. A line has the number of the event in its run, the time in seconds, the action,
+    who tells whom (one name for a robot's own deed, or what befell it), what, and what else the record says. `?` is
+    not on record.
+
+    Raises:
+        UsageError: There is no such run, robot or concern, the run has ended before `since`, or `until` is not after
+            `since`.
+    """
+    from .log_rows import asked_of, timeline
+
+    if run == ALL:
+        with ledger.database() as database:
+            return timeline(database, asked_of(database, ledger.path, ALL, since, until, robot, about))
+    with ledger.about_run(run) as (database, name, _):
+        return timeline(database, asked_of(database, ledger.path, name, since, until, robot, about))
+
+
+def stream_log(
+    ledger: "Ledger",
+    since: Time = None,
+    until: Time = None,
+    robot: str | None = None,
+    about: str | Sequence[str] | None = None,
+    *,
+    pause: Callable[[], None] | None = None,
+) -> "Iterator[Table]":
+    """Yield the lines of all runs, as `log`, a table for each commit; with `pause`, go on as the ledger grows.
+
+    `pause` is called before each look for more commits, to wait a moment; None: end after those that are there. The
+    others are as in `log`.
+
+    Raises:
+        UsageError: As `log`; or `pause` is given, and only rows that were compared with the root will do.
+        LedgerCorrupted: The ledger was damaged or replaced.
+    """
+    from .log_rows import about_of, asked_of, stream
+
+    if pause is not None and ledger.demanded is not None:
+        raise UsageError(
+            "rows that will be committed later cannot have been compared with the root yet: expected a ledger that "
+            "was opened without demanding that, or no waiting for more"
+        )
+    with ledger.database() as database:
+        asked = asked_of(database, ledger.path, ALL, since, until, robot, about, is_growing=pause is not None)
+        provenance = about_of(database, asked)
+    return stream(ledger.path, asked, provenance, ledger.demanded, pause)
+
+
+class Lines:
+    """The lines of one run after another, aligned with those before, each run under its number and name."""
+
+    def __init__(self, screen: Screen) -> None:
+        self.run: str | None = None
+        self._screen = screen
+        self._widths = (0, 0)
+
+    def text(self, rows: Sequence[dict[str, Any]]) -> Shown:
+        """Return the rows as lines, under the name of their run."""
+        shown = [_shown(row) for row in rows]
+        before = self._widths
+        self._widths = (
+            max([before[0], *(len(action) for action, _, _ in shown)]),
+            max([before[1], *(len(names) for _, names, _ in shown)]),
+        )
+        return printable.lines(*self._lines(rows, shown))
+
+    def _lines(self, rows: Sequence[dict[str, Any]], shown: Sequence[tuple[str, str, str]]) -> Iterator[str]:
+        of_action, longest = self._widths
+        of_names = self._screen.width_of_names(longest, BESIDE + of_action)
+        for row, (action, names, words) in zip(rows, shown, strict=True):
+            if row["run_id"] != self.run:
+                yield from ([] if self.run is None else [""])
+                self.run = row["run_id"]
+                yield self._screen.run_text(self.run)
+                yield ""
+            yield f"{row['seq']:>6} {row['time_s']:>10.3f} s  {action:<{of_action}}  {names:<{of_names}}  {words}"
+
+
+def _shown(row: dict[str, Any]) -> tuple[str, str, str]:
+    """Return the action, who tells whom, and the words with their note, as people see them."""
+    sender, receiver, action = (
+        None if row[name] is None else printable.value(row[name]) for name in ("sender", "receiver", "action_id")
+    )
+    names = sender or UNKNOWN
+    if row["receiver"] != row["sender"] or sender is None:
+        names = f"{names} -> {receiver or UNKNOWN}"
+    note = "" if row["note"] is None else f"  ({printable.value(row['note'], MAX_WORDS)})"
+    return action or "", names, printable.value(row["message"], MAX_WORDS) + note

@@ -14,9 +14,14 @@ from .names import MAX_DIGITS, Time, microseconds, named, principal_named, run_n
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.chain.read import View
+    from fsar_ledger.ledger.rows.codec import LedgerRun
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.library import Query
     from fsar_ledger.metrics.query_parameters import Parameter
+
+    from .ledger import Ledger
+    from .names import Place, Run
+    from .provenance import Provenance
 
 _RUN = "SELECT run_id FROM run_numbers WHERE run_id = $run"
 _RUNS = "SELECT run_id FROM run_numbers ORDER BY number"
@@ -246,3 +251,28 @@ def _seq(database: "Database", text: str, run: str | None) -> str:
         with resting_on_rows(database.rows_verified):
             raise UsageError(f"seq {printable.value(text)}: there is no such event {of}, expected {expected}")
     return text
+
+
+def present(ledger: "Ledger") -> "tuple[View, Provenance]":
+    """Return the ledger at its present head, and the provenance of an answer about it. Raises: As `open_ledger`."""
+    from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.metrics.verified import is_verified
+
+    from .provenance import Provenance
+
+    view = open_for_answers(ledger.path)
+    return view, Provenance(view.head, is_verified(view, ledger.demanded))
+
+
+def recorded(ledger: "Ledger", view: "View", run: "Run") -> "LedgerRun":
+    """Return the record of a run. Raises: UsageError if there is no such run."""
+    from fsar_ledger.analysis.records import record_of
+
+    return record_of(view, run_in(view, run, ledger.demanded))
+
+
+def ledgers_of(ledger: "Ledger", other: "Ledger | Place | None") -> "list[Ledger]":
+    """Return the ledger, and the other one if it is given, opened."""
+    from .ledger import Ledger
+
+    return [ledger] if other is None else [ledger, other if isinstance(other, Ledger) else Ledger(other)]

@@ -32,9 +32,10 @@ class MultiverseResult(Multiverse, frozen=True, kw_only=True):
 
         Raises: WriteFailed if the file cannot be written.
         """
-        from fsar_ledger.report import specification_curves, typeset
+        from fsar_ledger.publishing import publish
+        from fsar_ledger.report import specification_curves
 
-        typeset.publish(Path(file), specification_curves.curves(self))
+        publish(Path(file), specification_curves.curves(self))
 
 
 def read_multiverse(

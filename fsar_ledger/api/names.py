@@ -15,6 +15,8 @@ _Name = TypeVar("_Name", bound=str)
 Place = str | PathLike[str]
 Pool = Literal["seeds"] | None
 By = Literal["scenario"] | None
+Names = str | Sequence[str] | None
+"""One name, several, or None for all."""
 Run = str | int
 """A run: its name, its number (as a number or as text), or a part of its name that no other run has."""
 Time = float | str | None

@@ -1,50 +1,78 @@
-"""Write a file of DuckDB through which other programs read a ledger: every relation by its name, at one head."""
+"""The verb `open`: a file of DuckDB through which other programs read a ledger, at one head."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated
 
-import duckdb
 import msgspec
-import pyarrow as pa
 
+from fsar_ledger import printable
 from fsar_ledger.errors import QueryFailed, UsageError, WriteFailed, option
-from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.metrics.database import Database, connect
-from fsar_ledger.metrics.paths import literal
-from fsar_ledger.metrics.progress import Progress, each
 
-from .files import whole_file
-from .provenance import Provenance
+from .answers import Answer, Screen
+from .names import Place
+from .verbs import Shows, declare, verb
+from .workload import Progress
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.database import Database
+
+    from .ledger import Ledger
+    from .provenance import Provenance
 
 SUFFIX = ".duckdb"
 HEAD = "ledger_head"
 """The table by which a file of ours is known."""
 
 
-class Opened(msgspec.Struct, frozen=True):
+class Opened(Answer, msgspec.Struct, frozen=True):
     """The file, how many relations and macros it holds, which queries it does not, and the provenance."""
 
     file: Path
     relations: int
     macros: int
     not_included: tuple[str, ...]
-    provenance: Provenance
+    provenance: "Provenance"
+
+    def text(self, _: Screen) -> Iterator[printable.Shown]:
+        """Yield what the file holds."""
+        events = self.provenance.head.size if self.provenance.head else 0
+        yield printable.lines(
+            f"{self.file}: {self.relations:,} relations and {self.macros:,} macros over {events:,} events",
+            "a macro is called by its parameters, as `FROM denials(run := 1)`",
+        )
+        if self.not_included:
+            yield printable.line(f"not included: {', '.join(self.not_included)}, which need fsar-ledger itself")
 
 
-def write_database(
-    ledger: Path, out: Path | None = None, demanded: str | None = None, progress: Progress | None = None
+@verb("open out/ledger --out out/ledger.duckdb", takes=("verified",))
+def open(  # named as the command is
+    ledger: "Ledger",
+    out: Annotated[
+        Place | None, declare("--out", "FILE", "A .duckdb file; replaced if `open` wrote it.", "LEDGER.duckdb here")
+    ] = None,
+    *,
+    progress: Annotated[Progress | None, Shows("written", "views and queries")] = None,
 ) -> Opened:
-    """Write the file: views of the committed segments by their absolute paths, tables where views would be slow.
+    """Write a small DuckDB file for other programs: every event view and query under its name.
 
-    `progress` is called with the queries that were written and their number.
+    DuckDB, notebooks, Polars and BI tools read the ledger through it and can join tables of their own. It reads the
+    segments in their present place, at the present head; `open` again after the ledger grew or moved.
 
     Raises:
         UsageError: The name does not end in .duckdb, lies inside a ledger, or is of a file that is not ours.
         WriteFailed: The file cannot be written.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: As `connect`.
     """
-    place = ledger.resolve()
-    file = Path(f"{place.name}{SUFFIX}") if out is None else out
+    import duckdb
+
+    from fsar_ledger.metrics.database import connect
+
+    from .files import whole_file
+
+    place = ledger.path.resolve()
+    file = Path(f"{place.name}{SUFFIX}") if out is None else Path(out)
     _require_ours(file)
     with whole_file(file) as temporary, TemporaryDirectory(prefix="fsar-ledger-") as folder:
         temporary.touch()
@@ -53,7 +81,7 @@ def write_database(
         link = Path(folder) / f"ledger{SUFFIX}"
         link.symlink_to(temporary.absolute())
         try:
-            with connect(place, 1, demanded, link) as database:
+            with connect(place, 1, ledger.demanded, link) as database:
                 return _fill(database, place, file, progress)
         except (duckdb.Error, QueryFailed) as problem:  # our own queries have no mistakes
             said = str(problem).removeprefix("SQL: ").partition("\n")[0]
@@ -62,8 +90,14 @@ def write_database(
             ) from problem
 
 
-def _fill(database: Database, ledger: Path, file: Path, progress: Progress | None) -> Opened:
+def _fill(database: "Database", ledger: Path, file: Path, progress: Progress | None) -> Opened:
     """Make every relation and macro, and the tables that say what the file is."""
+    import pyarrow as pa
+
+    from fsar_ledger.metrics.progress import each
+
+    from .provenance import Provenance
+
     found = sorted(database.library.queries.values(), key=lambda query: bool(query.parameters))
     left_out = []
     for query in each(found, progress):
@@ -95,6 +129,11 @@ def _fill(database: Database, ledger: Path, file: Path, progress: Progress | Non
 
 
 def _require_ours(file: Path) -> None:
+    import duckdb
+
+    from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.metrics.paths import literal
+
     if file.suffix != SUFFIX:
         raise UsageError(
             f"{file}: found a file name that ends in {file.suffix or 'nothing'!r}, expected {SUFFIX}; choose another "

@@ -1,38 +1,105 @@
-"""Find the event that a user means, and prove it."""
+"""The verb `prove`: find the event that a user means, and prove it."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.chain.places import event_at, place_of
-from fsar_ledger.ledger.chain.proof import Proof, prove
-from fsar_ledger.ledger.chain.read import View
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.metrics.verified import is_verified
+from fsar_ledger.errors import UsageError, option
 
-from .lookup import resting_on_rows, run_in
-from .names import MAX_DIGITS
+from .answers import Answer, Screen
+from .names import MAX_DIGITS, Place
+from .verbs import argument, declare, verb
+
+if TYPE_CHECKING:
+    from fsar_ledger.ledger.chain.proof import Proof
+    from fsar_ledger.ledger.chain.read import View
+
+    from .ledger import Ledger
 
 
-def prove_event(ledger: Path, event: str, demanded: str | None = None) -> Proof:
-    """Prove the event of this name: `RUN:SEQ`, the run as `run_of` knows it, or the event's place in the ledger.
+class Proved(Answer, msgspec.Struct, frozen=True):
+    """A proof, and the file that holds it."""
+
+    proof: "Proof"
+    out: Path | None
+
+    def text(self, _: Screen) -> Iterator[printable.Shown]:
+        """Yield the proof, or where it is."""
+        if self.out is None:
+            yield printable.Shown(str(self.proof))
+            return
+        tree = self.proof.note.checkpoint
+        yield printable.lines(f"{self.out}: event {self.proof.index:,} of {tree.size:,}", f"root {tree.root.hex()}")
+
+
+def _proved(ledger: "Ledger", event: str, out: Path | None) -> Proved:
+    return Proved(prove(ledger, event, out), out)
+
+
+@verb(
+    "prove out/ledger 1234 --out out/event-1234.tlog-proof",
+    "prove out/ledger 1:12",
+    takes=("verified",),
+    call=_proved,
+)
+def prove(
+    ledger: "Ledger",
+    event: Annotated[
+        str | int,
+        argument(
+            "EVENT",
+            "RUN:SEQ, a run (its number, its name, or a part of it that no other run has) and a seq in it; a bare "
+            "number is the event's place in the ledger, from 0.",
+        ),
+    ],
+    out: Annotated[
+        Place | None,
+        declare("--out", "FILE", "A new file, .tlog-proof by convention; never replaced.", "print it"),
+    ] = None,
+) -> "Proof":
+    """Prove that one event is in a ledger.
+
+    The proof is one small text, a C2SP tlog-proof: the event, the hashes from it to the root, and the newest
+    checkpoint. `verify-proof` checks it without the ledger.
 
     Raises:
-        UsageError: There is no such event, or more than one such run.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers` and `prove`.
+        UsageError: There is no such event, more than one such run, or `out` exists or lies inside a ledger.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`, and where hashes do not agree.
     """
-    view = open_for_answers(ledger)
-    run, seq = asked_event(view, event, demanded)
-    return prove(view, _index_of(view, run, seq, demanded))
+    import os
+
+    from fsar_ledger.ledger.chain import proof
+    from fsar_ledger.ledger.opening import open_for_answers
+    from fsar_ledger.ledger.store.paths import require_outside
+
+    from .files import write_text
+
+    if out is not None:
+        if os.path.lexists(out):
+            raise UsageError(f"{option('out', out)}: found a file, expected a free name; a proof is never overwritten")
+        require_outside(Path(out), option("out", out))
+    view = open_for_answers(ledger.path)
+    run, seq = asked_event(view, str(event), ledger.demanded)
+    found = proof.prove(view, _index_of(view, run, seq, ledger.demanded))
+    if out is not None:
+        write_text(Path(out), str(found))
+    return found
 
 
-def asked_event(view: View, event: str, demanded: str | None) -> tuple[str | None, str]:
+def asked_event(view: "View", event: str, demanded: str | None) -> tuple[str | None, str]:
     """Return the full name of the run and the digits of the seq, or None and the digits of a place in the ledger.
 
     Raises:
         UsageError: It is no name of an event, or there is no such run, or more than one.
         SequenceConflict: As `is_verified`.
     """
+    from fsar_ledger.metrics.verified import is_verified
+
+    from .lookup import run_in
+
     asked, _, seq = event.rpartition(":")
     if not (seq.isascii() and seq.isdecimal()) or event.startswith(":"):
         raise UsageError(
@@ -43,18 +110,25 @@ def asked_event(view: View, event: str, demanded: str | None) -> tuple[str | Non
     return run_in(view, asked, demanded) if asked else None, seq
 
 
-def found_event(view: View, run: str | None, seq: str, demanded: str | None) -> tuple[str, int]:
+def found_event(view: "View", run: str | None, seq: str, demanded: str | None) -> tuple[str, int]:
     """Return run and seq of the event that `asked_event` gave. Raises: UsageError if there is no such event."""
+    from fsar_ledger.ledger.chain.places import event_at
+
     found = event_at(view, _index_of(view, run, seq, demanded))
     return str(found["run_id"]), int(str(found["seq"]))
 
 
-def _index_of(view: View, run: str | None, seq: str, demanded: str | None) -> int:
+def _index_of(view: "View", run: str | None, seq: str, demanded: str | None) -> int:
     """Return the place in the ledger, from 0, of this event of the run; without a run it is its place already.
 
     Raises:
         UsageError: There is no such event.
     """
+    from fsar_ledger.ledger.chain.places import place_of
+    from fsar_ledger.metrics.verified import is_verified
+
+    from .lookup import resting_on_rows
+
     if run is None:
         if len(seq) > MAX_DIGITS or int(seq) >= view.head.size:
             raise UsageError(

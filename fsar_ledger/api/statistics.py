@@ -1,42 +1,40 @@
-"""Compare the architectures of a ledger in pairs, with remarks on what the rows leave out."""
+"""The verb `statistics`: compare the architectures in pairs, with remarks on what the rows leave out."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from msgspec import structs
 
-from fsar_ledger.metrics.comparability import (
-    DifferingWorlds,
-    differing_worlds,
-    imputed,
-    left_over,
-    not_compared,
-    remarks_on,
-    too_few,
-)
-from fsar_ledger.metrics.database import Database
-from fsar_ledger.metrics.definitions import published_metrics
-from fsar_ledger.metrics.results import StatisticRow, statistic_rows
+from fsar_ledger import printable
 
-from .provenance import Provenance, of_judgement
+from .answers import Answer, Screen
+from .names import pools_seeds
+from .verbs import ROWS, PoolOption, verb
 
-PUBLISHED = frozenset(one.name for one in published_metrics())
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.comparability import DifferingWorlds
+    from fsar_ledger.metrics.results import StatisticRow
+
+    from .ledger import Ledger
+    from .provenance import Provenance
+    from .table import Table
+
 NOTHING = (
     "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met "
     "the same world"
 )
 
 
-class Statistics(msgspec.Struct, frozen=True):
+class Statistics(Answer, msgspec.Struct, frozen=True):
     """The answer of `statistics`: rows, differing worlds, why some comparisons have no pairs, and remarks."""
 
     rows: list[dict[str, Any]]
     columns: list[str]
-    differing: list[DifferingWorlds]
+    differing: list["DifferingWorlds"]
     not_compared: list[str]
     remarks: list[str]
-    provenance: Provenance
+    provenance: "Provenance"
     notes: list[str]
     """How to read the rows; none of them is a warning."""
 
@@ -48,10 +46,11 @@ class Statistics(msgspec.Struct, frozen=True):
     @property
     def after(self) -> list[str]:
         """Return the lines below the numbers: how Holm adjusts several families, and what is missing."""
+        published = _published()
         families = {
             (row["family"], row["family_tests"])
             for row in self.rows
-            if row["family_tests"] is not None and row["metric"] in PUBLISHED
+            if row["family_tests"] is not None and row["metric"] in published
         }
         told = (
             [f"Holm adjusts together: {'; '.join(f'{count} tests of {name}' for name, count in sorted(families))}"]
@@ -60,26 +59,88 @@ class Statistics(msgspec.Struct, frozen=True):
         )
         return [*told, *(f"not compared: {why}" for why in self.not_compared), *self.remarks] if self.rows else []
 
+    @property
+    def exit_code(self) -> int:
+        """1 where facts differ that an experiment keeps alike."""
+        return int(any(one.is_fault for one in self.differing))
 
-def _alone(rows: Sequence[StatisticRow]) -> list[str]:
-    """Return a note on metrics that the paper does not print; Holm adjusts each by itself."""
-    names = sorted({row.metric for row in rows} - PUBLISHED)
-    return [f"Holm adjusts each metric that the paper does not print by itself: {', '.join(names)}"] if names else []
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return the rows, and what they leave out."""
+        return {
+            "rows": self.rows,
+            "differing_worlds": self.differing,
+            "not_compared": self.not_compared,
+            "remarks": [*self.remarks, *self.notes],
+        }
+
+    def table(self) -> "Table":
+        """Return the rows as a table."""
+        from fsar_ledger.metrics.results import StatisticRow
+
+        from .table import Table, of_structs
+
+        return Table(of_structs([StatisticRow(**row) for row in self.rows], StatisticRow), self.provenance)
+
+    def beside_rows(self) -> list[str]:
+        """Return what the rows leave out."""
+        return [*self.before, *self.after]
+
+    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+        """Yield the rows, with what they leave out above and below."""
+        from .table import telling, unit_of_interventions
+
+        yield printable.lines(*self.before, *([""] if self.before and self.rows else []))
+        if self.rows:
+            yield screen.table(self.rows, telling(self.rows))
+        yield printable.lines(*(["", *self.after, *self.notes] if self.after or self.notes else []))
+        yield from unit_of_interventions(screen)
 
 
-def compute_statistics(database: Database, *, pooled: bool) -> Statistics:
-    """Compare everything in pairs that the ledger allows. Raises: As `Database.rows`."""
-    found = statistic_rows(database, pools_seeds=pooled)
-    metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
-    columns = list(StatisticRow.__struct_fields__)
-    remarks = [*remarks_on(found, metrics), *left_over(database)]
-    notes = [*too_few(found), *imputed(database, found), *_alone(found)]
-    return Statistics(
-        [structs.asdict(row) for row in found],
-        columns,
-        differing_worlds(database),
-        not_compared(database),
-        remarks,
-        of_judgement(database),
-        notes,
+@verb("statistics out/ledger", "statistics out/ledger --csv", takes=ROWS)
+def statistics(ledger: "Ledger", pool: PoolOption = None) -> Statistics:
+    """Compare the architectures of a ledger in pairs, and FSAR with itself without a mechanism.
+
+    For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and
+    Holm over the 24 tests of the architectures, or over those of all ablations. Runs that did not meet the same world
+    are named first and left out; exit code 1 where facts differ that an experiment keeps alike. The answer says what
+    cannot be compared, and why. A run without failures counts as in the paper (containment 1, latency 0 s); `query
+    statistics/all_pairwise_tests` also has the tests without such pairs (basis defined). The columns pooled_* test what
+    the results table prints: containment and latency pooled over failures.
+    """
+    from fsar_ledger.metrics.comparability import (
+        differing_worlds,
+        imputed,
+        left_over,
+        not_compared,
+        remarks_on,
+        too_few,
     )
+    from fsar_ledger.metrics.results import StatisticRow, statistic_rows
+
+    from .provenance import of_judgement
+
+    pooled = pools_seeds(pool)
+    with ledger.database() as database:
+        found = statistic_rows(database, pools_seeds=pooled)
+        metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
+        return Statistics(
+            [structs.asdict(row) for row in found],
+            list(StatisticRow.__struct_fields__),
+            differing_worlds(database),
+            not_compared(database),
+            [*remarks_on(found, metrics), *left_over(database)],
+            of_judgement(database),
+            [*too_few(found), *imputed(database, found), *_alone(found)],
+        )
+
+
+def _published() -> frozenset[str]:
+    from fsar_ledger.metrics.definitions import published_metrics
+
+    return frozenset(one.name for one in published_metrics())
+
+
+def _alone(rows: "Sequence[StatisticRow]") -> list[str]:
+    """Return a note on metrics that the paper does not print; Holm adjusts each by itself."""
+    names = sorted({row.metric for row in rows} - _published())
+    return [f"Holm adjusts each metric that the paper does not print by itself: {', '.join(names)}"] if names else []

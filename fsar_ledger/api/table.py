@@ -1,7 +1,7 @@
 """An answer as a table: Arrow, polars or plain rows, with its provenance."""
 
 import html
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -17,11 +17,17 @@ from .provenance import Provenance
 if TYPE_CHECKING:
     import polars as pl
 
+    from fsar_ledger.printable import Shown
+
+    from .answers import Screen
+
 Row = dict[str, Any]
 
 NOTHING = Provenance()
 SHOWN_ROWS = 20
 """Rows that a notebook shows."""
+SETTING = ("family", "family_tests", "seed", "seeds", "kind", "source", "model_version", "constants")
+"""Columns of metrics that people are shown only where they tell rows apart."""
 
 
 class Table:
@@ -75,6 +81,14 @@ class Table:
         for batch in self.stored.to_batches():
             yield from slices(batch, SENT_BYTES)
 
+    def columns_shown(self) -> list[str]:
+        """Return the columns that people are shown."""
+        return self.columns
+
+    def below(self, screen: "Screen") -> "Iterator[Shown]":  # noqa: ARG002 - other tables look at it
+        """Yield the lines below the rows, for people."""
+        yield from ()
+
     def __iter__(self) -> Iterator[Row]:
         return (row for part in self.parts() for row in part)
 
@@ -92,6 +106,30 @@ class Table:
         more = len(self) - len(shown)
         rest = f"<p>... {more:,} more rows</p>" if more else ""
         return f"<table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table>{rest}"
+
+
+class MetricTable(Table):
+    """Rows about metrics. People are shown a setting only where it tells rows apart."""
+
+    def columns_shown(self) -> list[str]:
+        """Return the columns that people are shown."""
+        return telling(self.rows())
+
+    def below(self, screen: "Screen") -> "Iterator[Shown]":
+        """Yield the lines below the rows, for people."""
+        yield from unit_of_interventions(screen)
+
+
+def telling(rows: Sequence[Mapping[str, object]]) -> list[str]:
+    """Return the columns, without those of a setting that is the same in every row."""
+    return [name for name in (rows[0] if rows else ()) if name not in SETTING or len({row[name] for row in rows}) > 1]
+
+
+def unit_of_interventions(screen: "Screen") -> "Iterator[Shown]":
+    """Yield, on a terminal, the line that keeps a share of runs from being read as a number of calls."""
+    if screen.is_fitted:
+        calls = f"`fsar-ledger query interventions {printable.word(screen.path)}` lists the calls"
+        yield printable.lines("", f"human_intervention is the share of runs that called the fleet supervisor; {calls}")
 
 
 def rows_of(batch: pa.RecordBatch) -> Iterator[list[Row]]:

@@ -13,13 +13,14 @@ from fsar_ledger.ledger.store.paths import CHECKPOINT, require_outside
 from fsar_ledger.metrics.progress import each
 from fsar_ledger.metrics.verified import is_verified
 
-from .files import Written
 from .provenance import Provenance
 from .workload import Progress
 
 
-def write_tiles(ledger: Path, out: Path, *, demanded: str | None = None, progress: Progress | None = None) -> Written:
-    """Write every tile of the newest tree, and its checkpoint, into a new folder; return the number of tiles.
+def write_tiles(
+    ledger: Path, out: Path, *, demanded: str | None = None, progress: Progress | None = None
+) -> tuple[int, Provenance]:
+    """Write every tile of the newest tree, and its checkpoint, into a new folder; return how many.
 
     The hashes are those of the rows, each of which is read and hashed. `progress` is called with the segments that were
     hashed, and their number.
@@ -56,7 +57,7 @@ def write_tiles(ledger: Path, out: Path, *, demanded: str | None = None, progres
     except BaseException:
         shutil.rmtree(work, ignore_errors=True)
         raise
-    return Written(count, provenance)
+    return count, provenance
 
 
 def _write(work: Path, out: Path, tiles: dict[Tile, bytes]) -> int:

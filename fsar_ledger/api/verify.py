@@ -1,35 +1,42 @@
-"""Verify a ledger: check its rows, replay its runs, and ask witnesses."""
+"""The verb `verify`: check the rows of a ledger, replay its runs, and ask witnesses."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger.errors import UsageError, option
-from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.verify.report import Asked, VerifyReport
-from fsar_ledger.metrics.verified import whole_look
+from fsar_ledger import printable
+from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, ReplayMismatch, UsageError, option
+from fsar_ledger.printable import counted
 
-from .keys import anchor_of, trusted_of
+from .answers import Answer, Screen
+from .key import anchor_of, signature_text, trusted_of
 from .names import Place
-from .witness import Seen, seen_of
+from .verbs import Clock, Shows, TrustedKeyOption, WorkersOption, declare, verb
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
+    from fsar_ledger.ledger.store.problem import Problem
+    from fsar_ledger.ledger.verify.report import VerifyReport
     from fsar_ledger.runtime.replay import ReplayReport
 
+    from .ledger import Ledger
+    from .witness import Seen
 
-class Verification(msgspec.Struct, frozen=True):
+
+class Verification(Answer, msgspec.Struct, frozen=True):
     """The findings of `verify`.
 
     `report` comes from deriving everything again, `replay` from playing the runs again, `witnessed` from witnesses.
-    None means not asked for.
+    None means not asked for. `path` is the ledger; `is_recorded`: the runs were played in the world on record.
     """
 
-    report: VerifyReport
+    report: "VerifyReport"
     replay: "ReplayReport | None" = None
-    witnessed: Seen | None = None
+    witnessed: "Seen | None" = None
+    path: Path = Path()
+    is_recorded: bool = False
 
     @property
     def ok(self) -> bool:
@@ -41,7 +48,7 @@ class Verification(msgspec.Struct, frozen=True):
         )
 
     @property
-    def problems(self) -> tuple[Problem, ...]:
+    def problems(self) -> "tuple[Problem, ...]":
         """Return where the ledger contradicts itself; differences found by a replay are in `replay.differences`."""
         return self.report.problems
 
@@ -50,44 +57,158 @@ class Verification(msgspec.Struct, frozen=True):
         """Return the Merkle root derived from the rows, in hex; None where there is any doubt."""
         return self.report.root
 
+    @property
+    def failure(self) -> FsarLedgerError | None:
+        """The error that names each place in doubt."""
+        if not self.report.ok:
+            return LedgerCorrupted(*self._lines())
+        if self.replay is not None and not self.replay.ok:
+            return ReplayMismatch(*self._lines())
+        if self.witnessed is not None and not self.witnessed.is_enough:
+            return LedgerCorrupted(self.witnessed.doubt(self.path))
+        return None
 
-def verify_ledger(
-    ledger: Path,
-    quick: bool,
-    anchor: Place | None,
-    trusted_key: str | None,
-    by_witnesses: tuple[Place | None, Sequence[Place], int | None],
-    replays: tuple[bool, bool],
-    workers: int | None,
-    progress: Progress | None,
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return the findings; the root in the head is null where some rows cannot be read."""
+        more: dict[str, object] = {} if self.replay is None else {"replay": self.replay}
+        if self.witnessed is not None:
+            more["witnessed"] = self.witnessed.json()
+        head = {"size": self.report.events, "root": self.report.root}
+        return {"head": head, **msgspec.to_builtins(self.report), "ok": self.ok, **more}
+
+    def text(self, _: Screen) -> Iterator[printable.Shown]:
+        """Yield what was found consistent."""
+        witnessed = self.witnessed.lines(self.report.events) if self.witnessed is not None else ()
+        yield printable.lines(*self._lines(), *witnessed)
+
+    def _lines(self) -> list[str]:
+        """Return the findings as lines."""
+        ledger, report, again = self.path, self.report, self.replay
+        lines = _of_report(ledger, report)
+        if again is None:
+            return lines
+        if not report.ok:
+            return [*lines, f"{ledger}: not replayed, as its rows are in doubt"]
+        if again.ok and not report.runs:
+            return [*lines, "replayed: nothing; the ledger holds no run", *again.remarks]
+        if again.ok:
+            makers = (
+                "the handlers make them in the world on record; whether it was the world of the seed, this does not "
+                "tell"
+                if self.is_recorded
+                else "the world and the handlers make them"
+            )
+            return [
+                *lines,
+                f"replayed: all {again.events:,} events of {counted(again.runs, 'run')} are as {makers}",
+                *again.remarks,
+            ]
+        count = (
+            f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"
+        )
+        return [
+            *map(str, again.differences),
+            f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided",
+        ]
+
+
+@verb(
+    "verify out/ledger",
+    "verify out/ledger --quick --json",
+    "verify out/ledger --replay",
+    "cp out/ledger/checkpoint monday    # keep it elsewhere; later:",
+    "verify out/ledger --anchor monday --trusted-key out/fleet.key.pub",
+    "verify out/ledger --witness-policy witnesses.policy --cosigned out/cosigned",
+    takes=("json",),
+)
+def verify(
+    ledger: "Ledger",
+    *,
+    quick: Annotated[
+        bool,
+        declare("--quick", None, "Read no rows: only the chain of records, the files' hashes and the notes."),
+    ] = False,
+    anchor: Annotated[
+        Place | None,
+        declare("--anchor", "FILE", "Prove that the ledger only grew since this copy of LEDGER/checkpoint."),
+    ] = None,
+    trusted_key: TrustedKeyOption = None,
+    witness_policy: Annotated[
+        Place | None,
+        declare(
+            "--witness-policy",
+            "FILE",
+            "Ask the witnesses in this C2SP tlog-policy what they saw of the ledger; enough of them must have seen it, "
+            "as it is or before it grew.",
+        ),
+    ] = None,
+    cosigned: Annotated[
+        Sequence[Place],
+        declare(
+            "--cosigned",
+            "FILE",
+            "With --witness-policy: ask nobody, and take what this note shows; may be repeated.",
+        ),
+    ] = (),
+    replay: Annotated[
+        bool,
+        declare(
+            "--replay",
+            None,
+            "Also play every run again: each recorded decision must be what the handlers decide from the recorded "
+            "world.",
+        ),
+    ] = False,
+    recorded: Annotated[
+        bool,
+        declare(
+            "--recorded",
+            None,
+            "With --replay: take what the world did and answered from the ledger, not from the seed.",
+        ),
+    ] = False,
+    workers: WorkersOption = None,
+    progress: Annotated[Progress | None, Shows("verified", "segments", {"replay": "verified and replayed"})] = None,
+    now_s: Annotated[int | None, Clock()] = None,
 ) -> Verification:
-    """Verify the ledger; `by_witnesses` are the policy, the notes at hand and the present time.
+    """Derive every hash, count and record of a ledger again.
 
-    `replays` tell whether to replay, and to take the world from the record.
+    Where something does not hold, each place is named and the exit code is 3. No ledger can show by itself that all of
+    it was rewritten, or that its newest commits were removed. For that, give a trusted key and an anchor (a copy of
+    LEDGER/checkpoint that was kept elsewhere), or ask witnesses, who keep one. A check of all rows that finds nothing
+    is remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
 
-    Raises: As `Ledger.verify`.
+    Raises:
+        NotALedger: There is none. Damage does not raise, but is in `ok` and `problems` of the answer.
+        UsageError: The arguments contradict each other, or a policy is given without `now_s`, the present time in
+            seconds since 1970.
     """
-    is_replayed, is_recorded = replays
-    if is_recorded and not is_replayed:
+    from fsar_ledger.ledger.verify.report import Asked
+    from fsar_ledger.metrics.verified import whole_look
+
+    from .witness import seen_of
+
+    if recorded and not replay:
         raise UsageError(f"{option('recorded')}: expected it with {option('replay')}, of which it says in which world")
-    if quick and is_replayed:
+    if quick and replay:
         raise UsageError(
             f"{option('quick')} and {option('replay')}: expected one of them; a quick look reads no rows, a replay "
             "all of them"
         )
-    trusted, kept = trusted_of(trusted_key), anchor_of(anchor)
-    policy, cosigned, now_s = by_witnesses
+    place, trusted, kept = ledger.path, trusted_of(trusted_key), anchor_of(anchor)
+    policy = None if witness_policy is None else Path(witness_policy)
     # Before the check, during which the ledger may grow.
-    seen = seen_of(ledger, None if policy is None else Path(policy), list(map(Path, cosigned)), trusted, now_s)
+    seen = seen_of(place, policy, list(map(Path, cosigned or ())), trusted, now_s)
     if trusted is None and seen is not None:
         trusted = seen.log
     asked = Asked(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
-    report = whole_look(ledger, readers_of(workers, ledger), progress, asked)
-    return Verification(report, replayed(ledger, report, workers, progress, is_recorded) if is_replayed else None, seen)
+    report = whole_look(place, readers_of(workers, place), progress, asked)
+    again = replayed(place, report, workers, progress, recorded) if replay else None
+    return Verification(report, again, seen, place, recorded)
 
 
 def replayed(
-    ledger: Path, report: VerifyReport, workers: int | None, progress: Progress | None, is_recorded: bool = False
+    ledger: Path, report: "VerifyReport", workers: int | None, progress: Progress | None, is_recorded: bool = False
 ) -> "ReplayReport":
     """Play every verified run again; return `NOT_REPLAYED` where `verify` found a problem.
 
@@ -98,3 +219,25 @@ def replayed(
     if not report.ok:
         return NOT_REPLAYED
     return replay(ledger, readers_of(workers, ledger), progress, report.commits, is_recorded)
+
+
+def _of_report(ledger: Path, report: "VerifyReport") -> list[str]:
+    """Return a line for each problem, or lines on what was found consistent."""
+    if not report.ok:
+        count = f"{counted(len(report.problems), 'problem')}{' at a quick look' if report.is_quick else ''}"
+        return [
+            *map(str, report.problems),
+            f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies",
+        ]
+    of_runs = "" if report.is_quick else f" of {counted(report.runs, 'run')}"
+    counts = f"{counted(report.events, 'event')}{of_runs} in {counted(report.commits, 'commit')}"
+    looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
+    lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
+    lines += [f"signed commits: {report.signed:,} of {report.commits:,}"] if report.signed else []
+    lines += (
+        [f"only grew since the anchor's {report.anchored:,} events"]
+        if report.anchored is not None and not report.is_quick
+        else []
+    )  # there a remark says it
+    lines += [f"not looked at: {', '.join(report.not_looked_at)}"] if report.not_looked_at else []
+    return [*lines, *report.remarks]

@@ -1,26 +1,37 @@
-"""What would have been: forks of the runs of a ledger, and the effect of their changes."""
+"""The verb `whatif`: forks of the runs of a ledger, and the effect of their changes."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
-from fsar_ledger.analysis.bases import base_of_record, repeated
-from fsar_ledger.analysis.records import record_of, starts_of
-from fsar_ledger.analysis.whatif import Effects, Pair, Parted, effects, forked, keep
+from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, option
-from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.chain.read import View
-from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.ledger.store.view import Head
-from fsar_ledger.printable import did_you_mean, value
-from fsar_ledger.runtime.change_texts import parsed, read_changes
-from fsar_ledger.runtime.changes import Changes
+from fsar_ledger.printable import Shown, counted, did_you_mean, value
 
-from .difference import Diff, difference_of
-from .provenance import Provenance
+from .answers import Answer, Screen
+from .diff import Diff, story
+from .names import Names, Place, Run, names_of
+from .verbs import ArchitectureOption, Shows, declare, verb
 from .workload import Progress
+
+if TYPE_CHECKING:
+    from fsar_ledger.analysis.whatif import Effects, Pair, Parted
+    from fsar_ledger.ledger.chain.read import View
+    from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.ledger.store.view import Head
+    from fsar_ledger.runtime.changes import Changes
+
+    from .ledger import Ledger
+    from .provenance import Provenance
+    from .table import Table
+
+NAMES = {"base_mean": "base", "fork_mean": "fork"}
+COLUMNS = (
+    *("metric", "differing_pairs", "base_mean", "fork_mean", "difference"),
+    *("low", "high", "interval", "test", "p", "gain"),
+)
 
 Asked = str | Sequence[str]
 """Changes as texts (`docs/replay.md`); one that ends in `.toml` is a file of them."""
@@ -34,8 +45,8 @@ class Fork(msgspec.Struct, frozen=True):
     changed, does not count.
     """
 
-    base: LedgerRun
-    record: LedgerRun
+    base: "LedgerRun"
+    record: "LedgerRun"
     changes: tuple[str, ...]
     parts_at: int | None
 
@@ -48,7 +59,7 @@ class Fork(msgspec.Struct, frozen=True):
         return min(times) / 1_000_000
 
 
-class WhatIf(msgspec.Struct, frozen=True):
+class WhatIf(Answer, msgspec.Struct, frozen=True):
     """Forks with the same changes, and the effects on every metric.
 
     `story` says where base and fork of a single run part, and why; None: there are several. `kept` is the head of the
@@ -56,76 +67,216 @@ class WhatIf(msgspec.Struct, frozen=True):
     """
 
     changes: tuple[str, ...]
-    forks: tuple[Parted, ...]
-    effects: list[Effects]
+    forks: tuple["Parted", ...]
+    effects: list["Effects"]
     story: Diff | None
-    provenance: Provenance
-    kept: Head | None
+    provenance: "Provenance"
+    kept: "Head | None"
+    out: Path | None = None
 
     @property
     def diverging(self) -> int:
         """Return how many forks do not do the same as their base."""
         return sum(one.parts_at is not None for one in self.forks)
 
+    def document(self, screen: Screen) -> Mapping[str, object]:
+        """Return the forks, what they came to, and where they are kept."""
+        return {
+            "changes": self.changes,
+            "story": None if self.story is None else self.story.document(screen),
+            "forks": self.forks,
+            "effects": self.effects,
+            "kept": None if self.kept is None else {"size": self.kept.size, "root": self.kept.root},
+        }
 
-def changes_of(asked: Asked) -> Changes:
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield what the changes do, in one run or in pairs."""
+        yield printable.lines(*(f"change: {one}" for one in self.changes))
+        if self.story is not None:
+            yield printable.lines(screen.run_text(self.story.first), "")
+            yield from story(self.story, ("base", "fork"), screen)
+            yield printable.lines("")
+        else:
+            for one in self.effects:
+                yield from _effects(one, screen)
+        if self.kept is not None and self.out is not None:
+            count = counted(len(self.forks), "fork")
+            place = printable.word(self.out)
+            yield printable.lines(f"kept in {place}: {count}, each beside its base, root {self.kept.root}")
+
+
+class Changeables(Answer, msgspec.Struct, frozen=True):
+    """What the changes of a run can name."""
+
+    found: "Table"
+
+    @property
+    def provenance(self) -> "Provenance":
+        """What the answer holds for."""
+        return self.found.provenance
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return a row for each."""
+        return {"changeable": self.found.rows()}
+
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield a table."""
+        yield screen.table(self.found.rows(), self.found.columns)
+
+
+def _asked(
+    ledger: "Ledger",
+    changes: Annotated[Names, declare("--change", "TEXT", "What is otherwise; may be repeated.")] = None,
+    file: Annotated[Place | None, declare("--changes", "FILE", "A .toml file of changes.")] = None,
+    run: Run | None = None,
+    all_runs: Annotated[bool, declare("--all-runs", None, "Fork every simulated run.")] = False,
+    lists: Annotated[bool, declare("--list", None, "List what changes of the run can name.")] = False,
+    architecture: Names = None,
+    out: Place | None = None,
+    progress: Progress | None = None,
+) -> Answer:
+    """Fork runs, or list what changes can name."""
+    if lists:
+        if run is None:
+            raise UsageError("--list: found no run, expected --run RUN")
+        return Changeables(changeable(ledger, run))
+    if (run is None) == (not all_runs):
+        found = "--run and --all-runs" if all_runs else "neither --run nor --all-runs"
+        raise UsageError(f"found {found}, expected one of them")
+    if run is not None and architecture:
+        raise UsageError(f"--run {run} and --architecture: found one run, expected --architecture with --all-runs")
+    if file is not None and Path(file).suffix != ".toml":
+        raise UsageError(f"--changes {file}: expected a .toml file")
+    texts = [*(names_of(changes) or ()), *([] if file is None else [str(file)])]
+    if not texts:
+        raise UsageError("found no change, expected --change TEXT or --changes FILE; --list says what can be named")
+    return whatif(ledger, texts, run, architecture=architecture, out=out, progress=progress)
+
+
+@verb(
+    'whatif out/ledger --run 1 --change "drop window:*"',
+    'whatif out/ledger --run 1 --change "add window:fleet/B1 20s for 5s" --out out/forks',
+    'whatif out/ledger --all-runs --architecture fsar --change "rule fleet deny robot=B1 from 20s"',
+    "whatif out/ledger --run 1 --list",
+    call=_asked,
+    after_interruption="what is committed stays; the same call again makes what is missing",
+)
+def whatif(
+    ledger: "Ledger",
+    changes: Annotated[Asked, declare("--change", "TEXT", "What is otherwise; may be repeated.")],
+    run: Annotated[
+        Run | None, declare("--run", "RUN", "Fork this run: its number, its name, or a unique part of it.")
+    ] = None,
+    *,
+    architecture: ArchitectureOption = None,
+    out: Annotated[
+        Place | None, declare("--out", "LEDGER", "Store each fork beside its base in this ledger.", "nowhere")
+    ] = None,
+    progress: Annotated[Progress | None, Shows("played", "forks")] = None,
+) -> WhatIf:
+    """Fork runs with a change, and show what it does: in one run, or over all in pairs.
+
+    A fork repeats its run up to the change and plays on under the same draws, so that nothing differs but what the
+    change does. Changes are `drop FACT`, `move FACT +5s`, `add KIND:WHO TIME for TIME`, `answer QUESTION ANSWER`,
+    `rule`, `trust`, `budget`, `density`, `set NAME=VALUE`, `architecture NAME`, `without MECHANISM`; docs/replay.md has
+    each. The table has every metric in base and fork; over all runs, the difference with a 95 % interval, how many
+    pairs differ, p, and how many times as many independent runs would be as precise (gain).
+
+    Raises:
+        UsageError: A change is none, or means nothing; a run cannot be made again; no run does anything else; `out` is
+            the ledger itself, or lies inside one.
+        WriteFailed: `out` cannot be written.
+    """
+    from fsar_ledger.analysis.records import record_of
+    from fsar_ledger.analysis.whatif import effects, keep
+    from fsar_ledger.ledger.store.paths import require_outside
+
+    from .diff import difference_of
+    from .lookup import present, recorded
+
+    view, provenance = present(ledger)
+    record = None if run is None else recorded(ledger, view, run)
+    place = None if out is None else Path(out)
+    meant = changes_of(changes)
+    if place is not None:
+        if place.resolve() == view.path.resolve():
+            raise UsageError(f"{option('out', place)}: found the ledger of the bases, expected another place")
+        require_outside(place.parent, option("out", place))
+    texts = tuple(map(str, meant))
+    if record is not None:
+        pair = _one(view, record, meant)
+        found, judged = effects([pair])
+        story = difference_of(record, pair.fork.record, (provenance,))
+        kept = None if place is None else keep(place, [pair])
+        return WhatIf(texts, tuple(found), judged, story, provenance, kept, place)
+    runs = runs_of(view, names_of(architecture) or ())
+    played = None if progress is None else lambda done: progress(done, len(runs))
+    found, judged = effects(fork_pairs(view, runs, meant), played)
+    if meant and not any(one.parts_at for one in found):
+        _one(view, record_of(view, runs[0]), meant)  # says why it has no effect there
+        raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
+    kept = None if place is None else keep(place, fork_pairs(view, runs, meant))
+    return WhatIf(texts, tuple(found), judged, None, provenance, kept, place)
+
+
+def fork(ledger: "Ledger", run: Run, changes: Asked) -> Fork:
+    """Fork a run: repeat it up to the first change, and play on under the same draws. Nothing is stored.
+
+    The run is a simulated one of this model version. Changes are texts such as `drop window:fleet/B1/0`, or the names
+    of `.toml` files; none gives a null fork.
+
+    Raises:
+        UsageError: There is no such run, it cannot be made again, or a change is none or has no effect.
+    """
+    from fsar_ledger.events.fleet import RunStarted
+
+    from .lookup import present, recorded
+
+    view, _ = present(ledger)
+    record = recorded(ledger, view, run)
+    pair = _one(view, record, changes_of(changes))
+    started = pair.fork.record.events[0]
+    assert isinstance(started, RunStarted)
+    return Fork(record, pair.fork.record, started.changes or (), pair.fork.parts_at)
+
+
+def changeable(ledger: "Ledger", run: Run) -> "Table":
+    """Return what the changes of a run can name: the facts of its world, and what it asks at its ports.
+
+    The answer has a row for each: its name, a shorter one, when it begins and ends, and what happens or is the
+    answer.
+
+    Raises:
+        UsageError: There is no such run, or it cannot be made again.
+    """
+    from fsar_ledger.analysis.bases import Changeable, base_of_record, repeated
+
+    from .lookup import present, recorded
+    from .table import Table, of_structs
+
+    view, provenance = present(ledger)
+    found = repeated(base_of_record(recorded(ledger, view, run), view.head.root)).changeable()
+    return Table(of_structs(found, Changeable), provenance)
+
+
+def changes_of(asked: Asked) -> "Changes":
     """Return the changes of these texts and files. Raises: UsageError."""
+    from fsar_ledger.runtime.change_texts import parsed, read_changes
+
     found: Changes = ()
     for one in [asked] if isinstance(asked, str) else asked:
         found += read_changes(Path(one)) if one.endswith(".toml") else parsed([one])
     return found
 
 
-def fork_of(view: View, record: LedgerRun, asked: Asked) -> Fork:
-    """Return the fork of a record of this ledger, in which every change has an effect. Raises: UsageError."""
-    pair = _one(view, record, changes_of(asked))
-    started = pair.fork.record.events[0]
-    assert isinstance(started, RunStarted)
-    return Fork(record, pair.fork.record, started.changes or (), pair.fork.parts_at)
-
-
-def what_if(
-    view: View,
-    provenance: Provenance,
-    record: LedgerRun | None,
-    asked: Asked,
-    architectures: Sequence[str],
-    out: Path | None,
-    progress: Progress | None,
-) -> WhatIf:
-    """Fork one run, in which every change must mean something, or with None all simulated runs, and judge them.
-
-    Raises:
-        UsageError: A change is not one, or means nothing; a run cannot be made again; `out` is the ledger itself.
-    """
-    changes = changes_of(asked)
-    if out is not None:
-        if out.resolve() == view.path.resolve():
-            raise UsageError(f"{option('out', out)}: found the ledger of the bases, expected another place")
-        require_outside(out.parent, option("out", out))
-    texts = tuple(map(str, changes))
-    if record is not None:
-        pair = _one(view, record, changes)
-        found, judged = effects([pair])
-        story = difference_of(record, pair.fork.record, (provenance,))
-        kept = None if out is None else keep(out, [pair])
-        return WhatIf(texts, tuple(found), judged, story, provenance, kept)
-    runs = runs_of(view, architectures)
-    counted = None if progress is None else lambda done: progress(done, len(runs))
-    found, judged = effects(fork_pairs(view, runs, changes), counted)
-    if changes and not any(one.parts_at for one in found):
-        _one(view, record_of(view, runs[0]), changes)  # says why it has no effect there
-        raise UsageError(f"none of {len(runs):,} runs does anything else with these changes; expected some effect")
-    kept = None if out is None else keep(out, fork_pairs(view, runs, changes))
-    return WhatIf(texts, tuple(found), judged, None, provenance, kept)
-
-
-def runs_of(view: View, architectures: Sequence[str]) -> list[str]:
+def runs_of(view: "View", architectures: Sequence[str]) -> list[str]:
     """Return the simulated runs of these architectures, or all, but no forks.
 
     Raises:
         UsageError: There is none.
     """
+    from fsar_ledger.analysis.records import starts_of
+
     starts = [(run, started) for run, started in starts_of(view) if started.kind == "simulated" and not started.changes]
     names = {started.architecture or "" for _, started in starts}
     for asked in architectures:
@@ -141,13 +292,31 @@ def runs_of(view: View, architectures: Sequence[str]) -> list[str]:
     return found
 
 
-def fork_pairs(view: View, runs: Sequence[str], changes: Changes) -> Iterator[Pair]:
+def fork_pairs(view: "View", runs: Sequence[str], changes: "Changes") -> "Iterator[Pair]":
     """Yield these runs of a ledger, each with its fork. Raises: UsageError if one cannot be made again."""
+    from fsar_ledger.analysis.bases import base_of_record
+    from fsar_ledger.analysis.whatif import forked
+
     asked = set(runs)
     records = (record for record in view.runs() if record.run_id in asked)
     return forked((base_of_record(record, view.head.root) for record in records), changes)
 
 
-def _one(view: View, record: LedgerRun, changes: Changes) -> Pair:
+def _one(view: "View", record: "LedgerRun", changes: "Changes") -> "Pair":
+    from fsar_ledger.analysis.bases import base_of_record, repeated
+    from fsar_ledger.analysis.whatif import Pair
+
     base = base_of_record(record, view.head.root)
     return Pair(base, repeated(base).fork_with_effect(changes))
+
+
+def _effects(found: "Effects", screen: Screen) -> Iterator[Shown]:
+    from .fields import plain
+
+    rows = [{NAMES.get(name, name): row[name] for name in COLUMNS} for row in plain(found.rows)]
+    who = found.architecture or "-"
+    if found.configuration not in (None, "full"):
+        who += f" {found.configuration}"
+    yield printable.lines("", f"{who}: {counted(found.pairs, 'pair')}, {found.diverging:,} of them part")
+    yield screen.table(rows)
+    yield printable.lines("")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError, option
 
-from .keys import short
+from .key import short
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.log.note import VerifierKey

@@ -14,12 +14,18 @@ if TYPE_CHECKING:
 
 
 def opened(ledger: Path, *, verified: bool) -> "Ledger":
-    """Open the ledger; with `verified`, compare its rows with the root first. Raises: As `demanded_head`."""
+    """Open the ledger; with `verified`, its rows are compared with the root when it is first read.
+
+    Raises: As `demanded_head`, then.
+    """
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.opening import demanded_head
 
-    with Progress("verified", "segments") as progress:
-        return Ledger(ledger, demanded=demanded_head(ledger, verified=verified, progress=progress))
+    def compared() -> str | None:
+        with Progress("verified", "segments") as progress:
+            return demanded_head(ledger, verified=True, progress=progress)
+
+    return Ledger(ledger, demanded=compared if verified else None)
 
 
 def warn(ledger: Path, provenance: "Provenance") -> None:

@@ -1,42 +1,208 @@
 """The typer application, and `run`, which turns a call into an exit code.
 
-Every module of `commands` is a command. Only `terminal.py` prints, and only this module, `progress.py` and the
-witness's server read a clock. Commands import what they need when they run, so that `--help` stays quick. A command
-that fails raises an error of `errors.py`; `run` turns it into one message on stderr and its exit code: 0 fine, 1 a
-write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130
-interrupted.
+A command is a verb of the API (`api/verbs.py`), or a module of `commands`. Only `terminal.py` prints, and only this
+module, `progress.py` and the witness's server read a clock. Commands import what they need when they run, so that
+`--help` stays quick. A command that fails raises an error of `errors.py`; `run` turns it into one message on stderr and
+its exit code: 0 fine, 1 a write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the
+ledger is damaged, 130 interrupted.
 """
 
 import errno
+import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from pkgutil import iter_modules
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from fsar_ledger import printable
+from fsar_ledger.api.verbs import NOTHING_CHANGED, VERBS, Verb
 from fsar_ledger.errors import FsarLedgerError, UsageError, named_as_options
 
 from . import commands
+from .building import callback
 from .memory import reading
 from .once import Command
+from .options import examples
 from .terminal import Enough, say, show
 
 INTERRUPTED = 130
-ORDER = (
-    *("simulate", "info", "metrics", "statistics", "compare", "multiverse"),
-    *("query", "sql", "export", "open", "explain", "log"),
-    *("state", "step", "why", "diff", "whatif", "cause", "bisect", "view"),
-    *("audit", "verify", "prove", "verify_proof", "key", "witness", "recover", "upgrade", "compact", "report"),
-    *("calibrate", "predict", "judge", "sensitivity", "reproduce"),
-)
-"""The commands in the order of the help; those that are not named here follow."""
+GROUPS = {
+    "Record": ("simulate",),
+    "Ask": (
+        *("info", "metrics", "statistics", "compare"),
+        *("query", "sql", "export", "open", "explain", "log"),
+    ),
+    "Replay": ("state", "step", "why", "diff", "whatif", "cause", "bisect", "view"),
+    "Prove": ("audit", "verify", "prove", "verify-proof", "key", "witness"),
+    "The paper": ("reproduce", "report", "study"),
+    "Maintain": ("maintain",),
+}
+"""The commands in the groups and the order of the help."""
+MAINTAIN = ("recover", "upgrade", "compact")
+"""The commands under `maintain`. Until 0.10.0 each is also called without it."""
+OLD_STUDIES = {
+    "calibrate": "calibration",
+    "predict": "predictions",
+    "judge": "comparison",
+    "sensitivity": "sensitivity",
+    "multiverse": "multiverse",
+}
+"""The verb that was each study before 0.9.0. Until 0.10.0 it works as before, and no help lists it."""
+AFTER_SENSITIVITY = "finished evaluations are kept beside --out, and the same command continues there"
+"""What an interrupted sensitivity study leaves."""
+FAMILIES = {
+    "key": "Make keys that sign ledgers.",
+    "maintain": "Repair a ledger, write it in the newer format, or put its segments together.",
+    "study": "Run a study of the model, or show the result of one.",
+    "witness": "Check that ledgers only grow, or have your own checked.",
+}
+"""What the commands do whose names begin with the same word."""
+
+
+class Commands(Mapping[str, Any]):
+    """The commands by name; each is made when it is first asked for, since a call needs only one."""
+
+    def __init__(self) -> None:
+        self._made: dict[str, Any] = {}
+        self._names = [name for names in GROUPS.values() for name in names]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in (*self._names, *MAINTAIN, *OLD_STUDIES):
+            raise KeyError(name)
+        if name not in self._made:
+            self._made[name] = _command(name)
+        return self._made[name]
+
+
+class Family(TyperGroup):
+    """Commands whose names begin with the same word."""
+
+    def format_commands(self, _: Any, formatter: Any) -> None:
+        """Write the first line of the help of each command, whole."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, (one.help or "").partition("\n")[0]) for name, one in self.commands.items()])
+
+
+class Verbs(TyperGroup):
+    """All commands, in groups."""
+
+    def __init__(self, **given: Any) -> None:
+        super().__init__(**given)
+        self.commands = Commands()  # type: ignore[assignment]  # nothing adds to it
+
+    def list_commands(self, _: Any) -> list[str]:
+        """Return the names of the commands in the order of the help."""
+        return list(self.commands)
+
+    def format_commands(self, _: Any, formatter: Any) -> None:
+        """Write what each command does, group by group."""
+        for group, names in GROUPS.items():
+            with formatter.section(group):
+                formatter.write_dl([(name, _summary(name)) for name in names])
+
+
+def _verbs(name: str) -> list[Verb]:
+    """Return the verbs whose names are or begin with this word, from the module of the API that declares them."""
+    import_module(f"fsar_ledger.api.{_module(name)}")
+    return [one for one in VERBS.values() if one.name.partition(" ")[0] == name]
+
+
+def _module(name: str) -> str:
+    return name.replace("-", "_")
+
+
+@cache
+def _modules() -> frozenset[str]:
+    """Return the names of the modules of `commands`: commands that are no verbs of the API."""
+    return frozenset(module.name for module in iter_modules(commands.__path__))
+
+
+def _summary(name: str) -> str:
+    """Return the first line of the help of a command.
+
+    It is read from the source, since to import every module takes longer than all the rest of the help.
+    """
+    if name in FAMILIES:
+        return FAMILIES[name]
+    module, package = _module(name), Path(__file__).parent
+    folder = package / "commands" if module in _modules() else package.parent / "api"
+    source = (folder / f"{module}.py").read_text("utf-8")
+    found = re.search(rf'^def {module}\(.*?"""(.*?)$', source, re.DOTALL | re.MULTILINE)
+    assert found is not None  # a test reads the help
+    return found[1].removesuffix('"""')
+
+
+def _command(name: str) -> Any:
+    """Make a command."""
+    made = typer.Typer(cls=Family, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+    if name == "maintain":
+        made.callback(help=FAMILIES[name])(lambda: None)
+        family = typer.main.get_group(made)
+        for part in MAINTAIN:
+            family.add_command(_command(part))
+        return family
+    if name in OLD_STUDIES:
+        (study,) = (
+            one
+            for one in import_module(f"{commands.__name__}.study").run.registered_commands
+            if one.name == OLD_STUDIES[name]
+        )
+        made.command(name, cls=Command, epilog=study.epilog)(study.callback)
+        return typer.main.get_command(made)
+    if _module(name) not in _modules():
+        for verb in _verbs(name):
+            end = examples(*verb.examples)
+            made.command(verb.name.rpartition(" ")[2], cls=Command, help=verb.help, epilog=end)(callback(verb))
+        if name in FAMILIES:
+            made.callback(help=FAMILIES[name])(lambda: None)
+        return typer.main.get_command(made)
+    module = import_module(f"{commands.__name__}.{_module(name)}")
+    if not hasattr(module, "group"):
+        made.command(name, cls=Command, epilog=module.EXAMPLES)(reading(getattr(module, _module(name))))
+        return typer.main.get_command(made)
+    _once(module.group)
+    made.add_typer(module.group, name=name, cls=Family)
+    return typer.main.get_group(made).commands[name]
+
+
+def _once(group: typer.Typer) -> None:
+    """Let all commands of a group, and of groups in it, refuse an option given twice, and be listed whole."""
+    for one in group.registered_commands:
+        one.cls = Command
+    for inner in group.registered_groups:
+        inner.cls = Family
+        if inner.typer_instance is not None:
+            _once(inner.typer_instance)
+
+
+def _left_by(arguments: Sequence[str]) -> str:
+    """Return what an interrupted call leaves."""
+    name = next((one for one in arguments if one != "maintain"), "")
+    if name not in (*Commands(), *MAINTAIN):
+        return AFTER_SENSITIVITY if name == "sensitivity" else NOTHING_CHANGED
+    if list(arguments[:3]) == ["study", "run", "sensitivity"]:
+        return AFTER_SENSITIVITY
+    if _module(name) in _modules():
+        module = import_module(f"{commands.__name__}.{_module(name)}")
+        return getattr(module, "AFTER_INTERRUPTION", NOTHING_CHANGED)
+    return _verbs(name)[0].after_interruption
+
 
 app = typer.Typer(
     name="fsar-ledger",
+    cls=Verbs,
     help=(
         "Simulate robot fleets under three governance architectures, keep every event in an append-only ledger, and "
         "judge it by SQL."
@@ -59,27 +225,6 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
         raise typer.Exit(0)
 
 
-def _register() -> None:
-    """Register every module of `commands`."""
-    names = {module.name: len(ORDER) for module in iter_modules(commands.__path__)}
-    names |= {name: place for place, name in enumerate(ORDER)}
-    for name in sorted(names, key=lambda one: (names[one], one)):
-        module = import_module(f"{commands.__name__}.{name}")
-        if hasattr(module, "group"):
-            for one in module.group.registered_commands:
-                one.cls = Command
-            app.add_typer(module.group, name=name)
-        else:
-            register = app.command(name.replace("_", "-"), cls=Command, epilog=module.EXAMPLES)
-            register(reading(getattr(module, name)))
-        if hasattr(module, "AFTER_INTERRUPTION"):
-            AFTER_INTERRUPTION[name] = module.AFTER_INTERRUPTION
-
-
-AFTER_INTERRUPTION: dict[str, str] = {}
-"""By command, what an interrupted call leaves; other commands change nothing."""
-
-_register()
 _commands = cache(lambda: typer.main.get_command(app))
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -121,7 +266,7 @@ def run(arguments: Sequence[str]) -> int:
     except KeyboardInterrupt:
         code = INTERRUPTED
     if code == INTERRUPTED:
-        say(f"interrupted; {AFTER_INTERRUPTION.get(next(iter(arguments), ''), 'nothing was changed')}")
+        say(f"interrupted; {_left_by(arguments)}")
     return code if isinstance(code, int) else 0
 
 

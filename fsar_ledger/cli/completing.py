@@ -106,6 +106,14 @@ def queries(line: Line) -> Iterable[str]:
 
 
 @offering
+def studies(_: Line) -> Iterable[str]:
+    """Return the studies that `study show` shows."""
+    from fsar_ledger.cli.studies import STUDIES
+
+    return STUDIES
+
+
+@offering
 def runs(line: Line) -> Iterable[str]:
     """Return the runs of the ledger that the line names."""
     with _ledger(line) as database:
@@ -124,7 +132,7 @@ def parameters(line: Line) -> Iterable[str]:
     """Return the parameters of the query that the line names, as `NAME=`, and after the `=` their values."""
     from fsar_ledger.metrics.library import library
 
-    known = library().find(line.given.get("name") or "").parameters
+    known = library().find(line.given.get("name") or line.given.get("query") or "").parameters
     name, equals, _ = line.typed.partition("=")
     if not equals:
         return [f"{one}=" for one in known]
@@ -135,7 +143,7 @@ def parameters(line: Line) -> Iterable[str]:
 
 def _values(line: Line, one: "Parameter") -> Sequence[str]:
     """Return the values that a parameter can have: its default, and what the ledger has on record."""
-    given = dict(pair.partition("=")[::2] for pair in line.given.get("param") or ())
+    given = dict(pair.partition("=")[::2] for pair in line.given.get("param") or line.given.get("parameters") or ())
     default = [] if one.default is None else [one.default]
     if one.kind in ("time", "seq"):
         return default

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from itertools import groupby
 
 from fsar_ledger import printable
-from fsar_ledger.api.fields import Row, csv_text
+from fsar_ledger.api.fields import Row, csv_text, json_rows
 from fsar_ledger.metrics.groups import GROUPS, group_of, is_event_view, listed
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.printable import Shown
 
-from .output import json_rows, json_text
+from .output import json_text
 from .streaming import Form
 from .tables import is_fitted, table
 

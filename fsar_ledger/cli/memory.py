@@ -20,8 +20,8 @@ LEAST_MIB = 256
 BASE_BYTES = 576 << 20
 PER_BYTE = 16
 """By default a command may take `BASE_BYTES`, and `PER_BYTE` bytes for each byte of the segments on disk. Most commands
-need 300 MiB and 10. Of a ledger of ten million events `multiverse`, `open` and `report` need more and are given it with
---memory: by default as much would be there for a small file that unpacks to much.
+need 300 MiB and 10. Of a ledger of ten million events `study run multiverse`, `open` and `report` need more and are
+given it with --memory: by default as much would be there for a small file that unpacks to much.
 """
 
 PER_WORKER_BYTES = 192 << 20

@@ -64,15 +64,6 @@ SecondsOption = Annotated[
     int | None,
     typer.Option("--seconds", metavar="N", help="The time limit for a SELECT of your own.", show_default="60"),
 ]
-MemoryOption = Annotated[
-    int | None,
-    typer.Option(
-        "--memory",
-        metavar="MIB",
-        help="The memory limit for a SELECT of your own; at least 1024.",
-        show_default="4096",
-    ),
-]
 ReadingMemoryOption = Annotated[
     int | None,
     typer.Option(
@@ -118,26 +109,6 @@ ArchitectureOption = Annotated[
         help="fsar, cfc or dhma; may be repeated.",
         show_default="all; with --without, the one that has the mechanism",
         autocompletion=completing.architectures,
-    ),
-]
-AuditedOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--architecture",
-        metavar="NAME",
-        help="Only the runs of fsar, cfc or dhma; may be repeated.",
-        show_default="all",
-        autocompletion=completing.architectures,
-    ),
-]
-InvariantOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--invariant",
-        metavar="NAME",
-        help="i1 to i5 or a1 to a5, or a whole name; may be repeated.",
-        show_default="all ten",
-        autocompletion=completing.invariants,
     ),
 ]
 ScenarioOption = Annotated[
@@ -220,16 +191,6 @@ RunsOption = Annotated[
         metavar="N", help="Runs per scenario (or workflow) and architecture.", show_default="20; with --workflow, 1"
     ),
 ]
-RunOption = Annotated[
-    str | None,
-    typer.Option(
-        "--run",
-        metavar="RUN",
-        help="A run: its number, its name, or a part of it that no other run has.",
-        show_default="the first run, or the only one that has the ACTION",
-        autocompletion=completing.runs,
-    ),
-]
 OneRunOption = Annotated[
     str,
     typer.Option(
@@ -239,43 +200,9 @@ OneRunOption = Annotated[
         autocompletion=completing.runs,
     ),
 ]
-RequestOption = Annotated[
-    str | None,
-    typer.Option(
-        "--request",
-        metavar="ACTION",
-        help="The request (action) to show, as in the list.",
-        show_default="list all",
-        autocompletion=completing.actions,
-    ),
-]
-FailureOption = Annotated[
-    str | None,
-    typer.Option(
-        "--failure",
-        metavar="ACTION",
-        help="The failed action whose recovery to show, level by level.",
-        show_default=False,
-        autocompletion=completing.actions,
-    ),
-]
 SvgOption = Annotated[
     Path | None,
     typer.Option("--svg", metavar="FILE", help="Also draw it, as SVG; replaced if it exists.", show_default=False),
-]
-PdfOption = Annotated[
-    Path | None,
-    typer.Option("--pdf", metavar="FILE", help="Also draw it, as PDF; replaced if it exists.", show_default=False),
-]
-ReplayOption = Annotated[
-    bool,
-    typer.Option(
-        "--replay",
-        help=(
-            "Also play every run again: each recorded decision must be what the handlers decide from the recorded "
-            "world."
-        ),
-    ),
 ]
 KeyOption = Annotated[
     Path | None,
@@ -305,18 +232,6 @@ TrustedKeyOption = Annotated[
         "--trusted-key",
         metavar="KEY",
         help="Require the signature of this public key: a .pub file, or the key itself.",
-        show_default=False,
-    ),
-]
-WitnessPolicyOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--witness-policy",
-        metavar="FILE",
-        help=(
-            "Ask the witnesses in this C2SP tlog-policy what they saw of the ledger; enough of them must have seen "
-            "it, as it is or before it grew."
-        ),
         show_default=False,
     ),
 ]
@@ -356,7 +271,7 @@ BesideOption = Annotated[
 SensitivityOption = Annotated[
     Path | None,
     typer.Option(
-        "--sensitivity", metavar="FILE", help="A file of `fsar-ledger sensitivity`.", show_default="say how to make one"
+        "--sensitivity", metavar="FILE", help="A file of `study run sensitivity`.", show_default="say how to make one"
     ),
 ]
 

@@ -6,7 +6,6 @@ a cell, a field or a line (`printable`), so whatever these functions return is s
 """
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
@@ -19,9 +18,6 @@ from fsar_ledger.printable import Shown
 
 if TYPE_CHECKING:
     from fsar_ledger.api.provenance import Provenance
-
-SETTING = ("family", "family_tests", "seed", "seeds", "kind", "source", "model_version", "constants")
-"""Columns that a table for people shows only where they tell rows apart."""
 
 
 class HeadLike(Protocol):
@@ -80,34 +76,9 @@ def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified
     return pretty({"head": head and {"size": head.size, "root": head.root}, **standing, **answer})
 
 
-def signature_text(state: str, signer: str | None) -> str:
-    """Return what the signature of a note is worth, in words.
-
-    `signer` is the trusted key that made it, or the one that the note names.
-    """
-    if signer is None:
-        return "unsigned"
-    return (
-        f"signed by {printable.value(signer)}"
-        if state == "signed"
-        else f"signed, signer not checked (it names {printable.value(signer)})"
-    )
-
-
 def answer_json(provenance: "Provenance", answer: Mapping[str, object]) -> Shown:
     """Return one JSON object: what the answer holds for, then the answer."""
     return json_text(provenance.head, {**provenance.answer(), **answer}, provenance.rows_verified)
-
-
-def unit_of_interventions(ledger: Path) -> Shown:
-    """Return the line below a table of metrics that keeps a share of runs from being read as a number of calls."""
-    calls = f"`fsar-ledger query interventions {printable.word(ledger)}` lists the calls"
-    return printable.lines("", f"human_intervention is the share of runs that called the fleet supervisor; {calls}")
-
-
-def telling(rows: Sequence[Row]) -> list[str]:
-    """Return the columns, without those of a setting that is the same in every row."""
-    return [name for name in (rows[0] if rows else ()) if name not in SETTING or len({row[name] for row in rows}) > 1]
 
 
 def check_form(*, as_json: bool, as_csv: bool, raw: bool, as_ndjson: bool = False) -> None:
@@ -124,11 +95,6 @@ def check_form(*, as_json: bool, as_csv: bool, raw: bool, as_ndjson: bool = Fals
 def pretty(document: object) -> Shown:
     """Return the document as JSON in ASCII; bytes of a file name that are not UTF-8 are escaped, `\\udcff` for ff."""
     return printable.ascii_json(msgspec.json.format(json_bytes(to_builtins(document)), indent=2).decode() + "\n")
-
-
-def json_rows(rows: Sequence[Row]) -> Shown:
-    """Return a JSON object for each row, one a line, in ASCII."""
-    return printable.ascii_json("".join(f"{json_bytes(row).decode()}\n" for row in rows))
 
 
 def cell_text(value: object) -> str:

@@ -12,9 +12,8 @@ from textual.content import Content
 from textual.widgets import Footer, Input, Static
 
 from fsar_ledger import printable
+from fsar_ledger.api.state import standing_lines
 from fsar_ledger.errors import UsageError
-
-from .commands.state import standing_lines
 
 if TYPE_CHECKING:
     from fsar_ledger.api.walks import Steps

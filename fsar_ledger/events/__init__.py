@@ -25,6 +25,7 @@ from .trust import TrustEvent
 from .upcasting import Addition, Chains, additions, chains
 from .world import WorldEvent
 
+# See docs/decisions/verdicts-are-not-logged.md.
 AnyEvent = (
     FleetEvent
     | RegistryEvent

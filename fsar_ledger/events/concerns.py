@@ -5,6 +5,7 @@ An event type belongs to the concern that its file is named after, unless `BESID
 
 from collections.abc import Mapping
 
+# See docs/decisions/unobserved-is-null.md.
 CONCERNS: tuple[str, ...] = (
     "fleet",  # robots and their membership
     "registry",  # capabilities, advertisements, availability, look-ups

@@ -38,6 +38,7 @@ def tag(name: str) -> str:
     return f"{name}.v1"
 
 
+# See docs/decisions/integers-only-in-events.md.
 class Event(
     msgspec.Struct, frozen=True, gc=False, tag_field="type", tag=tag, omit_defaults=True, forbid_unknown_fields=True
 ):

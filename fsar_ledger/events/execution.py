@@ -164,6 +164,7 @@ class ExecutionWithdrawn(Event, frozen=True):
     robot: Robot
 
 
+# See docs/decisions/routine-work-counts.md.
 class RoutinePerformed(Event, frozen=True):
     """The robot performed a routine operation. Motion is subject to policy; sensing is not."""
 

@@ -20,6 +20,7 @@ class RunStarted(Event, frozen=True, kw_only=True, tag="RunStarted.v2"):
 
     kind: Literal["simulated", "live", "foreign"]
     observes: tuple[str, ...]
+    # See docs/decisions/event-0-is-open-text.md.
     architecture: str | None = None
     configuration: str | None = None
     scenario: str | None = None

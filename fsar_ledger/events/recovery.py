@@ -43,6 +43,7 @@ class RecoveryAttempted(Event, frozen=True, kw_only=True):
     number: int
     level: RecoveryLevel
     deadline_us: int
+    # See docs/decisions/recovery-records-carry-failed-action.md.
     failed_action: ActionId
 
 

@@ -14,6 +14,7 @@ from .fleet import RunStarted
 from .upcasting import Upcaster, adding
 
 
+# See docs/decisions/evidence-is-never-rewritten.md.
 class RunStartedV1(Event, frozen=True, tag="RunStarted.v1"):
     """`RunStarted` until 0.2.0: a run of our own, simulated or live, that observes everything without saying so."""
 

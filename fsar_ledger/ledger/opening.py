@@ -46,6 +46,6 @@ def open_for_answers(path: Path) -> View:
     for problem in problems:
         raise LedgerCorrupted(
             f"{path}/{problem}: commits were removed, or the file was altered; run fsar-ledger verify, and "
-            "fsar-ledger recover if it says so"
+            "fsar-ledger maintain recover if it says so"
         )
     return view

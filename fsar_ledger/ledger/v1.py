@@ -1,4 +1,4 @@
-"""Read a ledger of format 1, which fsar-ledger 0.8 and earlier wrote, for one purpose: `fsar-ledger upgrade`.
+"""Read a ledger of format 1, which fsar-ledger 0.8 and earlier wrote, for one purpose: `fsar-ledger maintain upgrade`.
 
 The whole ledger is verified before anything is written. `docs/ledger-format.md` says what it holds. Its writer may have
 been interrupted; fsar-ledger 0.8 can finish that, and nothing here does.

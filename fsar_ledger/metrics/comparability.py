@@ -18,6 +18,7 @@ DIFFERS = {
     "repeated": "cannot be told from others: one architecture has several runs of one seed, scenario and number",
     "unobserved": "are not known to have met the same world, which one of them does not observe",
 }
+# See docs/decisions/pairs-met-the-same-world.md.
 FAULTS = ("facts", "repeated")
 """Reasons that no experiment leads to: somebody else made, or changed, such runs."""
 
@@ -254,7 +255,7 @@ def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
         f"{row['metric']}: {counted(row['runs'], 'run')} without a failure {'counts' if row['runs'] == 1 else 'count'} "
         "as in the paper, "
         f"as {number(row['published_value'])}{' s' if row['scale'] == 'seconds' else ''} (basis published); "
-        "`fsar-ledger query statistics/pairwise_tests_defined` leaves such pairs out"
+        "`fsar-ledger query statistics/all_pairwise_tests` also has the tests without such pairs (basis defined)"
         for row in database.rows(IMPUTED)
         if row["metric"] in shown
     ]

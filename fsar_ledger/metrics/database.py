@@ -143,6 +143,7 @@ class Slices:
         cut = {number for one in others for number in view.segments_between(one.first, one.end)}
         whole = frozenset(path for number, path in held.items() if number not in cut)
         database = Database(view.head, [*held.values()], rows_verified=self._rows_verified)
+        # See docs/decisions/slices-have-a-table-for-each-concern.md.
         # One run of more events is not worth tables: they would take memory with its length.
         database.keeps_events = sum(one.rows for one in runs) <= self._most
         chosen = relation.Chosen(relation.OF_NUMBERED, _numbers(names), whole)

@@ -44,6 +44,7 @@ def t_sf2(t: Vector, df: Vector) -> Vector:
     return np.asarray(2.0 * _scipy().stdtr(df, -np.abs(t)))
 
 
+# See docs/decisions/intervals-keep-their-coverage.md.
 def t_quantile(p: Vector, df: Vector) -> Vector:
     """Return the quantile of Student's t."""
     return np.asarray(_scipy().stdtrit(df, p))

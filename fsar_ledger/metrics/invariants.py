@@ -156,6 +156,8 @@ def _counted(query: Query) -> str:
     """
 
 
+# See docs/decisions/audit-fails-without-a-verdict.md.
+# See docs/decisions/breaches-count-despite-gaps.md.
 _JUDGED = """
     WITH summed AS (
         SELECT

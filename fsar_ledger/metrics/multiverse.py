@@ -62,6 +62,7 @@ DEFINED = (
 )
 
 
+# See docs/decisions/readings-are-queries.md.
 class Reading(msgspec.Struct, frozen=True):
     """One reading other than ours: its title, the number of ours, their question, and the words of the paper behind it.
 

@@ -43,6 +43,7 @@ def types_read(library: Library, query: Query) -> frozenset[str] | None:
     return frozenset(found)
 
 
+# See docs/decisions/unobserved-is-null.md.
 def unobserved(database: Database, query: Query, run: str | None = None) -> list[Unobserved]:
     """Return the concerns that the query rests on and that not all runs observe (or this one does not), by name.
 

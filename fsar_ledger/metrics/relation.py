@@ -146,6 +146,7 @@ def _hold_newest(
 
     Bring retired types up to date, of the rows with this condition.
     """
+    # See docs/decisions/evidence-is-never-rewritten.md.
     others = {tag: paths for tag, paths in holding.items() if RETIRED[tag].cls not in ADDITIONS}
     added = [tag for tag in holding if tag not in others]
     kept = f" WHERE type NOT IN ({_listed(others)})" if others else ""

@@ -122,6 +122,7 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     t: float | None
     df: int | None
     p: float | None
+    # See docs/decisions/holm-has-two-families.md.
     p_holm: float | None
     family_tests: int | None
     cohens_d: float | None
@@ -153,9 +154,10 @@ def metric_rows(database: Database, by_scenario: bool = False, *, pools_seeds: b
 
     Raises: as `Database.rows`.
     """
+    of_all_seeds = "(SELECT * EXCLUDE (pools_seeds) FROM metric_summaries WHERE pools_seeds)"
     rows = database.rows(f"""
         SELECT * EXCLUDE (position)
-        FROM {"metric_summary_over_seeds" if pools_seeds else "metric_summary"}
+        FROM {of_all_seeds if pools_seeds else "metric_summary"}
         WHERE {"scenario IS NOT NULL" if by_scenario else "scenario IS NULL"}
         ORDER BY {SETTINGS}, position, scenario, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
     """)
@@ -193,10 +195,14 @@ def statistic_rows(database: Database, defined_only: bool = False, *, pools_seed
     They follow the published convention (n is all pairs), or with `defined_only` take only pairs where the metric is
     defined in both runs. Raises: as `Database.rows`.
     """
-    relation = f"pairwise_tests{'_defined' if defined_only else ''}{'_over_seeds' if pools_seeds else ''}"
+    basis = "defined" if defined_only else "published"
+    others = f"""(
+        SELECT * EXCLUDE (basis, pools_seeds) FROM all_pairwise_tests
+        WHERE basis = '{basis}' AND pools_seeds = {pools_seeds}
+    )"""
     rows = database.rows(f"""
         SELECT * EXCLUDE (position)
-        FROM {relation}
+        FROM {others if defined_only or pools_seeds else "pairwise_tests"}
         ORDER BY
             family NOT LIKE 'architectures%', {SETTINGS},
             position, metric, list_position(['fsar-cfc', 'fsar-dhma', 'cfc-dhma'], comparison), comparison

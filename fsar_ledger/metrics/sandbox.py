@@ -154,6 +154,7 @@ def _select(question: Question) -> Iterator[pa.RecordBatch]:
     with Database(None, (), threads=1) as database:
         stored = ds.dataset(segments, schema=SCHEMA, format=_checked()) if segments else SCHEMA.empty_table()
         hold_dataset(database, stored, [Path(segment) for segment in segments])
+        # See docs/decisions/untrusted-sql-has-its-own-process.md.
         database.lock(limits.seconds + GRACE_S, (limits.memory_bytes - OWN_BYTES) // 2)
         for _ in database.batches("SELECT seq FROM events LIMIT 1"):
             pass  # reading has started its threads; no more can be started below

@@ -25,6 +25,7 @@ _DECODED = "decoded_rows"
 _EXPECTED = "the same as by pyarrow: rows that both of our readers read alike"
 
 
+# See docs/decisions/verify-rereads-every-byte.md.
 class ReadAgain:
     """What serves as `verify.Asked.second_reader`; it keeps one connection per process."""
 

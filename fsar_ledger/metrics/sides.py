@@ -7,18 +7,19 @@ database of its own (`paired`).
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import msgspec
-import pyarrow as pa
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events.configuration import FULL
 from fsar_ledger.printable import counted
 
-from .database import Database
-from .models import lettered, models
-from .results import typed
+if TYPE_CHECKING:  # the verb `compare` imports this module for its help text, so functions import these
+    import pyarrow as pa
+
+    from .database import Database
 
 SIDES = """
     SELECT *
@@ -204,8 +205,11 @@ class Paired(msgspec.Struct, frozen=True, kw_only=True):
         return self.same_facts + self.same_draws + self.same_seed
 
 
-def sides(database: Database) -> list[Side]:
+def sides(database: "Database") -> list[Side]:
     """Return all sides of a ledger, in the order of the paper. Raises: as `Database.rows` and `models`."""
+    from .models import lettered, models
+    from .results import typed
+
     letters = {
         (one.kind, one.source, one.model_version, one.parameter_set): letter
         for one, letter in lettered(models(database))
@@ -321,8 +325,12 @@ def _listed(held: Sequence[Side]) -> str:
 
 
 @contextmanager
-def beside(first: pa.Table, second: pa.Table) -> Iterator[Database]:
+def beside(first: "pa.Table", second: "pa.Table") -> "Iterator[Database]":
     """Yield a database that compares the runs of two sides, given as rows of `side_runs`, as `first` and `second`."""
+    import pyarrow as pa
+
+    from .database import Database
+
     comparison = {
         "comparison": "first-second",
         "family": "first-second",
@@ -342,9 +350,11 @@ def beside(first: pa.Table, second: pa.Table) -> Iterator[Database]:
 
 
 def paired(
-    held: Sequence[Database], both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False
+    held: "Sequence[Database]", both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False
 ) -> Paired:
     """Compare the runs of the two sides, each from its ledger, in pairs. Raises: as `Database.rows`."""
+    from .results import typed
+
     tables = [
         database.table(RUNS, {"side": side.side}) for database, side in zip((held[0], held[-1]), both, strict=True)
     ]

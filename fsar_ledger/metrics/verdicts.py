@@ -16,11 +16,10 @@ from typing import Literal
 
 import msgspec
 
-from fsar_ledger.registration import registration
-
 from .definitions import published_metrics
 from .odds import Cell, Odds, Printed
 from .paper_numbers import printed
+from .registration import registration
 from .results import MetricRow
 
 Answer = Literal["yes", "no", "undecided"]

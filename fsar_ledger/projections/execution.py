@@ -239,6 +239,7 @@ def _at_robot(state: Execution, event: AtRobot) -> tuple[Execution, Action]:
     """
     known = state.actions.get(event.subject.action_id)
     if known is None or known.robot != event.robot or known.stage == "withdrawn":
+        # See docs/decisions/state-accepts-any-history.md.
         state = _queued(_set_aside(state, event.robot), _coming(event, known))
         known = state.actions[event.subject.action_id]
     return state, known

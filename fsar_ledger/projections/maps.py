@@ -11,6 +11,7 @@ from typing import Generic, TypeVar
 K = TypeVar("K")
 V = TypeVar("V")
 
+# See docs/decisions/large-mappings-share-one-dict.md.
 _LARGE = 192  # entries: from here on, copying a dict takes longer than a change of a `Large`
 _SHARE = 16
 """A line has at most a 16th as many changes as entries. With more, what was changed fills memory that no cache has;

@@ -79,6 +79,7 @@ def _about(
     of_all: Rule = (scope, None, capability, context)
     if of_all in state.rules:
         yield of_all, state.rules[of_all]
+    # See docs/decisions/trust-and-rules-are-by-role.md.
     own: Rule = (scope, robot, capability, context)
     if own in state.rules:
         yield own, state.rules[own]

@@ -89,6 +89,7 @@ class Offered(msgspec.Struct, frozen=True, dict=True):
         return tuple((self.of[robots[0]], tuple(robots)) for robots in found.values())
 
 
+# See docs/decisions/registry-is-a-tree.md.
 class Offers(msgspec.Struct, frozen=True, gc=False):
     """The registry of one domain, which contains those of the domains below it.
 

@@ -63,6 +63,7 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
             assert_never(event)
 
 
+# See docs/decisions/late-tasks-are-given-up.md.
 def given_up_us(task: TaskArrived | Task, budgets: int) -> int:
     """Return the run time at which the task is given up, even while it waits.
 

@@ -73,6 +73,7 @@ def _holding(
 
     Entries for the pair come first, then those for their roles in the smallest domain.
     """
+    # See docs/decisions/trust-and-rules-are-by-role.md.
     entries = state.entries.get((robot, peer))
     if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
         return found

@@ -18,8 +18,8 @@ from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.odds import Printed, odds
 from fsar_ledger.metrics.paper_numbers import Place, Table, printed
 from fsar_ledger.metrics.plans import completeness
+from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.results import DialledRow, cost_rows, dialled_rows
-from fsar_ledger.registration import registration
 from fsar_ledger.report import printing, run_shape
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, Told
 
@@ -189,6 +189,7 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
             "interval": None if row is None else _interval(row),
         }
         cell |= dict.fromkeys(("difference", "distance", "gives", "share", "could"))
+        # See docs/decisions/open-cells-have-no-verdict.md.
         if row is not None and row.mean is not None and said.dial is None and _is_shaped(place, runs):
             one = verdicts.judge(row, paper.value, shares.get(place))
             difference = None if one.low is None or one.high is None else (one.low, one.high)

@@ -4,14 +4,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.effects import open_effects
 from fsar_ledger.metrics.progress import Showing, unseen
+from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.metrics.verified import required_look
-from fsar_ledger.recording import require_another
+from fsar_ledger.publishing import publish, require_another, require_place
 from fsar_ledger.report import document, figures, typeset
-from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.gather import gather
 from fsar_ledger.report.reproduction import reproduction
-from fsar_ledger.report.sensitivity import open_effects, section
+from fsar_ledger.report.sensitivity import section
 
 
 def write_report(
@@ -42,8 +43,8 @@ def write_report(
         workers: Processes that compare rows.
         showing: Called with a verb and a unit for each step; returns a context that yields a progress function.
         pools_seeds: Whether the tables take the runs of all seeds together.
-        sensitivity: The file of `fsar-ledger sensitivity`. If it is of other runs, or None, the report says how to make
-            it.
+        sensitivity: The file of `fsar-ledger study run sensitivity`. If it is of other runs, or None, the report says
+            how to make it.
         reads_every_way: Whether the cells are also shown under every reading of the text.
         numbers_out: Where the same numbers are written for programs (`reproduction`); None: nowhere.
         demanded: The newest record of the ledger, if `required_look` has just checked it; None checks it now.
@@ -61,7 +62,7 @@ def write_report(
         require_outside(numbers_out, f"--numbers {numbers_out}")
         require_another(numbers_out, f"--numbers {numbers_out}", out, f"--out {out}")
     for place in filter(None, (out, numbers_out)):
-        typeset.require_place(place)
+        require_place(place)
     given = None if sensitivity is None else open_effects(sensitivity)
     demanded = demanded or _compared(ledger, workers, showing)
     theirs = {one: _compared(one, workers, showing) for one in (*filter(None, [workflows]), *beside)}
@@ -69,13 +70,13 @@ def write_report(
         ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way, showing=showing
     )
     effects = section(given, findings.model_version, findings.parameters)
-    record = recorded()
+    record = packaged(Calibration)
     laid_out = document.encoded(document.data(findings, record, effects))
     made = {out: typeset.pdf(laid_out, document.drawings(findings, effects))}
     if numbers_out is not None:
         made[numbers_out] = reproduction(findings, document.counted(findings, record))
     for place, content in made.items():  # replace nothing before everything is made
-        typeset.publish(place, content)
+        publish(place, content)
 
 
 def _compared(ledger: Path, workers: int, showing: Showing) -> str:
@@ -87,10 +88,10 @@ def _compared(ledger: Path, workers: int, showing: Showing) -> str:
 def result_figure_svg(ledger: Path, out: Path) -> None:
     """Write the figure "Evaluation results" of the ledger as SVG. Raises: as `write_report`."""
     require_outside(out, str(out))
-    typeset.publish(out, figures.evaluation_results(gather(ledger).cells, "svg"))
+    publish(out, figures.evaluation_results(gather(ledger).cells, "svg"))
 
 
 def result_figure_png(ledger: Path, out: Path) -> None:
     """Write the figure "Evaluation results" of the ledger as PNG. Raises: as `write_report`."""
     require_outside(out, str(out))
-    typeset.publish(out, figures.evaluation_results(gather(ledger).cells, "png"))
+    publish(out, figures.evaluation_results(gather(ledger).cells, "png"))

@@ -11,8 +11,8 @@ import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.metrics.definitions import metric_named, published_metrics
-from fsar_ledger.metrics.rules import changed
-from fsar_ledger.registration import registration
+from fsar_ledger.metrics.registration import registration
+from fsar_ledger.metrics.study_results import Calibration, changed
 from fsar_ledger.report import (
     all_readings,
     contradictions,
@@ -28,7 +28,6 @@ from fsar_ledger.report import (
     specification_curves,
     specs,
 )
-from fsar_ledger.report.calibration import Record
 from fsar_ledger.report.findings import Findings, Row, answer
 from fsar_ledger.report.printing import Table, flat
 from fsar_ledger.report.reproduction import versions
@@ -116,7 +115,7 @@ def _workflows(findings: Findings) -> dict[str, Any] | None:
     return head | {"reasons": reasons, "others": found.others and printable.counted(found.others, "run")}
 
 
-def _fit_tables(findings: Findings, record: Record | None) -> dict[str, Table]:
+def _fit_tables(findings: Findings, record: Calibration | None) -> dict[str, Table]:
     if record is None:
         return {}
     directions = [
@@ -167,7 +166,7 @@ def _contradictions() -> list[dict[str, Any]]:
     ]
 
 
-def _changed(findings: Findings, record: Record | None) -> str | None:
+def _changed(findings: Findings, record: Calibration | None) -> str | None:
     """Say that the record of the fit is of another model than these runs, or of other queries than judge them.
 
     None if it is of theirs, or if either is missing.
@@ -190,7 +189,7 @@ def _changed(findings: Findings, record: Record | None) -> str | None:
     return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
 
 
-def _judged_otherwise(record: Record) -> str | None:
+def _judged_otherwise(record: Calibration) -> str | None:
     if record.rules is None:
         return "The record of the fit does not say which queries judged its runs."
     if not (found := changed(record.rules)):
@@ -198,7 +197,7 @@ def _judged_otherwise(record: Record) -> str | None:
     return f"What judges the runs has changed since the fit: {printable.some(map(printing.words, found))}."
 
 
-def _fit(findings: Findings, record: Record | None) -> dict[str, Any] | None:
+def _fit(findings: Findings, record: Calibration | None) -> dict[str, Any] | None:
     if record is None:
         return None
     objective = None if record.objective is None else msgspec.structs.asdict(record.objective)
@@ -237,7 +236,7 @@ def _background(findings: Findings) -> list[dict[str, str]]:
     ]
 
 
-def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
+def _misses(findings: Findings, record: Calibration | None) -> list[dict[str, Any]]:
     """Return the cells whose printed number this model does not give, the farthest first.
 
     Each has the reason on record, if the record is of this model.
@@ -254,7 +253,7 @@ def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
     ]
 
 
-def counted(findings: Findings, record: Record | None) -> tuple[Row, ...]:
+def counted(findings: Findings, record: Calibration | None) -> tuple[Row, ...]:
     """Return every printed number with its class and outcome.
 
     None counts as fitted if the fit was of another model.
@@ -273,7 +272,7 @@ def _heads(findings: Findings) -> list[dict[str, str]]:
     ]
 
 
-def data(findings: Findings, record: Record | None, effects: Section | None = None) -> dict[str, Any]:
+def data(findings: Findings, record: Calibration | None, effects: Section | None = None) -> dict[str, Any]:
     """Return everything that the template prints; tables keep each value beside its printed form."""
 
     def sourced(query: str | None) -> str:

@@ -42,6 +42,7 @@ AGREES, DIFFERS = "agrees", "differs"
 NOT_OBSERVABLE = "not observable"  # the cell of a mechanism that the runs do not record
 
 
+# See docs/decisions/grades-go-by-conduct.md.
 def graded(database: Database) -> list[Row]:
     """Return feature, architecture, grade and evidence in the order of the paper's table.
 

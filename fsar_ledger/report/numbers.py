@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from fsar_ledger.metrics import verdicts
-from fsar_ledger.registration import registration
+from fsar_ledger.metrics.registration import registration
 from fsar_ledger.report.findings import Findings, Row
 
 STANDS, FAILS, UNDECIDED, OPEN = "stands", "does not", "undecided", "open"

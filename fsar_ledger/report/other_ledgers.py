@@ -38,6 +38,7 @@ class OtherSections(msgspec.Struct, frozen=True):
         return OtherSections(*(getattr(self, name) or getattr(other, name) for name in self.__struct_fields__))
 
 
+# See docs/decisions/experiments-are-separate-ledgers.md.
 def read_ledgers(
     ledgers: Mapping[Path, str | None], workflows: Path | None = None, *, pools_seeds: bool = False
 ) -> OtherSections:

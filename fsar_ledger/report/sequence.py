@@ -41,6 +41,7 @@ MAX_NAME, MAX_WORDS, MAX_LINE = 40, 240, 80  # characters of a principal, of a s
 NAMES = ("sender", "receiver", "decided_by", "level", "to_level")
 
 
+# See docs/decisions/verdicts-are-not-logged.md. Python only draws.
 def drawable(rows: Sequence[Row]) -> tuple[list[dict[str, Any]], str]:
     """Return the steps to draw, with their texts as a figure shows them, and a line that counts the others.
 

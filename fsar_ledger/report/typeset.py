@@ -3,9 +3,7 @@
 Data reaches the template as JSON and is never read as markup; only the packaged texts of `reports/` are.
 """
 
-import os
 import tempfile
-from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import WriteFailed
@@ -40,54 +38,3 @@ def _compiled(root: Path) -> bytes:
         root / "report.typ", root=root, timestamp=0, font_paths=typst.Fonts(include_system_fonts=False)
     )
     return compiled
-
-
-def require_place(path: Path) -> None:
-    """Check, before any work is done, that the file can be written. Raises: WriteFailed if that is known to fail."""
-    try:
-        _require_file(path)
-        above = next(folder for folder in path.absolute().parents if folder.exists())
-        if not above.is_dir():
-            raise NotADirectoryError(f"{above} is a file; expected a folder")
-        if not os.access(above, os.W_OK):
-            raise PermissionError(f"{above} may not be written to")
-    except OSError as error:
-        raise _unwritten(path, error) from error
-
-
-def _require_file(path: Path) -> None:
-    if path.is_dir():
-        raise IsADirectoryError(f"it is a folder; expected the name of a file, such as {path / 'report.pdf'}")
-
-
-def _unwritten(path: Path, error: OSError) -> WriteFailed:
-    return WriteFailed(
-        f"{path}: cannot be written: {error.strerror or error}. Nothing was changed; free space or choose another "
-        "--out."
-    )
-
-
-def publish(path: Path, content: bytes) -> None:
-    """Replace the file by this content atomically: written beside it, made durable, renamed.
-
-    Raises: WriteFailed if the disk refuses (no such folder can be made, read-only, full) or the path is a folder.
-    """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _require_file(path)
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-    except OSError as error:
-        raise _unwritten(path, error) from error
-    finally:
-        _discard(partial)
-
-
-def _discard(partial: Path) -> None:
-    """Remove the partial file if the folder allows it."""
-    with suppress(OSError):
-        partial.unlink()

@@ -17,6 +17,7 @@ Pending = tuple[int, int, int, Scheduled]
 _ROBOT_US = 1 << 23  # of one robot, a span of this length has a handful of commands
 
 
+# See docs/decisions/pending-commands-are-a-calendar-queue.md.
 class Agenda:
     """What is pending, in the order (due time, serial).
 

@@ -193,6 +193,7 @@ class Experiment(msgspec.Struct, frozen=True):
             found = [tuple(filterfalse(is_there, batch)) for batch in found]
         return [batch for batch in found if batch]
 
+    # See docs/decisions/experiment-plans-are-events.md.
     def plan(self) -> ExperimentPlanned:
         """Return the plan, which is committed before the first run."""
         return ExperimentPlanned(

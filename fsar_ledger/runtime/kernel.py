@@ -256,6 +256,7 @@ class Kernel:
                 due_us = time_us + scheduled.after_us + length_us
                 if due_us <= time_us:
                     due_us = time_us + 1
+                # See docs/decisions/cause-and-time-name-a-command.md.
                 while due_us in taken:
                     due_us += 1
                 taken.add(due_us)
@@ -268,6 +269,7 @@ class Kernel:
                 else:
                     pending.put(one)
 
+    # See docs/decisions/outages-live-in-the-kernel.md.
     def _keep(self, one: Pending, after_us: int = 0) -> bool:
         """Keep a command that cannot run now, because a robot is off or a link down; return whether it was kept.
 

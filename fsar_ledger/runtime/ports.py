@@ -39,6 +39,7 @@ class Ask(msgspec.Struct, frozen=True, gc=False):
     sender: str | None = None
 
 
+# See docs/decisions/ports-answer-for-the-world.md.
 class Environment(Protocol):
     """What answers at the ports of one run, and what happens there by itself.
 

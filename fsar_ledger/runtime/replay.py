@@ -265,6 +265,7 @@ class _Replay(RecordedKernel):
         self._deciding: Callable[..., object] = founding
         table = handler_table_of(spec.architecture, spec.configuration)
         self._recipe = recipe
+        # See docs/decisions/replay-draws-again.md.
         self._environment = recorded(record, table) if is_recorded else edited_environment(recipe)
         self._forked_from_seq = started.forked_from_seq
         self._facts = self._environment.facts

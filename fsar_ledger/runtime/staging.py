@@ -15,12 +15,12 @@ from fsar_ledger.garbage import without_collection
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.store.staging import Staged, stage
-from fsar_ledger.runtime import arenas
 from fsar_ledger.runtime.simulation import RunSpec, simulate_slices
 from fsar_ledger.workers import WorkerPool
 
 IN_FLIGHT = 2
 """Batches in progress per worker at most, so that memory stays flat."""
+# See docs/decisions/commits-hold-16384-events.md.
 COMMIT_EVENTS = 1 << 14
 """Events of a commit; independent of the number of workers."""
 
@@ -61,7 +61,6 @@ class Staging(msgspec.Struct, frozen=True):
 
     def _stream(self, batch: Batch) -> Iterator[Staged]:
         """As `of`, one segment after the other, without garbage collection: a run makes no cyclic garbage."""
-        arenas.prepare_for(max(spec.fleet_size for spec in batch))
         with without_collection():
             for part in self._parts(batch):
                 yield from self._fitted(part)

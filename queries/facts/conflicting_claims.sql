@@ -8,16 +8,11 @@
 -- Example: fsar-ledger query facts/conflicting_claims LEDGER
 WITH pairs AS (
     SELECT
-        one.run_id, one.action_id, one.dimension,
-        unnest([one.seq, other.seq]) AS seq,
-        unnest([one.claimant, other.claimant]) AS claimant,
-        unnest([one.began_us, other.began_us]) AS began_us
-    FROM held_claims AS one
-    INNER JOIN held_claims AS other
-        ON
-            one.run_id = other.run_id AND one.action_id = other.action_id AND one.dimension = other.dimension
-            AND one.claimant < other.claimant
-            AND one.began_us < other.ended_us AND one.ended_us > other.began_us
+        run_id, action_id, dimension,
+        unnest([one_seq, other_seq]) AS seq,
+        unnest([one_claimant, other_claimant]) AS claimant,
+        unnest([one_began_us, other_began_us]) AS began_us
+    FROM claim_overlaps
 )
 
 SELECT

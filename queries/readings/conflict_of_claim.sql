@@ -10,10 +10,13 @@
 -- Units: as in conflicts
 -- NULL: as in conflicts
 -- Example: fsar-ledger query readings/conflict_of_claim LEDGER
-SELECT later.run_id, later.action_id, later.dimension, later.began_us
-FROM held_claims AS later
-SEMI JOIN held_claims AS earlier
-    ON
-        later.run_id = earlier.run_id AND later.action_id = earlier.action_id AND later.dimension = earlier.dimension
-        AND later.claimant <> earlier.claimant AND (earlier.began_us, earlier.seq) < (later.began_us, later.seq)
-        AND later.began_us < earlier.ended_us
+WITH later AS (
+    SELECT DISTINCT
+        run_id, action_id, dimension,
+        from_us AS began_us,
+        if((one_began_us, one_seq) > (other_began_us, other_seq), one_seq, other_seq) AS seq
+    FROM claim_overlaps
+)
+
+SELECT run_id, action_id, dimension, began_us
+FROM later

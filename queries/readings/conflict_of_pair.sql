@@ -11,11 +11,7 @@
 -- NULL: as in conflicts
 -- Example: fsar-ledger query readings/conflict_of_pair LEDGER
 SELECT
-    one.run_id, one.action_id, one.dimension,
-    min(greatest(one.began_us, other.began_us)) AS began_us
-FROM held_claims AS one
-INNER JOIN held_claims AS other
-    ON
-        one.run_id = other.run_id AND one.action_id = other.action_id AND one.dimension = other.dimension
-        AND one.claimant < other.claimant AND one.began_us < other.ended_us AND one.ended_us > other.began_us
-GROUP BY one.run_id, one.action_id, one.dimension, one.claimant, other.claimant
+    run_id, action_id, dimension,
+    min(from_us) AS began_us
+FROM claim_overlaps
+GROUP BY run_id, action_id, dimension, one_claimant, other_claimant

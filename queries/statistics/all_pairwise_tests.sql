@@ -1,4 +1,5 @@
--- Title: All tests of all comparisons, on both bases
+-- Title: All tests of all comparisons, on both bases (published: a metric that is undefined for a run counts as in the
+--   paper; defined: over the pairs in which it is defined for both runs), of each seed and over all seeds
 -- Paper: tab:significance
 -- Grain: one row per basis, comparison, configuration, setting (kind, source, model version, constants, fleet size),
 --   seed or all seeds, and metric

@@ -7,6 +7,7 @@
 -- NULL: tests and effect sizes where nothing varies; McNemar columns for metrics that are not 0 or 1 per run,
 --       pooled columns (pooled_tests) for metrics that are not pooled over failures
 -- Example: fsar-ledger query statistics/pairwise_tests LEDGER
+-- The tests over all seeds, and over the pairs in which the metric is defined for both runs, are in all_pairwise_tests.
 SELECT * EXCLUDE (basis, pools_seeds)
 FROM all_pairwise_tests
 WHERE basis = 'published' AND NOT pools_seeds

@@ -7,7 +7,7 @@ import pytest
 
 from fsar_ledger.api.events import Filter
 from fsar_ledger.api.ledger import Ledger
-from fsar_ledger.api.log import Asked, stream
+from fsar_ledger.api.log_rows import Asked, stream
 from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import UsageError

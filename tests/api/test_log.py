@@ -9,7 +9,7 @@ import pytest
 import fsar_ledger
 from fsar_ledger import Ledger
 from fsar_ledger.api.events import Filter
-from fsar_ledger.api.log import Asked, about_of
+from fsar_ledger.api.log_rows import Asked, about_of
 from fsar_ledger.api.table import Row, Table
 from fsar_ledger.errors import InvalidExperiment, LedgerCorrupted, UsageError
 from fsar_ledger.events.concerns import CONCERNS

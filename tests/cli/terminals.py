@@ -28,20 +28,28 @@ def _read(end: int, stream: bytearray) -> None:
     os.close(end)
 
 
-def on_a_terminal(width: int, *arguments: object, surroundings: Mapping[str, str] = {}) -> tuple[str, str]:
-    """Run Python with these arguments in a terminal of this width.
+def _text(stream: bytearray, code: int) -> str:
+    """Return all that was written, as text; the command must have done its work."""
+    text = stream.decode().replace("\r\n", "\n")
+    assert code in (0, 1), text
+    return text
 
-    Returns what it leaves there, after the progress that it erases, and the whole stream.
-    """
+
+def _left(text: str) -> str:
+    """Return what stays there, after the progress that is erased."""
+    return text.rpartition("\r\x1b[K")[2]
+
+
+def on_a_terminal(width: int, *arguments: object, surroundings: Mapping[str, str] = {}) -> tuple[str, str]:
+    """Run Python with these arguments in a terminal of this width; return what it leaves there, and all it wrote."""
     here, there = _terminal(width)
     stream = bytearray()
     command = [sys.executable, *map(str, arguments)]
     with subprocess.Popen(command, stdout=there, stderr=there, env={**os.environ, **surroundings}) as child:
         os.close(there)
         _read(here, stream)
-    text = stream.decode().replace("\r\n", "\n")
-    assert child.returncode in (0, 1), text
-    return text.rpartition("\r\x1b[K")[2], text
+    text = _text(stream, child.returncode)
+    return _left(text), text
 
 
 def on_a_terminal_here(width: int, *arguments: object) -> str:
@@ -53,6 +61,4 @@ def on_a_terminal_here(width: int, *arguments: object) -> str:
     with os.fdopen(there, "w", encoding="utf-8") as screen, redirect_stdout(screen), redirect_stderr(screen):
         code = app.run([str(argument) for argument in arguments])
     reader.join()
-    text = stream.decode().replace("\r\n", "\n")
-    assert code in (0, 1), text
-    return text.rpartition("\r\x1b[K")[2]
+    return _left(_text(stream, code))

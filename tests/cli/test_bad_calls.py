@@ -168,7 +168,7 @@ def test_a_file_whose_name_is_not_utf_8_is_named_in_json(call: Call, copy: Path,
     )
 
 
-@pytest.mark.parametrize("command", ["simulate", "reproduce", "recover", "info", "export"])
+@pytest.mark.parametrize("command", ["simulate", "reproduce", "recover", "info", "export", "study run sensitivity"])
 def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -178,8 +178,9 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
         "simulate": "the same command continues there",
         "reproduce": "the same command continues there",
         "recover": "run it again",
+        "study run sensitivity": "the same command continues there",
     }
-    one_message(call(command, "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
+    one_message(call(*command.split(), "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
 
 
 @pytest.mark.parametrize("command", ["info", "metrics", "simulate"])
@@ -292,10 +293,6 @@ def test_wrong_sql_is_explained(call: Call, ledger: Path, text: str) -> None:
     assert "Traceback" not in called.err
 
 
-def test_two_formats_at_once_are_refused(call: Call, ledger: Path) -> None:
-    one_message(call("metrics", ledger, "--json", "--csv"), 2, "--json and --csv")
-
-
 def test_metrics_by_something_else_are_refused(call: Call, ledger: Path) -> None:
     one_message(call("metrics", ledger, "--by", "robot"), 2, "--by scenario")
 
@@ -314,9 +311,9 @@ WRITERS = [
     ("explain", "LEDGER", "--run", "1", "--request", "A1-1/2.1", "--svg", "PLACE.svg"),
     ("explain", "LEDGER", "--run", "1", "--request", "A1-1/2.1", "--pdf", "PLACE.pdf"),
     ("key", "new", "PLACE.key"),
-    ("calibrate", "--out", "PLACE.json"),
-    ("predict", "--out", "PLACE.json"),
-    ("judge", "predictions.json", "--out", "PLACE.json"),
+    ("study", "run", "calibration", "--out", "PLACE.json"),
+    ("study", "run", "predictions", "--out", "PLACE.json"),
+    ("study", "run", "comparison", "predictions.json", "--out", "PLACE.json"),
     ("reproduce", "--out", "PLACE"),
 ]
 

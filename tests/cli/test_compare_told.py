@@ -5,7 +5,7 @@ from pathlib import Path
 from msgspec import structs
 
 from fsar_ledger import open_ledger
-from fsar_ledger.cli.commands.compare import _how_to_read
+from fsar_ledger.api.compare import _how_to_read
 from tests.cli.conftest import Call
 
 

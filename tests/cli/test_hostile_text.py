@@ -101,15 +101,24 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     )
     yield from (
         ("report", ledger, "--out", ledger / "x.pdf"),
-        ("calibrate", "--out", out, "--workers", EVIL),
-        ("predict", "--out", out, "--workers", EVIL),
-        ("judge", EVIL, "--out", out),
-        ("sensitivity", "--out", out, "--workers", EVIL),
         ("key", "public", EVIL, "--name", EVIL),
-        ("multiverse", ledger, "--metric", "human_intervention"),
-        ("multiverse", ledger, "--metric", EVIL),
         (EVIL,),
         (f"--{EVIL}",),
+    )
+    yield from calls_of_studies(ledger, out)
+
+
+def calls_of_studies(ledger: Path, out: Path) -> Iterator[tuple[object, ...]]:
+    """Studies of names and numbers that they do not know, and what there is no result of."""
+    yield from (
+        ("study", "run", "calibration", "--out", out, "--workers", EVIL),
+        ("study", "run", "predictions", "--out", out, "--workers", EVIL),
+        ("study", "run", "comparison", EVIL, "--out", out),
+        ("study", "run", "sensitivity", "--out", out, "--workers", EVIL),
+        ("study", "show", EVIL),
+        ("study", "show", "sensitivity", EVIL),
+        ("study", "run", "multiverse", ledger, "--metric", "human_intervention"),
+        ("study", "run", "multiverse", ledger, "--metric", EVIL),
     )
 
 

@@ -1,4 +1,4 @@
-"""`multiverse` for people and for programs: ranges, rankings, readings, and the figure."""
+"""`study run multiverse` for people and for programs: ranges, rankings, readings, and the figure."""
 
 import csv
 import io
@@ -7,11 +7,12 @@ from pathlib import Path
 
 from .conftest import Call, one_message
 
+MULTIVERSE = ("study", "run", "multiverse")
 ONE = ("--metric", "human_intervention")
 
 
 def test_people_see_ranges_rankings_and_what_the_readings_say(call: Call, ledger: Path) -> None:
-    called = call("multiverse", ledger, *ONE)
+    called = call(*MULTIVERSE, ledger, *ONE)
     assert called.code == 0
     ranges, rankings, verdicts, told = called.out.split("\n\n")
     assert ranges.splitlines()[0].split() == [
@@ -46,7 +47,7 @@ def test_people_see_ranges_rankings_and_what_the_readings_say(call: Call, ledger
 
 
 def test_programs_get_every_combination_and_the_same_bytes_again(call: Call, ledger: Path) -> None:
-    called = call("multiverse", ledger, *ONE, "--json")
+    called = call(*MULTIVERSE, ledger, *ONE, "--json")
     answer = json.loads(called.out)
     assert (answer["complete"], answer["missing_count"], len(answer["head"]["root"])) == (True, 0, 64)
     names = ["level_four_is_fleet", "reviews_are_no_interventions"]
@@ -62,27 +63,27 @@ def test_programs_get_every_combination_and_the_same_bytes_again(call: Call, led
         max(means),
         4,
     )
-    assert call("multiverse", ledger, *ONE, "--json").out == called.out
+    assert call(*MULTIVERSE, ledger, *ONE, "--json").out == called.out
 
 
 def test_our_reading_is_what_metrics_says(call: Call, ledger: Path) -> None:
     ours = {
         row["architecture"]: row["ours"]
-        for row in csv.DictReader(io.StringIO(call("multiverse", ledger, *ONE, "--csv").out))
+        for row in csv.DictReader(io.StringIO(call(*MULTIVERSE, ledger, *ONE, "--csv").out))
     }
     found = csv.DictReader(io.StringIO(call("metrics", ledger, "--csv").out))
     assert ours == {row["architecture"]: row["mean"] for row in found if row["metric"] == "human_intervention"}
 
 
 def test_the_figure_is_written_and_never_into_the_ledger(call: Call, ledger: Path, tmp_path: Path) -> None:
-    assert call("multiverse", ledger, *ONE, "--svg", tmp_path / "m.svg").code == 0
+    assert call(*MULTIVERSE, ledger, *ONE, "--svg", tmp_path / "m.svg").code == 0
     assert (tmp_path / "m.svg").read_bytes().startswith(b"<?xml")
-    one_message(call("multiverse", ledger, *ONE, "--svg", ledger / "m.svg"), 2, "inside")
+    one_message(call(*MULTIVERSE, ledger, *ONE, "--svg", ledger / "m.svg"), 2, "inside")
     assert not (ledger / "m.svg").exists()
 
 
 def test_a_metric_that_is_none_is_an_error_that_names_the_nearest(call: Call, ledger: Path) -> None:
-    called = call("multiverse", ledger, "--metric", "human_interventions")
+    called = call(*MULTIVERSE, ledger, "--metric", "human_interventions")
     assert (called.code, called.out) == (2, "")
     assert "unknown metric 'human_interventions'; did you mean human_intervention?" in called.err
 
@@ -103,7 +104,7 @@ def test_a_ledger_in_which_nothing_can_be_ranked_says_so(call: Call, tmp_path: P
         ).code
         == 0
     )
-    verdicts = call("multiverse", tmp_path / "one", *ONE).out.split("\n\n")[2]
+    verdicts = call(*MULTIVERSE, tmp_path / "one", *ONE).out.split("\n\n")[2]
     assert verdicts.splitlines() == [
         "whether FSAR is the best one: nothing to rank; that takes means of two architectures, one of them FSAR",
         "whether the order of the architectures is ours: nothing to rank; that takes means of two architectures",

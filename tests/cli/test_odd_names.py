@@ -54,7 +54,7 @@ ASKED_LESS = (
     ("cause", "--run", "1", "--outcome", "SELECT run_id FROM executions", "--futures", "0", "--json"),
     ("diff", "1", "2", "--json"),
     ("compare", "--first", "fsar", "--second", "cfc", "--json"),
-    ("multiverse", "--json"),
+    ("study", "run", "multiverse", "--json"),
     ("statistics", "--json"),
     ("prove", "1:12"),
     ("whatif", "--run", "1", "--change", "drop window:*", "--json"),
@@ -73,22 +73,23 @@ WRITTEN = (
     (("report", "{ledger}", "--out", "{out}"), ".pdf"),
     (("open", "{ledger}", "--out", "{out}"), ".duckdb"),
     (("explain", "{ledger}", "--run", "1", "--request", "A1-1/2.1", "--svg", "{out}"), ".svg"),
-    (("judge", "{predictions}", "--out", "{out}"), ".json"),
+    (("study", "run", "comparison", "{predictions}", "--out", "{out}"), ".json"),
     (("key", "new", "{out}"), ".key"),
     (("simulate", "{out}", "--scenario", "door-relay", "--runs", "1", "--architecture", "fsar"), ".made"),
 )
-MADE = (
-    ("upgrade", "{old}", "--into", "{out}"),
-    ("whatif", "{ledger}", "--run", "1", "--change", "drop window:*", "--out", "{out}"),
-    ("recover", "{damaged}", "--into", "{out}"),
-    ("reproduce", "--out", "{out}", "--only", "results", "--runs", "2"),
-    ("witness", "new", "{out}", "--name", "example.org/w1"),
-)
+MADE = {
+    ("upgrade", "{old}", "--into", "{out}"): ".",
+    ("whatif", "{ledger}", "--run", "1", "--change", "drop window:*", "--out", "{out}"): ".",
+    ("recover", "{damaged}", "--into", "{out}"): ".",
+    ("reproduce", "--out", "{out}", "--only", "results", "--runs", "2"): "results",
+    ("witness", "new", "{out}", "--name", "example.org/w1"): None,
+}
+"""Calls that make a folder, and where the ledger is in it, if there is one."""
 
 
 def in_turn(verb: tuple[str, ...], ledger: str) -> tuple[str, ...]:
     """Return a call of the verb about the ledger, which comes after a name and before other arguments."""
-    at = 2 if verb[0] == "query" else 1
+    at = {"query": 2, "study": 3}.get(verb[0], 1)
     return (*verb[:at], path_of(ledger), *verb[at:])
 
 
@@ -190,16 +191,14 @@ def test_a_ledger_or_folder_of_any_name_is_made_there_and_nowhere_else(
     damaged = shutil.copytree(crowded / PLAIN, tmp_path / f"{ALL_IN_ONE}.damaged")
     last = sorted((damaged / "segments").iterdir())[-1]
     last.write_bytes(last.read_bytes()[:-1])
-    made = {}
-    for number, verb in enumerate(MADE):
-        made[verb] = tmp_path / ALL_IN_ONE / str(number)
-        words = {"old": older, "ledger": crowded / PLAIN, "damaged": path_of(damaged.name)}
-        called = call(*(one.format(**words, out=path_of(f"{ALL_IN_ONE}/{number}")) for one in verb))
-        assert called.code in (0, 3), called.err
-        assert any(made[verb].iterdir())
+    words = {"old": older, "ledger": crowded / PLAIN, "damaged": path_of(damaged.name)}
+    for (verb, *arguments), ledger in MADE.items():
+        out = Path(ALL_IN_ONE, verb)
+        called = call(verb, *(one.format(**words, out=path_of(str(out))) for one in arguments))
+        assert called.code == 0, called.err
+        assert any((tmp_path / out).iterdir())
+        assert ledger is None or call("verify", tmp_path / out / ledger).code == 0
     assert {path.name for path in tmp_path.iterdir()} == {ALL_IN_ONE, damaged.name}
-    assert all(call("verify", made[verb]).code == 0 for verb in MADE[:3])
-    assert call("verify", made[MADE[3]] / "results").code == 0
 
 
 @pytest.mark.usefixtures("here")

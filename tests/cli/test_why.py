@@ -14,8 +14,7 @@ from fsar_ledger.analysis.records import record_of
 from fsar_ledger.analysis.why import Made, Read, reasons
 from fsar_ledger.analysis.words import Line
 from fsar_ledger.api.provenance import Provenance
-from fsar_ledger.api.whys import JUDGES, kinds, why_of
-from fsar_ledger.cli.commands.why import Tree
+from fsar_ledger.api.why import JUDGES, Tree, kinds, why_of
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted

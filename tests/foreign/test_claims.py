@@ -108,7 +108,7 @@ OF_ROBOT = {
 }
 
 
-@pytest.mark.parametrize("concern", few(CONCERNS, ("execution", "policy", "task")))
+@pytest.mark.parametrize("concern", few(CONCERNS, ("execution",)))
 def test_state_and_step_say_nothing_of_what_is_not_observed(ledgers: dict[str, Path], concern: str) -> None:
     ledger = ledgers[concern]
     for at in ("0s", "20s", "40s"):
@@ -137,7 +137,7 @@ NOT_POLICY = ("execution", "recovery", "world")
 """Concerns on which something else than policy rests that a decider may be told."""
 
 
-@pytest.mark.parametrize("concern", few(CONCERNS, ("execution", "request")))
+@pytest.mark.parametrize("concern", few(CONCERNS, ("request",)))
 def test_log_explain_and_view_name_what_is_not_observed(ledgers: dict[str, Path], tmp_path: Path, concern: str) -> None:
     ledger = ledgers[concern]
     logged = ask("log", ledger, "--run", "1")

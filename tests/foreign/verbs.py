@@ -56,7 +56,7 @@ VERBS: dict[str, tuple[set[int], tuple[str, ...]]] = {
     "prove": (ANSWERED, ("{ledger} {run}:{seq} --out {out}.tlog-proof",)),
     "recover": (ANSWERED, ("{ledger}",)),
     "open": (ANSWERED, ("{ledger} --out {out}.duckdb",)),
-    "multiverse": (ANSWERED, ("{ledger}",)),
+    "study": (ANSWERED, ("run multiverse {ledger}",)),
     "report": (REFUSED, ("{ledger} --out {out}.pdf",)),
     "compact": (REFUSED, ("{ledger}",)),
 }
@@ -65,7 +65,7 @@ VERBS: dict[str, tuple[set[int], tuple[str, ...]]] = {
 QUERIES = 12
 """Packaged queries that are asked of each ledger, drawn anew for each."""
 
-SLOW = ("open", "multiverse", "report", "view", "compare", "bisect", "statistics")
+SLOW = ("open", "study", "report", "view", "compare", "bisect", "statistics")
 """Verbs that take seconds."""
 
 

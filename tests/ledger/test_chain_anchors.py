@@ -76,7 +76,7 @@ def test_hashes_that_are_missing_are_said_to_be_missing(path: Path, anchor: Anch
     (path / NODES).write_bytes(b"")
     report = looked(path, anchor)
     assert {problem.where for problem in report.problems} == {NODES}
-    assert "fsar-ledger recover" in report.problems[-1].expected
+    assert "fsar-ledger maintain recover" in report.problems[-1].expected
 
 
 # --- what recover says of an anchor ---

@@ -65,7 +65,7 @@ def test_every_verb_names_the_command_that_upgrades(
     assert run([word.replace("OUT", str(old.parent / "out")) for word in words]) == 2
     told = capsys.readouterr()
     assert told.out == ""
-    assert f"fsar-ledger upgrade '{old}' --into NEW" in told.err
+    assert f"fsar-ledger maintain upgrade '{old}' --into NEW" in told.err
     assert "of format 1" in told.err
     assert contents(old) == before
     assert [path.name for path in old.parent.iterdir()] == [old.name]
@@ -83,7 +83,7 @@ def test_every_verb_names_the_command_that_upgrades(
     ],
 )
 def test_so_does_every_function(old: Path, call: Callable[[Path], object]) -> None:
-    with pytest.raises(FormatVersionMismatch, match="run fsar-ledger upgrade") as refused:
+    with pytest.raises(FormatVersionMismatch, match="run fsar-ledger maintain upgrade") as refused:
         call(old)
     assert f"{printable.word(old)} --into NEW" in str(refused.value)
 

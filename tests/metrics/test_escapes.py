@@ -3,6 +3,7 @@ behind."""
 
 import os
 import resource
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -172,22 +173,13 @@ READS = {"a name of one's own", "a summary", "a recursion that ends"}
 
 OFTEN = {
     "read a csv",
-    "read where DuckDB spills",
     "fetch",
-    "copy in a step",
     "log to a file",
-    "delete in a step",
-    "copy",
     "a NUL",
     "half a character",
-    "ten million characters",
-    "5,000 selects in each other",
     "one text",
-    "a text of many",
     "JSON that nests too deep",
     "too many bytes",
-    "two columns of one name",
-    "a type that Arrow would change",
     "a date beyond the calendar",
 }
 """Ways that are tried in a process each time. The others, which one lock or one limit stops with these, `make test-all`
@@ -309,8 +301,8 @@ def test_what_can_be_learnt_of_the_machine_names_no_place_and_no_user(surrounded
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="only Linux shows what a process may do")
 def test_the_process_has_nothing_of_the_callers_and_may_not_write(surrounded: Path) -> None:
     def ask() -> None:
-        with pytest.raises(QueryFailed, match="after 2 s"):
-            run_untrusted(ledger_in(surrounded), NEVER_ENDS["a long range"], Limits(seconds=2))
+        with pytest.raises(QueryFailed, match="killed"):
+            run_untrusted(ledger_in(surrounded), NEVER_ENDS["a long range"], Limits(seconds=120))
 
     asking = threading.Thread(target=ask)
     before = children()
@@ -322,6 +314,7 @@ def test_the_process_has_nothing_of_the_callers_and_may_not_write(surrounded: Pa
         time.sleep(0.01)
     environment = (process / "environ").read_text().rstrip("\0").split("\0")
     place = (process / "cwd").readlink()
+    os.kill(int(process.name), signal.SIGKILL)
     asking.join()
     assert {line.partition("=")[0] for line in environment} <= {*ENVIRONMENT, *NEEDED}
     assert place == Path("/")

@@ -6,8 +6,8 @@ from collections import Counter
 import pytest
 
 from fsar_ledger.metrics.paper_numbers import Place, Table, printed
+from fsar_ledger.metrics.registration import registration
 from fsar_ledger.metrics.verdicts import MARGINS
-from fsar_ledger.registration import registration
 
 
 @pytest.mark.parametrize(("table", "count"), [("results", 24), ("ablation", 30), ("ablation_text", 8), ("scaling", 45)])

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.metrics.database import from_rows
-from fsar_ledger.registration import registration
+from fsar_ledger.metrics.registration import registration
 
 SCENARIOS = ("door-relay", "fleet-contention")
 RUNS = 30

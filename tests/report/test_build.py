@@ -11,12 +11,14 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import NotALedger, UsageError, WriteFailed
+from fsar_ledger.publishing import publish
 from fsar_ledger.report import result_figure_png, result_figure_svg, typeset, write_report
 
 Make = Callable[..., Path]
 REPORT = """
 import sys
 from pathlib import Path
+from fsar_ledger.publishing import publish
 from fsar_ledger.report import write_report
 _, ledger, out, every_way = sys.argv
 write_report(Path(ledger), Path(out), reads_every_way=every_way == "True", numbers_out=Path(out + ".json"))
@@ -98,14 +100,14 @@ def test_figure_is_written_as_svg_and_png(ledger: Path, tmp_path: Path) -> None:
 
 def test_folder_as_output_is_refused(tmp_path: Path) -> None:
     with pytest.raises(WriteFailed, match="folder"):
-        typeset.publish(tmp_path, b"content")
+        publish(tmp_path, b"content")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_file_where_a_folder_is_needed_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(WriteFailed, match="cannot be written"):
-        typeset.publish(tmp_path / "file" / "report.pdf", b"content")
+        publish(tmp_path / "file" / "report.pdf", b"content")
 
 
 @contextmanager
@@ -123,7 +125,7 @@ def test_disk_that_takes_no_more_leaves_the_old_file(tmp_path: Path) -> None:
     out = tmp_path / "report.pdf"
     out.write_bytes(b"old")
     with small_files(), pytest.raises(WriteFailed, match="Nothing was changed"):
-        typeset.publish(out, bytes(5000))
+        publish(out, bytes(5000))
     assert [path.name for path in tmp_path.iterdir()] == ["report.pdf"]
     assert out.read_bytes() == b"old"
 

@@ -9,9 +9,8 @@ import pytest
 import typst
 
 from fsar_ledger.errors import FsarLedgerError
-from fsar_ledger.metrics.rules import METRICS, rules
+from fsar_ledger.metrics.study_results import METRICS, Calibration, Parameter, packaged, rules
 from fsar_ledger.report import document, specs, typeset
-from fsar_ledger.report.calibration import Parameter, Record, recorded
 from fsar_ledger.report.findings import Findings
 
 WHOLE: dict[str, Any] = {
@@ -21,7 +20,7 @@ WHOLE: dict[str, Any] = {
     "evaluations": 7,
     "model_version": "1",
     "rules": rules(METRICS),
-    "command": "fsar-ledger calibrate --out FILE",
+    "command": "fsar-ledger study run calibration --out FILE",
     "parameters": [
         {
             "name": "world.motion_share",
@@ -46,7 +45,7 @@ def drawings(findings: Findings) -> dict[str, bytes]:
 
 
 def test_absent_record_is_none_and_said(tmp_path: Path, findings: Findings) -> None:
-    assert recorded(tmp_path) is None
+    assert packaged(Calibration, tmp_path) is None
     assert document.data(findings, None)["fit"] is None
 
 
@@ -57,13 +56,15 @@ def test_record_is_read_and_typeset_whatever_part_is_missing(
     (tmp_path / "calibration.json").write_text(
         json.dumps({key: value for key, value in WHOLE.items() if key != missing})
     )
-    data = document.data(findings, recorded(tmp_path))
+    data = document.data(findings, packaged(Calibration, tmp_path))
     assert typeset.pdf(document.encoded(data), drawings).startswith(b"%PDF")
 
 
 def test_record_is_quoted_with_its_numbers(tmp_path: Path, findings: Findings) -> None:
     (tmp_path / "calibration.json").write_text(json.dumps(WHOLE))
-    data: dict[str, Any] = msgspec.json.decode(document.encoded(document.data(findings, recorded(tmp_path))))
+    data: dict[str, Any] = msgspec.json.decode(
+        document.encoded(document.data(findings, packaged(Calibration, tmp_path)))
+    )
     assert data["fit"]["objective"]["accepted"] == 12.25
     assert (data["fit"]["identified"], data["fit"]["directions"]) == (1, 1)
     assert [cell["printed"] for cell in data["tables"]["calibrated-parameters"]["rows"][0]][:5] == [
@@ -77,11 +78,13 @@ def test_record_is_quoted_with_its_numbers(tmp_path: Path, findings: Findings) -
 
 
 def test_the_trial_is_told_of_a_fit_that_came_after_it_and_of_no_other(findings: Findings) -> None:
-    told = {version: document.data(findings, Record(model_version=version))["fit"]["trial"] for version in ("1", "2")}
+    told = {
+        version: document.data(findings, Calibration(model_version=version))["fit"]["trial"] for version in ("1", "2")
+    }
     assert told == {"1": False, "2": True}
 
 
-def said_of_the_fit(folder: Path, findings: Findings, record: Record | None) -> list[str]:
+def said_of_the_fit(folder: Path, findings: Findings, record: Calibration | None) -> list[str]:
     """The sentences, as they are typeset, that say that the record of the fit is of another model."""
     (folder / "report.typ").write_text(specs.text("templates", "report.typ"))
     (folder / "data.json").write_bytes(document.encoded(document.data(findings, record)))
@@ -92,7 +95,9 @@ def said_of_the_fit(folder: Path, findings: Findings, record: Record | None) -> 
 
 @pytest.mark.slow
 def test_a_fit_of_another_model_is_named_once_at_the_answer(tmp_path: Path, findings: Findings) -> None:
-    record = Record(model_version="0", parameters=[Parameter("world.motion_share", "share", 0.2, 0.24)])
+    record = Calibration(
+        model_version="0", parameters=[Parameter(name="world.motion_share", unit="share", start=0.2, accepted=0.24)]
+    )
     for found in (
         findings,
         msgspec.structs.replace(
@@ -108,9 +113,11 @@ def test_a_fit_of_another_model_is_named_once_at_the_answer(tmp_path: Path, find
 
 
 @pytest.mark.parametrize(
-    "record", [pytest.param(None, marks=pytest.mark.slow), Record(model_version="1", rules=rules(METRICS))]
+    "record", [pytest.param(None, marks=pytest.mark.slow), Calibration(model_version="1", rules=rules(METRICS))]
 )
-def test_a_fit_of_these_runs_model_is_not_doubted(tmp_path: Path, findings: Findings, record: Record | None) -> None:
+def test_a_fit_of_these_runs_model_is_not_doubted(
+    tmp_path: Path, findings: Findings, record: Calibration | None
+) -> None:
     assert said_of_the_fit(tmp_path, findings, record) == []
 
 
@@ -130,7 +137,7 @@ def test_every_model_of_the_runs_counts(
     several = msgspec.structs.replace(
         findings, model_version=None, models=tuple({**findings.models[0], "model_version": one} for one in ran)
     )
-    changed = document.data(several, Record(model_version=fitted, rules=rules(METRICS)))["fit"]["changed"]
+    changed = document.data(several, Calibration(model_version=fitted, rules=rules(METRICS)))["fit"]["changed"]
     assert changed == (said and f"The model has changed since the fit: the constants were fitted to {said}")
 
 
@@ -143,7 +150,7 @@ def test_reasons_that_were_found_with_another_model_are_not_given(findings: Find
     missing = msgspec.structs.replace(findings, cells=cells)
 
     def reason(fitted: str) -> str | None:
-        misses = document.data(missing, Record(model_version=fitted, rules=rules(METRICS)))["misses"]
+        misses = document.data(missing, Calibration(model_version=fitted, rules=rules(METRICS)))["misses"]
         found: str | None = next(
             one["reason"] for one in misses if one["title"] == "Authority conflicts (per run), CFC"
         )
@@ -157,8 +164,8 @@ def test_reasons_that_were_found_with_another_model_are_not_given(findings: Find
 def test_broken_record_is_refused_with_its_place(tmp_path: Path, content: str) -> None:
     (tmp_path / "calibration.json").write_text(content)
     with pytest.raises(FsarLedgerError, match=r"reports/calibration\.json"):
-        recorded(tmp_path)
+        packaged(Calibration, tmp_path)
 
 
 def test_packaged_record_can_be_typeset_if_it_is_there(findings: Findings, drawings: dict[str, bytes]) -> None:
-    assert typeset.pdf(document.encoded(document.data(findings, recorded())), drawings).startswith(b"%PDF")
+    assert typeset.pdf(document.encoded(document.data(findings, packaged(Calibration))), drawings).startswith(b"%PDF")

@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.metrics.rules import METRICS, rules
+from fsar_ledger.metrics.study_results import METRICS, Calibration, rules
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report import document, specs
-from fsar_ledger.report.calibration import Record
 from fsar_ledger.report.findings import Ablation, Findings, Row, Scaling, Told, with_agreement
 from fsar_ledger.report.numbers import OPEN, OUTCOMES, STANDS, TABLES, UNDECIDED, numbers, said, tally
 from fsar_ledger.report.overview import overview
@@ -198,13 +197,13 @@ def test_tables_of_which_no_run_is_there_are_named() -> None:
 def test_no_number_counts_as_fitted_where_the_fit_was_of_another_model_or_judged_by_unknown_queries(
     alone: Findings,
 ) -> None:
-    def classes(record: Record) -> set[str]:
+    def classes(record: Calibration) -> set[str]:
         return {row["class"] for row in document.counted(alone, record) if row["table"] == "results"}
 
     model, judges = alone.model_version, rules(METRICS)
-    assert classes(Record(model_version=model, rules=judges)) == {"fitted"}
-    assert "fitted" not in classes(Record(model_version="another", rules=judges))
-    assert "fitted" not in classes(Record(model_version=model))
+    assert classes(Calibration(model_version=model, rules=judges)) == {"fitted"}
+    assert "fitted" not in classes(Calibration(model_version="another", rules=judges))
+    assert "fitted" not in classes(Calibration(model_version=model))
 
 
 def test_the_numbers_of_a_ledger_are_those_of_its_tables(alone: Findings) -> None:

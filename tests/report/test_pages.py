@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.report import document, specs
-from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.findings import Ablation, Findings, Row, Scaling, Told
 from tests.report.test_all_readings import NAMES, multiverse
 
@@ -27,7 +27,7 @@ def pages(findings: Findings, folder: Path) -> list[Any]:
 
     folder.mkdir()
     (folder / "report.typ").write_text(specs.text("templates", "report.typ"))
-    (folder / "data.json").write_bytes(document.encoded(document.data(findings, recorded())))
+    (folder / "data.json").write_bytes(document.encoded(document.data(findings, packaged(Calibration))))
     for name, svg in document.drawings(findings).items():
         (folder / name).write_bytes(svg)
     drawn = typst.compile(

@@ -9,7 +9,7 @@ import pytest
 import typst
 
 from fsar_ledger.errors import FsarLedgerError
-from fsar_ledger.metrics.rules import METRICS, rules
+from fsar_ledger.metrics.study_results import METRICS, Comparison, Outcome, encoded, rules
 from fsar_ledger.report import document, predictions, specs
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.printing import flat
@@ -26,13 +26,12 @@ def of_the_record(findings: Findings, **other: Any) -> Findings:
 
 
 def write(folder: Path, *holds: bool | None) -> None:
-    told: list[dict[str, object]] = [
-        {"name": f"p{n}", "implies": "as said", "holds": one, "held": 3 if one else 1, "of": 3, "checks": []}
+    told = [
+        Outcome(name=f"p{n}", implies="as said", holds=one, held=3 if one else 1, of=3, checks=[])
         for n, one in enumerate(holds)
     ]
-    (folder / "comparison.json").write_text(
-        json.dumps({"model_version": "1", "parameters": PARAMETERS, "rules": rules(METRICS), "predictions": told})
-    )
+    result = Comparison(model_version="1", parameters=PARAMETERS, rules=rules(METRICS), cells=[], predictions=told)
+    (folder / "comparison.json").write_bytes(encoded(result))
 
 
 @pytest.mark.slow

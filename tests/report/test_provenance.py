@@ -7,7 +7,6 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.calibration import measure
 from fsar_ledger.constants import DESIGNS, Chosen, Constants, Structure, WorldConstants, write_constants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.results import MetricRow
@@ -15,6 +14,8 @@ from fsar_ledger.report import document, provenance
 from fsar_ledger.report.printing import flat
 from fsar_ledger.report.provenance import GIVEN, WORDS, origins
 from fsar_ledger.runtime.simulation import ARCHITECTURES
+from fsar_ledger.studies.calibration import PLAN
+from fsar_ledger.studies.evaluations import measured
 from tests.quick import few
 
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
@@ -110,7 +111,7 @@ def test_what_the_paper_prints_is_what_the_paper_prints() -> None:
 
 
 def cells(constants: Constants, architecture: Architecture) -> list[MetricRow]:
-    return measure(constants, 1, (architecture,))
+    return measured(constants, PLAN.seed, 1, architectures=(architecture,))
 
 
 @pytest.mark.parametrize("architecture", few(ARCHITECTURES, ["fsar"]))

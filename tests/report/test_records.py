@@ -8,13 +8,13 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.comparison import compare_predictions
 from fsar_ledger.errors import UsageError
-from fsar_ledger.metrics import rules as bound
+from fsar_ledger.metrics import study_results as bound
 from fsar_ledger.metrics.library import Library, library, plain_sql
-from fsar_ledger.metrics.rules import CLAIMS, METRICS, changed, rules
-from fsar_ledger.report import calibration, document, predictions
+from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Calibration, changed, packaged, rules
+from fsar_ledger.report import document, predictions
 from fsar_ledger.report.findings import Findings
+from fsar_ledger.studies.comparison import judge
 from tests.records import renew
 from tests.report.test_predictions import of_the_record
 
@@ -51,15 +51,15 @@ def test_a_changed_rule_is_named_by_every_record(
     assert [name for name, digest in rules(METRICS).items() if before[name] != digest] == [CONFLICTS]
     for name in RECORDS:
         assert changed(kept(name)["rules"]) == [CONFLICTS]
-    fit = document.data(of_the_record(findings), calibration.recorded())["fit"]
+    fit = document.data(of_the_record(findings), packaged(Calibration))["fit"]
     assert CONFLICTS in fit["changed"]
     told = predictions.said(predictions.judged(of_the_record(findings)))
     assert told is not None
     assert f"they were judged before {CONFLICTS} changed" in told["sentence"]
     place = tmp_path / "predictions.json"
     place.write_bytes(files("fsar_ledger.reports").joinpath("predictions.json").read_bytes())
-    with pytest.raises(UsageError, match=f"{CONFLICTS}; predict again"):
-        compare_predictions(place, tmp_path / "comparison.json")
+    with pytest.raises(UsageError, match=f"{CONFLICTS}; judge them"):
+        judge(place, tmp_path / "comparison.json")
     assert list(tmp_path.iterdir()) == [place]
 
 

@@ -8,8 +8,8 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.study_results import Calibration, packaged
 from fsar_ledger.report import document, write_report
-from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.numbers import tally
 from fsar_ledger.report.reproduction import reproduction
@@ -68,7 +68,7 @@ def test_it_is_written_beside_the_report_and_is_the_same_bytes_again(
     write_report(ledger, tmp_path / "report.pdf", reads_every_way=False, numbers_out=tmp_path / "numbers.json")
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
     written = (tmp_path / "numbers.json").read_bytes()
-    assert written == reproduction(alone, document.counted(alone, recorded()))
+    assert written == reproduction(alone, document.counted(alone, packaged(Calibration)))
     assert json.loads(written)["ledgers"]["results"]["root"] == alone.root
 
 

@@ -17,6 +17,7 @@ from tests.ledger.samples import contents
 from tests.quick import few
 
 WHOLE = Experiment(ARCHITECTURES, SCENARIOS[:2], 3)
+SMALL = 300  # events of a commit; a run has some 500
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
@@ -34,7 +35,7 @@ def test_slices_are_the_run(architecture: str, scenario: str) -> None:
 
 @pytest.fixture
 def small_commits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(staging, "COMMIT_EVENTS", 300)  # a run has some 500
+    monkeypatch.setattr(staging, "COMMIT_EVENTS", SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The experiment in small commits, never interrupted."""
     path = tmp_path_factory.mktemp("made") / "ledger"
     with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(staging, "COMMIT_EVENTS", 300)
+        monkeypatch.setattr(staging, "COMMIT_EVENTS", SMALL)
         carry_out(path, WHOLE, 1)
     return path
 

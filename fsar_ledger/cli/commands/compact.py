@@ -5,7 +5,7 @@ from fsar_ledger.cli.options import JsonOption, LedgerArgument, examples
 from fsar_ledger.cli.terminal import show
 from fsar_ledger.printable import counted
 
-EXAMPLES = examples("fsar-ledger compact out/reviewed", "fsar-ledger compact out/reviewed --json")
+EXAMPLES = examples("fsar-ledger maintain compact out/reviewed", "fsar-ledger maintain compact out/reviewed --json")
 AFTER_INTERRUPTION = "nothing is lost; run it again to go on"
 
 

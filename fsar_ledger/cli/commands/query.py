@@ -144,8 +144,9 @@ def _of_file(
 ) -> Iterable[Shown]:
     """Answer the SELECT in the file; LEDGER is then the first argument."""
     from fsar_ledger.api.limits import limits_of
-
-    from .sql import answer_select
+    from fsar_ledger.api.sql import rows_of_select
+    from fsar_ledger.cli.answering import opened, warn
+    from fsar_ledger.cli.streaming import Kept
 
     if parameters := parameters_of(param):
         raise UsageError(
@@ -157,9 +158,13 @@ def _of_file(
             f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file "
             f"{printable.word(file)} out/ledger`"
         )
-    limits = limits_of(*most)
+    select = _text_of(file, limits_of(*most).sql_bytes)
+    asked = opened(Path(name), verified=verified)
     try:
-        return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, form, verified=verified)
+        with rows_of_select(asked, select, *most) as rows:
+            text = Kept(form.pieces(rows.provenance, rows.columns, rows.batches(), asked.numbers))
+        warn(asked.path, rows.provenance)
+        return text
     except QueryFailed as problem:
         raise QueryFailed(f"{file}: {problem}") from problem
 

@@ -22,9 +22,9 @@ DAMAGED = 3
 SHOWN = 10
 
 EXAMPLES = examples(
-    "fsar-ledger recover out/ledger",
-    "fsar-ledger recover out/ledger --json",
-    "fsar-ledger recover out/ledger --into out/continued",
+    "fsar-ledger maintain recover out/ledger",
+    "fsar-ledger maintain recover out/ledger --json",
+    "fsar-ledger maintain recover out/ledger --into out/continued",
 )
 AFTER_INTERRUPTION = "what was mended stays; run it again"
 
@@ -56,7 +56,7 @@ def recover(
     were altered or lost is left as it is; the answer says up to which commit it can be trusted, and --into copies that
     much. Exit code 3 if LEDGER is damaged and nothing was copied.
     """
-    from fsar_ledger.api.keys import anchor_of, trusted_of
+    from fsar_ledger.api.key import anchor_of, trusted_of
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.ledger.verify.report import Asked
 
@@ -121,7 +121,7 @@ def _some(lines: list[str]) -> list[str]:
 
 def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
     """Yield what can be trusted, and who vouches for it."""
-    from fsar_ledger.cli.output import signature_text
+    from fsar_ledger.api.key import signature_text
 
     head = found.head
     if head.commits:
@@ -176,8 +176,8 @@ def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
     yield from _some([f"  {ledger / file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost])
     if found.head.commits:
         yield (
-            f"  fsar-ledger recover {printable.word(ledger)} --into NEW copies what can be trusted to a new ledger; "
-            "simulate NEW continues there"
+            f"  fsar-ledger maintain recover {printable.word(ledger)} --into NEW copies what can be trusted to a new "
+            "ledger; simulate NEW continues there"
         )
     else:
         yield "  restore it from a copy that verifies, or begin a new ledger"

@@ -59,7 +59,7 @@ def step(
 
 def _play(steps: "Steps", script: str) -> None:
     """Show where each move of the script lands."""
-    from .state import standing_lines
+    from fsar_ledger.api.state import standing_lines
 
     for one in filter(None, (part.strip() for part in script.split(";"))):
         name, _, about = one.partition(" ")

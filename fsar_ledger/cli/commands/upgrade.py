@@ -11,7 +11,8 @@ from fsar_ledger.cli.progress import Progress
 from fsar_ledger.cli.terminal import show
 
 EXAMPLES = examples(
-    "fsar-ledger upgrade out/old --into out/upgraded", "fsar-ledger upgrade out/old --into out/upgraded --json"
+    "fsar-ledger maintain upgrade out/old --into out/upgraded",
+    "fsar-ledger maintain upgrade out/old --into out/upgraded --json",
 )
 AFTER_INTERRUPTION = "the commits written so far stay; run it again to go on"
 

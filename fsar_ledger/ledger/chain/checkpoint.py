@@ -19,7 +19,9 @@ def behind(view: View) -> int:
     """
     found = covered(view)
     if isinstance(found, Problem):
-        raise LedgerCorrupted(f"{view.path}/{found}; run fsar-ledger verify, and fsar-ledger recover if it says so")
+        raise LedgerCorrupted(
+            f"{view.path}/{found}; run fsar-ledger verify, and fsar-ledger maintain recover if it says so"
+        )
     return found
 
 

@@ -350,4 +350,4 @@ def _parsed_line(line: bytes) -> Record | ValueError:
     try:
         return parse_line(line)
     except ValueError as error:
-        return error
+        return ValueError(str(error))  # its traceback would hold the line in memory

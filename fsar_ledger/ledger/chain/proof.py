@@ -101,7 +101,7 @@ def prove_inclusion(ledger: Path, node: Node, tree: Checkpoint, index: int) -> t
         raise LedgerCorrupted(
             f"{ledger}: the stored hashes lead from event {index} to the root "
             f"{found.hex() if found else 'of no tree'}, expected {tree.root.hex()} of {tree.size} "
-            "events; run fsar-ledger verify, and fsar-ledger recover if only these are damaged"
+            "events; run fsar-ledger verify, and fsar-ledger maintain recover if only these are damaged"
         )
     return leaf, hashes
 

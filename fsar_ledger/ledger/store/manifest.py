@@ -13,8 +13,9 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import MANIFEST, require_created
 
 FORMAT, VERSION = "fsar-ledger", 2
+# See docs/decisions/there-is-one-format.md.
 VERSION_1 = 1
-"""The version of ledgers that only `fsar-ledger upgrade` reads."""
+"""The version of ledgers that only `fsar-ledger maintain upgrade` reads."""
 
 _Document = TypeVar("_Document", bound=msgspec.Struct)
 
@@ -52,7 +53,7 @@ def refuse_version_1(ledger: Path, data: bytes) -> None:
     if version_of(data) == VERSION_1:
         raise FormatVersionMismatch(
             f"{ledger}: found a ledger of format 1, which fsar-ledger up to 0.8 wrote, expected one of today's format; "
-            f"run fsar-ledger upgrade {printable.word(ledger)} --into NEW"
+            f"run fsar-ledger maintain upgrade {printable.word(ledger)} --into NEW"
         )
 
 

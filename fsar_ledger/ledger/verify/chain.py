@@ -42,12 +42,12 @@ FOLDERS = frozenset({SEGMENTS, STAGING})
 FILES = frozenset({MANIFEST, CHAIN, JOURNAL, SEALING, NODES, INDEX, CHECKPOINT})
 BEHIND = (
     "the pack, the index and the checkpoint are behind the chain, as a crash leaves them; the next writer, or "
-    "fsar-ledger recover, goes on from there"
+    "fsar-ledger maintain recover, goes on from there"
 )
 OPEN = "the checkpoint is behind the journal, as a writer that was not closed leaves it"
 SEALED = (
     "the journal is there though it was sealed, and what follows from that may be missing, as a crash leaves it; the "
-    "next writer, or fsar-ledger recover, goes on from there"
+    "next writer, or fsar-ledger maintain recover, goes on from there"
 )
 HIDDEN = (
     "the newest commit is whole, but its writer was interrupted before it made it visible; it counts, and the next "

@@ -4,6 +4,7 @@ Each is a folder here, with a `HandlerTable` under its name in capitals, and one
 What can be taken out of it is listed under its name in `events.configuration.MECHANISMS_OF`, if anything can.
 """
 
+# See docs/decisions/architectures-have-folders.md.
 REGISTERED = (
     "fsar",
     "cfc",

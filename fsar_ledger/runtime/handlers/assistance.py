@@ -54,6 +54,7 @@ def _helped(execution: Execution, recoveries: Recoveries, action_id: str, who: R
     return open_failure(execution, recoveries, action_id) if execution.current.get(who) == HELPING + action_id else None
 
 
+# See docs/decisions/help-can-fail.md.
 def _hindrance(world: World, recovery: Recovery, command: EndAssistance) -> FailureCause | None:
     """Return what keeps the helper from helping, or None.
 

@@ -19,6 +19,7 @@ def on_shift(fleet: Fleet, world: World, robot: Robot) -> Supervisor | None:
     supervisor = fleet.robots[robot].supervisor
     if supervisor is None:
         return FLEET_SUPERVISOR
+    # See docs/decisions/principals-need-their-own-record.md.
     return None if supervisor in world.off_shift else supervisor
 
 

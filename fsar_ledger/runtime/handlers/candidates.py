@@ -184,6 +184,7 @@ class _Search:
         return max(int(is_busy), _RANKS.get(self.found[robot].availability, 0))
 
 
+# See docs/decisions/registry-judges-like-robots-once.md.
 def alike(state: State, offered: Offered, requester: Robot) -> Iterator[tuple[Advertisement, tuple[Robot, ...]]]:
     """Yield robots, other than the requester, that every filter treats alike, and the record of one of them.
 

@@ -74,6 +74,7 @@ def compose(
     robot's own steps and routine keep the fleet's rule. Paper: eq:policy.
     """
     own = own_policy(state.policy, state.world, executor, capability, context)
+    # See docs/decisions/own-steps-keep-the-fleet-rule.md.
     if "policy-composition" in state.fleet.without:
         return own
     return stricter(carried, stricter(own, fleet_policy(state.knowledge, state.policy, executor, capability, context)))

@@ -11,6 +11,7 @@ from fsar_ledger.projections.registry import Registry
 from .commands import Command
 
 
+# See docs/decisions/rejected-commands-are-events.md.
 def rejected(command: Command, subject: str, reason: str, issued_by: Principal | None = None) -> tuple[CommandRejected]:
     """Return the one event of a command that named something unknown, over or impossible."""
     return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)

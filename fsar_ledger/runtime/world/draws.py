@@ -80,6 +80,7 @@ class Draws:
             return 0
         if stream == "verdict":  # the model's supervisors answer alike; only when they do is drawn
             return AS_USUAL
+        # See docs/decisions/draws-are-named.md.
         digest = self._begun[stream].copy()
         digest.update(ask.key.encode())
         word: int = _ONE.unpack(digest.digest())[0] >> 11

@@ -85,6 +85,7 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | Non
         )
         for name, capability in possessed
     ]
+    # See docs/decisions/trust-and-rules-are-by-role.md.
     for trust in design.trust:
         joined.append(RoleTrustSet(role=trust.role, peer_role=trust.peer_role, scope=trust.scope))
         if trust.is_mutual and trust.role != trust.peer_role:

@@ -115,6 +115,7 @@ def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size:
             facts += _contexts(world, key, name)
             facts += _fleet_rules(world, key, name)
             facts += _obstructions(world, key, name)
+            # See docs/decisions/fleets-share-a-floor.md.
             facts += _crowding(world, key, name, sum(other.team != team for other in there))
             if team <= working:
                 facts += _routine(world, key, name)

@@ -134,6 +134,7 @@ def reach_coordinator(
     service_us += service_us * candidates * structure.candidate_cost_ppm // 1_000_000
     ready_us = max(state.knowledge.ready_us, command.now_us) + service_us
     task = state.task.get(task_id)
+    # See docs/decisions/late-tasks-are-given-up.md.
     is_hopeless = (
         is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
     )

@@ -169,6 +169,7 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
     request, robot = state.request.open.get(command.action_id), command.robot
     if request is None or request.is_received or robot != (request.target or request.requester):
         return ()  # taken back, or a second one
+    # See docs/decisions/only-delegated-commands-are-disputed.md.
     is_second = request.is_delegated and not request.seen_busy
     running = pending_of_other_task(state.execution, robot, request.task_id) if is_second else None
     if running is None:

@@ -63,6 +63,7 @@ def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Record each hop, without a requester: no message between agents names one."""
     names = path(command.robot, command.agents)
     parties = recorded_by(state.fleet, state.world, command.robot, requested_by=None, executed_by=command.robot)
+    # See docs/decisions/dhma-hops-are-records.md.
     return tuple([InternalHandoff(parties, sender, receiver) for sender, receiver in pairwise(names)])
 
 

@@ -95,6 +95,7 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
     )
 
 
+# See docs/decisions/refusals-name-the-robot-asked.md.
 def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: str) -> RegistryQueried:
     """Return the registry's answer to an outsider, with the filter that leaves out the robot it asked for.
 

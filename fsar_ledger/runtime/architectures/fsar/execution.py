@@ -86,9 +86,11 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
         return ()
     local, rule = holding(state, action)
     if local != "allow":
+        # See docs/decisions/denials-are-decided-once.md.
         decided_by = None if action.is_delegated or action.was_denied else action.robot
         clash = conflict(state, action.task_id, action.action_id, action.on_behalf_of, action.robot, action.capability)
         return (*clash, _held(state.fleet, state.world, action, local, "local-policy", decided_by))
+    # See docs/decisions/starts-ignore-later-fleet-rules.md.
     if rule != "allow" and not action.is_delegated:
         return (_held(state.fleet, state.world, action, rule, "fleet-rule", None),)
     return (started(state.fleet, state.world, action, command),)

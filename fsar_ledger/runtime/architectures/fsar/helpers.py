@@ -62,6 +62,7 @@ class Candidate(NamedTuple):
     left_out_by: Filter | None
 
 
+# See docs/decisions/peer-recovery-composes-policies.md.
 def peer(state: State, action: Action, recovery: Recovery) -> Found:
     """Return the nearest idle peer that can help, is trusted and is allowed to, among those not asked before.
 

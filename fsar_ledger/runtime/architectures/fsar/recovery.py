@@ -283,6 +283,7 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot
 
 def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> tuple[Event, ...]:
     """Call H_i if only the robot is concerned, else H_F. Paper: sec:model:recovery, level 4."""
+    # See docs/decisions/level-4-goes-by-scope.md.
     supervisor = supervisor_for(state.fleet, state.world, action.robot, is_cross_robot(state.task, action))
     called = SupervisorCalled(subject=action.subject, supervisor=supervisor, purpose="recovery")
     principals = Principals(  # the service does not decide here, it passes on

@@ -1,0 +1,213 @@
+"""The verb `cause`: what an outcome of a run came from, and when it could no longer be avoided."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError, option
+from fsar_ledger.printable import Shown, counted
+
+from .answers import Answer, Screen
+from .verbs import OneRunOption, Shows, declare, verb
+from .workload import Progress
+
+if TYPE_CHECKING:
+    from fsar_ledger.analysis.causes import Element
+    from fsar_ledger.analysis.futures import Chance
+
+    from .ledger import Ledger
+    from .provenance import Provenance
+    from .table import Table
+
+MOST_FUTURES = 10_000
+BAR = 40
+"""Characters of the bar of a chance of 1."""
+
+
+class Caused(Answer, msgspec.Struct, frozen=True, kw_only=True):
+    """A smallest cause of an outcome of a run, and how its chances went.
+
+    `elements` are facts of the world and answers at ports that suffice for the outcome together, of `candidates`; it
+    falls without any one of them. `presupposed`: what else the set needs for the outcome to have a value at all, and
+    no cause of it. `also_necessary`: others without any one of which it falls in the whole run.
+    `chances`: by moment, in how many futures from then on the outcome is avoided; none if no futures were asked for.
+    `last_open_s`: the last moment found from which some future avoids it; `closing_seq`: the event from which on none
+    does. `forks`: runs that were played for this.
+    """
+
+    run: str
+    outcome: str
+    elements: tuple["Element", ...]
+    presupposed: tuple["Element", ...]
+    also_necessary: tuple["Element", ...]
+    candidates: int
+    forks: int
+    chances: tuple["Chance", ...]
+    last_open_s: float | None
+    closing_seq: int | None
+    closing_s: float | None
+    provenance: "Provenance"
+
+    def table(self) -> "Table":
+        """Return a row for each element."""
+        from fsar_ledger.analysis.causes import Element
+
+        from .table import Table, of_structs
+
+        return Table(of_structs(self.elements, Element), self.provenance)
+
+    def curve(self) -> "Table":
+        """Return a row for each moment."""
+        from fsar_ledger.analysis.futures import Chance
+
+        from .table import Table, of_structs
+
+        return Table(of_structs(self.chances, Chance), self.provenance)
+
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield the cause, what else is necessary, and the curve."""
+        head = [screen.run_text(self.run), f"outcome: {self.outcome}"]
+        tail = []
+        if self.elements:
+            head.append(
+                f"{counted(len(self.elements), 'cause')} of {self.candidates:,} facts and answers suffice together; "
+                "without any one of them the outcome falls"
+            )
+            tail.append(f"{_named(one for one in self.elements if one.is_necessary)} necessary in the whole run, too")
+            if self.presupposed:
+                tail.append(f"{_named(self.presupposed)} presupposed: without it, there is no value to compare")
+        else:
+            head += [_closing(self)] if self.chances else []
+            head.append(
+                f"none of {self.candidates:,} facts and answers is a cause: the outcome stands with these alone, "
+                "without any one of which there is no value to compare"
+            )
+        if self.also_necessary:
+            tail.append(f"also necessary there: {_listed(self.also_necessary)}")
+        if self.elements:
+            call = f"fsar-ledger whatif {printable.word(screen.path)} --run {screen.run_word(self.run)}"
+            tail.append(f"`{call} --change {printable.word(self.elements[0].change)}` shows the run without the first")
+        rows = [
+            {
+                "seq": one.seq,
+                "begins_s": None if one.begins_s is None else f"{one.begins_s:.3f}",
+                "cause" if self.elements else "presupposed": one.name,
+                "words": one.words,
+            }
+            for one in self.elements or self.presupposed
+        ]
+        yield printable.lines(*head, "")
+        yield screen.table(rows)
+        if tail:
+            yield printable.lines("", *tail)
+        if self.chances:
+            yield printable.lines("", *_curve(self), *(["", _closing(self)] if self.elements else []))
+
+
+@verb(
+    'cause out/ledger --run 1 --outcome "policy_violations > 0"',
+    'cause out/ledger --run 2 --outcome "authority_conflicts > 3" --futures 0',
+    'cause out/ledger --run 2 --outcome "SELECT run_id FROM conflicts" --futures 0 --json',
+)
+def cause(
+    ledger: "Ledger",
+    run: OneRunOption,
+    outcome: Annotated[
+        str,
+        declare(
+            "--outcome", "CONDITION", "What to explain: METRIC > NUMBER, INVARIANT > NUMBER, or a SELECT of run_id."
+        ),
+    ],
+    *,
+    lengths: Annotated[
+        bool, declare("--lengths", None, "Also ask whether the lengths of messages, ways and work mattered.")
+    ] = False,
+    futures: Annotated[int, declare("--futures", "N", "Futures to draw from each moment; 0: no curve.")] = 50,
+    progress: Annotated[Progress | None, Shows("played", "runs")] = None,
+) -> Caused:
+    """Find the smallest cause of an outcome of a run, and when it could no longer be avoided.
+
+    A cause is a set of facts of the world and answers at ports with which alone the outcome stands, and without any one
+    of which it falls. It is found over forks of the run, so it is a cause and no mere correlation; others may suffice,
+    too. A fact without which the outcome has no value is no cause of it: without a task nothing fails. Then the curve:
+    from moments of the run on, the share of futures, drawn anew, that avoid the outcome, up to the event after which
+    none does.
+
+    Raises:
+        UsageError: The run does not have the outcome, or it cannot be made again.
+        QueryFailed: The SELECT fails.
+    """
+    from fsar_ledger.analysis import causes
+    from fsar_ledger.analysis.bases import base_of_record, repeated
+    from fsar_ledger.analysis.futures import MOMENTS, curve
+    from fsar_ledger.analysis.outcomes import outcome_of
+
+    from .lookup import present, recorded
+
+    view, provenance = present(ledger)
+    record = recorded(ledger, view, run)
+    if not 0 <= futures <= MOST_FUTURES:
+        raise UsageError(f"{option('futures', futures)}: expected 0 (no curve) to {MOST_FUTURES:,}")
+    asked = outcome_of(outcome)
+    base = repeated(base_of_record(record, view.head.root))
+    played = None if progress is None else lambda done: progress(done, done)
+    found = causes.cause(base, asked, lengths=lengths, progress=played)
+    chances = None if not futures else curve(base, asked, futures, MOMENTS, progress)
+    closing = None if chances is None else chances.closing_seq
+    return Caused(
+        run=record.run_id,
+        outcome=found.outcome,
+        elements=found.elements,
+        presupposed=found.presupposed,
+        also_necessary=found.also_necessary,
+        candidates=found.candidates,
+        forks=found.forks + (0 if chances is None else sum(one.futures + one.undefined for one in chances.chances)),
+        chances=() if chances is None else chances.chances,
+        last_open_s=None if chances is None else chances.last_open_s,
+        closing_seq=closing,
+        closing_s=None if closing is None else record.times_us[closing] / 1_000_000,
+        provenance=provenance,
+    )
+
+
+def _named(elements: "Iterable[Element]") -> str:
+    names = [printable.value(one.name) for one in elements]
+    return f"{printable.some(names)} {'is' if len(names) == 1 else 'are'}" if names else "none of them is"
+
+
+def _listed(elements: "Sequence[Element]") -> str:
+    return printable.some([printable.value(one.name) for one in elements])
+
+
+def _curve(found: Caused) -> Iterator[str]:
+    """Yield the curve: a line for each moment."""
+    drawn = max(one.futures + one.undefined for one in found.chances)
+    left_out = any(one.undefined for one in found.chances)
+    without = "; those in which it has no value are left out" if left_out else ""
+    yield f"futures that avoid it, of {drawn:,} drawn from each moment on{without}"
+    closed = [one for one in found.chances if found.last_open_s is None or one.at_s > found.last_open_s]
+    for one in found.chances:
+        if one not in closed[1:-1]:
+            yield _bar(one)
+        elif one is closed[1]:
+            yield f"{'...':>10}"
+
+
+def _closing(found: Caused) -> str:
+    """Return the line about the point of no return."""
+    if found.closing_seq is None:
+        return "some futures avoid it to the end"
+    if found.last_open_s is None:
+        return "no future avoids it, from the beginning on"
+    return (
+        f"point of no return: event {found.closing_seq}, at {found.closing_s:.3f} s; before it, at "
+        f"{found.last_open_s:.3f} s, some futures still avoid it"
+    )
+
+
+def _bar(one: "Chance") -> str:
+    if one.share is None:
+        return f"{one.at_s:>10.3f} s     -"
+    return f"{one.at_s:>10.3f} s  {one.share:>4.0%}  {'#' * round(one.share * BAR)}".rstrip()

@@ -1,0 +1,88 @@
+"""The verb `export`: events, or the answer of a query, as a file."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+
+from .answers import Answer, Screen
+from .names import Place
+from .verbs import ParameterOption, RawOption, Shows, declare, verb
+from .workload import Progress
+
+if TYPE_CHECKING:
+    from .ledger import Ledger
+    from .provenance import Provenance
+
+
+class Written(Answer, msgspec.Struct, frozen=True):
+    """The number of rows (or tiles) that were written to a file, and their provenance."""
+
+    row_count: int
+    provenance: "Provenance"
+    file: Path
+    what: str = "rows"
+
+    def text(self, _: Screen) -> Iterator[printable.Shown]:
+        """Yield what was written."""
+        yield printable.line(f"{self.file}: {self.row_count:,} {self.what}")
+
+
+@verb(
+    "export out/ledger --out out/events.parquet",
+    "export out/ledger --query metrics/run_metrics --out out/run_metrics.csv",
+    "export out/ledger --tiles --out out/tiles",
+    takes=("verified",),
+)
+def export(
+    ledger: "Ledger",
+    out: Annotated[
+        Place,
+        declare(
+            "--out",
+            "FILE",
+            "A .csv, .parquet, .ndjson or .jsonl file; replaced if it exists. With --tiles a new folder.",
+        ),
+    ],
+    query: Annotated[
+        str | None,
+        declare("--query", "NAME", "Export the answer of this query.", "every event", complete="queries"),
+    ] = None,
+    parameters: ParameterOption = None,
+    *,
+    raw: RawOption = False,
+    tiles: Annotated[
+        bool, declare("--tiles", None, "Write the hashes of the tree and the checkpoint instead, as C2SP tlog-tiles.")
+    ] = False,
+    progress: Annotated[Progress | None, Shows("exported", "commits")] = None,
+) -> Written:
+    """Write events, or the answer of a query, to a file.
+
+    The name of the file decides the format: CSV, Parquet, or JSON with one row a line. In CSV, lists are JSON text, and
+    text is made harmless for spreadsheets and terminals unless --raw is given. The others hold the values themselves.
+
+    Raises:
+        UsageError: The file has another suffix, or lies inside a ledger.
+        WriteFailed: The file cannot be written.
+    """
+    from .files import require_place, write_events, write_table
+
+    file = Path(out)
+    if tiles:
+        if query is not None or parameters or raw:
+            raise UsageError("export: found tiles and a query, parameters or raw text, expected tiles alone")
+        from .tiles import write_tiles
+
+        written = write_tiles(ledger.path, file, demanded=ledger.demanded, progress=progress)
+        return Written(*written, file, "tiles")
+    require_place(file)
+    if query is not None:
+        found = ledger.query(query, **(parameters or {}))
+        return Written(write_table(file, found.stored, raw=raw), found.provenance, file)
+    if parameters:
+        raise UsageError(f"export: found parameter {next(iter(parameters))} and no query, expected both or neither")
+    return Written(*write_events(ledger.path, file, raw=raw, demanded=ledger.demanded, progress=progress), file)

@@ -1,0 +1,87 @@
+"""The verb `sql`: a SELECT of your own."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
+
+from .answers import Screen
+from .verbs import STREAM, argument, declare, verb
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from fsar_ledger.printable import Shown
+
+    from .ledger import Ledger
+    from .provenance import Provenance
+    from .table import Table
+
+
+class Rows:
+    """Rows as a process sends them, so that a long answer is never in memory at once; else as a `Table`."""
+
+    def __init__(self, provenance: "Provenance", columns: Sequence[str], batches: "Iterator[pa.RecordBatch]") -> None:
+        self.provenance, self.columns = provenance, columns
+        self._batches = batches
+
+    def batches(self) -> "Iterator[pa.RecordBatch]":
+        """Yield the rows in Arrow, once."""
+        return self._batches
+
+    def columns_shown(self) -> Sequence[str]:
+        """Return the columns that people are shown."""
+        return self.columns
+
+    def below(self, _: Screen) -> "Iterator[Shown]":
+        """Yield the lines below the rows, for people."""
+        yield from ()
+
+
+@contextmanager
+def rows_of_select(ledger: "Ledger", select: str, seconds: int | None, memory_mib: int | None) -> Iterator[Rows]:
+    """Yield the answer of a SELECT; the time limit covers all of it. Raises: As `sql`."""
+    from fsar_ledger.metrics.untrusted import stream_untrusted
+
+    from .limits import limits_of
+    from .provenance import Provenance
+
+    limits = limits_of(seconds, memory_mib)
+    with stream_untrusted(ledger.path, select, limits, ledger.demanded) as found:
+        yield Rows(Provenance(found.head, found.rows_verified), found.columns, found.batches)
+
+
+@verb(
+    'sql out/ledger "SELECT type, count(*) AS events FROM events GROUP BY type ORDER BY events DESC"',
+    "sql out/ledger \"SELECT * FROM request_denied WHERE run_id LIKE '%door-relay%'\" --csv",
+    'sql out/ledger "SELECT denied_by, count(*) AS denials FROM denials(run := 1) GROUP BY denied_by"',
+    'sql out/ledger "SHOW TABLES"',
+    takes=STREAM,
+    call=rows_of_select,
+)
+def sql(
+    ledger: "Ledger",
+    select: Annotated[str, argument("SELECT", "One SELECT in DuckDB's SQL.")],
+    *,
+    seconds: Annotated[int | None, declare("--seconds", "N", "The time limit for a SELECT of your own.", "60")] = None,
+    memory_mib: Annotated[
+        int | None,
+        declare("--memory", "MIB", "The memory limit for a SELECT of your own; at least 1024.", "4096"),
+    ] = None,
+) -> "Table":
+    """Answer a SELECT of your own.
+
+    It can read `events`, one view for each event type, and all of `query --list`; a query with parameters is called,
+    as in `FROM denials(run := 1)`. `SHOW TABLES` lists them all, `DESCRIBE NAME` the columns of one. It runs in a
+    locked-down process that can read this ledger and nothing else.
+
+    Raises:
+        QueryFailed: It is not one SELECT, fails, needs something outside the ledger, or meets a limit.
+    """
+    from fsar_ledger.metrics.untrusted import table_untrusted
+
+    from .limits import limits_of
+    from .provenance import Provenance
+    from .table import Table
+
+    rows, head, rows_verified = table_untrusted(ledger.path, select, limits_of(seconds, memory_mib), ledger.demanded)
+    return Table(rows, Provenance(head, rows_verified))

@@ -1,0 +1,248 @@
+"""The verb `state`: a moment of a run, how things stood, what a decider had been told, what the ledger had recorded."""
+
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping
+from operator import itemgetter
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError, option
+
+from .answers import Answer, Screen
+from .names import Time
+from .verbs import JSON, OneRunOption, declare, verb
+
+if TYPE_CHECKING:
+    from fsar_ledger.analysis.beliefs import Belief
+    from fsar_ledger.analysis.standing import RobotNow, Standing
+    from fsar_ledger.projections.fold import State
+
+    from .ledger import Ledger
+    from .provenance import Provenance
+
+BESIDE = "    "
+
+
+class Moment(Answer, msgspec.Struct, frozen=True, kw_only=True):
+    """How things stood in a run at a time.
+
+    `seq` is the last event that had happened by then, and `event_s` its time; `ends_s` that of the last of the run.
+    `commit` is the commit of the ledger, from 1, that recorded the run. `beliefs` are what a decider had been told,
+    None unless asked for. `state` are the projections themselves. Units: seconds of run time.
+    """
+
+    run: str
+    at_s: float
+    seq: int
+    event_s: float
+    ends_s: float
+    commit: int
+    standing: "Standing"
+    beliefs: "list[Belief] | None"
+    state: "State"
+    provenance: "Provenance"
+
+    def document(self, screen: Screen) -> Mapping[str, object]:
+        """Return all but the projections."""
+        return {name: value for name, value in Answer.document(self, screen).items() if name != "state"}
+
+    def text(self, screen: Screen) -> Iterator[printable.Shown]:
+        """Yield how things stood, and what was believed."""
+        yield printable.lines(
+            screen.run_text(self.run),
+            f"at {self.at_s:.3f} s of {self.ends_s:.3f} s, after event {self.seq} at {self.event_s:.3f} s",
+            f"recorded with commit {self.commit}",
+            *standing_lines(self.standing),
+        )
+        if self.beliefs is not None:
+            told = (f"{BESIDE}{line}" for line in map(_belief, self.beliefs))
+            yield printable.lines("", "what it had been told, and what held", *told)
+
+
+@verb(
+    "state out/ledger --run 1 --at 46.6s",
+    "state out/ledger --run 2 --at 72s --as-known-by coordinator",
+    "state out/ledger --run 1 --at 72s --robot B1 --json",
+    takes=JSON,
+)
+def state(
+    ledger: "Ledger",
+    run: OneRunOption,
+    at: Annotated[Time, declare("--at", "TIME", "Within the run: 46.6, 46.6s or 46600ms.", "its end")] = None,
+    *,
+    robot: Annotated[str | None, declare("--robot", "ROBOT", "Only what this robot has a part in.", "all")] = None,
+    as_known_by: Annotated[
+        str | None,
+        declare(
+            "--as-known-by",
+            "DECIDER",
+            "Also what it had been told: coordinator, robot/A1, service/registry, agent/A1/planning.",
+        ),
+    ] = None,
+    by_commit: Annotated[
+        int | None, declare("--by-commit", "N", "From what the ledger had recorded after N commits.", "all")
+    ] = None,
+) -> Moment:
+    """Show a fleet at a moment of a run: who does what, what waits, what is in force, and what is open.
+
+    There are two times: --at is when it held in the run, and --by-commit what the ledger had recorded. With
+    --as-known-by also what a decider had been told by then, how old that is, and what held: its decisions rest on the
+    former.
+
+    Raises:
+        UsageError: There is no such run, robot or decider, `at` is no time of the run, or the run came later.
+    """
+    from fsar_ledger.analysis.beliefs import beliefs
+    from fsar_ledger.analysis.moments import Timeline
+    from fsar_ledger.analysis.records import commits_of, record_of
+    from fsar_ledger.analysis.standing import standing
+
+    from .lookup import about_run, present, robot_of, time_of
+    from .provenance import of_run
+
+    view, provenance = present(ledger)
+    with about_run(view, run, ledger.demanded) as (database, name, _):
+        at_us = time_of(database, "at", at, name)
+        whose = None if robot is None else robot_of(database, robot, name)
+    commits = len(view.commits)
+    found = commits_of(view, name)
+    if by_commit is not None:
+        if not 0 <= by_commit <= commits:
+            raise UsageError(f"{option('by_commit', by_commit)}: expected 0 to {commits}, the commits of the ledger")
+        if by_commit < (commit := found[0][1] + 1):
+            raise UsageError(
+                f"{option('by_commit', by_commit)}: by then the ledger had recorded nothing of run "
+                f"{printable.value(name)}, which came with commit {commit}"
+            )
+    timeline = Timeline(record_of(view, name, None if by_commit is None else view.commits[by_commit - 1].tree_size))
+    times_us = timeline.record.times_us
+    at_us = times_us[-1] if at_us is None else at_us
+    seq = timeline.seq_at(at_us)
+    after = timeline.after(seq)
+    known = None if as_known_by is None else beliefs(timeline.record, seq, after, as_known_by)
+    stands = standing(timeline.record, seq, after, whose)
+    return Moment(
+        run=name,
+        at_s=at_us / 1e6,
+        seq=seq,
+        event_s=times_us[seq] / 1e6,
+        ends_s=times_us[-1] / 1e6,
+        commit=found[bisect_right(found, seq, key=itemgetter(0)) - 1][1] + 1,
+        standing=stands,
+        beliefs=known,
+        state=after,
+        provenance=of_run(provenance, stands.not_observed),
+    )
+
+
+def standing_lines(found: "Standing") -> Iterator[str]:
+    """Yield how things stand: a paragraph for each robot, and one for each kind of what is open."""
+    for robot in found.robots or ():
+        yield ""
+        yield from _robot(robot)
+    for name, lines in _lists(found):
+        if lines:
+            yield ""
+            yield name
+            yield from (f"{BESIDE}{line}" for line in lines)
+    if found.not_observed:
+        yield ""
+        yield f"not observed, so that nothing is said of it: {', '.join(found.not_observed)}"
+
+
+def _robot(one: "RobotNow") -> Iterator[str]:
+    signs = [f"supervisor {printable.value(one.supervisor)}"] if one.supervisor else ["no supervisor"]
+    signs += ["OFF"] if one.is_on is False else []
+    signs += ["NOT LINKED"] if one.is_linked is False else []
+    signs += [f"actuator {one.grade}"] if one.grade else []
+    yield f"{printable.value(one.robot)}  role {printable.value(one.role)}, team {one.team}; {', '.join(signs)}"
+    work = one.work
+    if work is None:
+        yield f"{BESIDE}{'idle' if one.is_idle else 'what it does is not observed'}"
+    else:
+        what = f" {printable.value(work.capability)}" if work.capability else ""
+        whose = f" for {printable.value(work.on_behalf_of)}" if work.on_behalf_of else ""
+        until = "" if work.ends_s is None else f", until {work.ends_s:.3f} s"
+        yield f"{BESIDE}{work.stage} {printable.value(work.action_id)}{what}{whose}{until}"
+    if one.queue:
+        yield f"{BESIDE}waiting: {printable.some(map(printable.value, one.queue))}"
+    if one.obstructions:
+        yield f"{BESIDE}in its way: {printable.some(map(printable.value, one.obstructions))}"
+    for window in one.windows or ():
+        yield (
+            f"{BESIDE}{window.scope} policy: {window.outcome}, window {printable.value(window.window)} since "
+            f"{window.since_s:.3f} s (event {window.seq})"
+        )
+    for availability, names in (one.offers or {}).items():
+        if availability != "ready":
+            yield f"{BESIDE}offers as {availability}: {printable.some(map(printable.value, names))}"
+
+
+def _lists(found: "Standing") -> Iterator[tuple[str, list[str]]]:
+    text = printable.value
+    yield (
+        "tasks",
+        [
+            f"{text(one.task_id)} of {text(one.robot)}: {one.steps_done}"
+            + (" steps done" if one.steps is None else f" of {one.steps} steps done")
+            + (f", now {text(one.step)}" if one.step else "")
+            + (f", attempt {one.attempt}" if one.attempt > 1 else "")
+            + ("; its arrival is not on record" if one.due_s is None else f"; due {one.due_s:.3f} s")
+            for one in found.tasks or ()
+        ],
+    )
+    yield (
+        "requests",
+        [
+            f"{text(one.action_id)} {text(one.capability)}: {text(one.requester)} -> {text(one.target or '?')}, "
+            f"{one.phase}"
+            for one in found.requests or ()
+            if one.target != one.requester
+        ],
+    )
+    yield "claims", [f"{text(one.action_id)} {one.dimension}: {text(one.claimant)}" for one in found.claims or ()]
+    yield (
+        "recoveries",
+        [
+            f"{text(one.action_id)} at {text(one.robot)}: {one.cause or 'cause not on record'}, level {one.level}, "
+            f"{one.attempts} attempts" + ("" if one.since_s is None else f", since {one.since_s:.3f} s")
+            for one in found.recoveries or ()
+        ],
+    )
+    yield (
+        "calls",
+        [
+            f"{one.number}: {text(one.supervisor)} about {text(one.action_id)}, {one.purpose}"
+            for one in found.calls or ()
+        ],
+    )
+    yield "supervisors off shift", [text(one) for one in found.off_shift or ()]
+    yield (
+        "rules",
+        [
+            f"{one.scope} {one.outcome} for {text(one.robot or 'every robot')}"
+            + (f", {text(one.capability)}" if one.capability else "")
+            + (f", task {text(one.task)}" if one.task else "")
+            for one in found.rules or ()
+        ],
+    )
+    yield (
+        "trust",
+        [
+            f"{text(one.robot)} -> {text(one.peer)}: {one.scope}"
+            + (f", {text(one.capability)}" if one.capability else "")
+            + (f", task {text(one.task)}" if one.task else "")
+            for one in found.trust or ()
+        ],
+    )
+
+
+def _belief(one: "Belief") -> str:
+    about = f"{printable.value(one.about)}, {one.what}"
+    holds = "what holds is not observed" if one.holds is None else f"is {one.holds}"
+    if one.believed is None:
+        return f"{about}: {'never told' if one.was_told is False else 'what it was told is not observed'}; {holds}"
+    age = "" if one.age_s is None else f" ({one.age_s:.3f} s old)"
+    return f"{about}: {one.believed}{age}" + (f", {holds}" if one.is_stale is not False else "")

@@ -1,0 +1,230 @@
+"""What a verb is: one function, whose signature and docstring are those of Python and of the command line.
+
+The parameters of a verb carry a declaration (`declare`, `argument`) in their annotation; `cli/building.py` makes the
+options of the command of them, and the docstring gets its `Args:` from them. One without is for Python alone.
+Modules of verbs are imported to show a help text, so they import what takes time inside their functions.
+"""
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
+
+from .names import By, Names, Place, Pool, Run
+
+if TYPE_CHECKING:
+    from .ledger import Ledger
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+JSON = ("verified", "json")
+"""What every verb takes whose answer holds for a ledger: compare its rows first, and answer as JSON."""
+WIDE = (*JSON, "wide")
+"""What also those take whose text has a table."""
+ROWS = (*JSON, "csv", "ndjson", "raw", "wide")
+"""What those take whose answer is rows."""
+STREAM = (*JSON, "csv", "ndjson", "raw", "limit", "wide")
+"""What those take whose answer can be long."""
+
+
+NOTHING_CHANGED = "nothing was changed"
+"""What most interrupted calls leave."""
+
+
+class Option(NamedTuple):
+    """An option of the command line, or an argument if it has no flag.
+
+    `default` says what holds without it, where the value of the parameter does not. `complete` is the function of
+    `cli/completing.py` that offers values to a shell.
+    """
+
+    flag: str | None
+    metavar: str | None
+    help: str
+    default: str | None = None
+    complete: str | None = None
+    least: int | None = None
+    environment: str | None = None
+
+
+class Shows(NamedTuple):
+    """The command line shows the progress of the call, in these words; it is no option.
+
+    `instead` has other verbs for calls with a switch.
+    """
+
+    verb: str
+    unit: str
+    instead: Mapping[str, str] = {}
+
+
+class Clock(NamedTuple):
+    """The command line gives the present time, in seconds since 1970; it is no option."""
+
+
+class Pause(NamedTuple):
+    """The command line gives a function that waits so long, and ends when nobody reads any more; it is no option."""
+
+    seconds: float
+
+
+class Verb(NamedTuple):
+    """A verb: its name on the command line, its function, and what the command has beside its own options.
+
+    `call` answers the command where that is another function: it takes the same parameters, and those that it declares
+    itself. `beside` are switches that the text of the answer looks at (`Screen.has`).
+    """
+
+    name: str
+    function: Callable[..., Any]
+    call: Callable[..., Any]
+    takes: tuple[str, ...]
+    examples: tuple[str, ...]
+    beside: Mapping[str, Option]
+    after_interruption: str
+
+    @property
+    def parameters(self) -> dict[str, inspect.Parameter]:
+        """Return the parameters of the function, then those that `call` adds; a default of `call` counts."""
+        found = dict(inspect.signature(self.function).parameters)
+        for name, one in inspect.signature(self.call).parameters.items():
+            if name not in found and declared(one) is not None:
+                found[name] = one
+            elif name in found and one.default is not inspect.Parameter.empty:
+                found[name] = found[name].replace(default=one.default)
+        return found
+
+    @property
+    def help(self) -> str:
+        """Return the text that Python and the command line share: the docstring up to its sections."""
+        return _text(self.function)
+
+
+VERBS: dict[str, Verb] = {}
+"""The verbs of the modules that are imported, by name."""
+
+
+def declare(
+    flag: str,
+    metavar: str | None,
+    help: str,
+    default: str | None = None,
+    *,
+    complete: str | None = None,
+    least: int | None = None,
+    environment: str | None = None,
+) -> Option:
+    """Declare an option; a switch has no metavar."""
+    return Option(flag, metavar, help, default, complete, least, environment)
+
+
+def argument(metavar: str, help: str, default: str | None = None, *, complete: str | None = None) -> Option:
+    """Declare an argument."""
+    return Option(None, metavar, help, default, complete)
+
+
+def verb(
+    *examples: str,
+    takes: tuple[str, ...] = WIDE,
+    name: str | None = None,
+    call: Callable[..., Any] | None = None,
+    beside: Mapping[str, Option] = {},
+    after_interruption: str = NOTHING_CHANGED,
+) -> Callable[[_Function], _Function]:
+    """Register a function as a verb of the command line, with calls that show how it is used.
+
+    Args:
+        examples: Calls without the name of the program, which a test runs, and other lines of a shell.
+        takes: What the command takes beside the parameters of the function.
+        name: The name on the command line; None: that of the function.
+        call: Answers the command instead, with the same parameters and those that it declares.
+        beside: Switches that the text of the answer looks at.
+        after_interruption: What an interrupted call leaves.
+    """
+
+    def register(function: _Function) -> _Function:
+        called = name or function.__name__.replace("_", "-")
+        calls = tuple(f"fsar-ledger {one}" if one.startswith(called) else one for one in examples)
+        VERBS[called] = Verb(called, function, call or function, takes, calls, beside, after_interruption)
+        function.__doc__ = _documented(function)
+        return function
+
+    return register
+
+
+def declared(parameter: inspect.Parameter) -> Option | Shows | Clock | Pause | None:
+    """Return what the annotation of a parameter declares."""
+    found = getattr(parameter.annotation, "__metadata__", ())
+    return next((one for one in found if isinstance(one, Option | Shows | Clock | Pause)), None)
+
+
+def _text(function: Callable[..., Any]) -> str:
+    text = inspect.getdoc(function) or ""
+    return text.partition("\n\nArgs:")[0].partition("\n\nRaises:")[0]
+
+
+def _documented(function: Callable[..., Any]) -> str:
+    """Return the docstring with a line for each declared parameter."""
+    text = inspect.getdoc(function) or ""
+    options = ((one.name, declared(one)) for one in inspect.signature(function).parameters.values())
+    lines = [f"    {name}: {one.help}" for name, one in options if isinstance(one, Option)]
+    if not lines or "\n\nArgs:" in text:
+        return text
+    before, raises, after = text.partition("\n\nRaises:")
+    return "\n".join([f"{before}\n\nArgs:", *lines]) + raises + after
+
+
+ByOption = Annotated[By, declare("--by", "scenario", "One row for each scenario.")]
+PoolOption = Annotated[Pool, declare("--pool", "seeds", "Pool the runs of all seeds.", "each seed by itself")]
+InvariantOption = Annotated[
+    Names,
+    declare(
+        "--invariant",
+        "NAME",
+        "i1 to i5 or a1 to a5, or a whole name; may be repeated.",
+        "all ten",
+        complete="invariants",
+    ),
+]
+ArchitectureOption = Annotated[
+    Names,
+    declare(
+        "--architecture",
+        "NAME",
+        "Only the runs of fsar, cfc or dhma; may be repeated.",
+        "all",
+        complete="architectures",
+    ),
+]
+SIDE = (
+    "ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: `fsar`, `fsar:without-layered-recovery`, `cfc@B`, "
+    "`dhma/8`; constants by the letters of `info`."
+)
+FirstOption = Annotated[str | None, declare("--first", "NAME", SIDE, "the first of two")]
+SecondOption = Annotated[
+    str | None, declare("--second", "NAME", "The same; of OTHER, if it is given.", "the other of two")
+]
+OtherArgument = Annotated["Ledger | Place | None", argument("OTHER", "The ledger of the second side.", "the same")]
+OneRunOption = Annotated[
+    Run, declare("--run", "RUN", "A run: its number, its name, or a unique part of it.", complete="runs")
+]
+TrustedKeyOption = Annotated[
+    str | None,
+    declare("--trusted-key", "KEY", "Require the signature of this public key: a .pub file, or the key itself."),
+]
+RawOption = Annotated[
+    bool, declare("--raw", None, "Do not escape text in CSV, not even control characters and spreadsheet formulas.")
+]
+ParameterOption = Annotated[
+    Mapping[str, object] | None,
+    declare("--param", "NAME=VALUE", "A parameter of the query; may be repeated.", complete="parameters"),
+]
+SvgOption = Annotated[Place | None, declare("--svg", "FILE", "Also draw it, as SVG; replaced if it exists.")]
+WorkersOption = Annotated[
+    int | None,
+    declare(
+        "--workers",
+        "N",
+        "Processes at once; the answer is the same for any number.",
+        "one per core, if there is enough to do",
+    ),
+]

@@ -1,0 +1,395 @@
+"""The verb `why`: why an event happened, and which events made a verdict of SQL, in words."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError, option
+from fsar_ledger.printable import Shown
+
+from .answers import Answer, Drawable, Screen, drawn
+from .names import Place, Run
+from .verbs import SvgOption, argument, declare, verb
+
+if TYPE_CHECKING:
+    from fsar_ledger.analysis.why import Made, Read
+    from fsar_ledger.analysis.words import Line
+    from fsar_ledger.ledger.rows.codec import LedgerRun
+    from fsar_ledger.metrics.database import Database
+
+    from .ledger import Ledger
+    from .provenance import Provenance
+    from .table import Table
+
+JUDGES = {
+    "violation": "policy_violations",
+    "conflict": "authority_conflicts",
+    "late": "coordination_success",
+    "unattributed": "audit_attributability",
+}
+"""By kind of verdict, the metric that counts such verdicts."""
+
+_OF_METRICS = """
+    SELECT seq, time_us / 1e6 AS time_s, action_id, about, found, made_by
+    FROM verdict_events
+    WHERE run_id = $run AND verdict = $kind
+    ORDER BY seq, action_id, about
+"""
+_OF_INVARIANT = """
+    SELECT seq, time_us / 1e6 AS time_s, action_id, type AS about, found, [seq] AS made_by
+    FROM {relation}
+    WHERE run_id = $run
+    ORDER BY seq
+"""
+
+
+MAX_WORDS = 1_000
+MAX_VALUE = 80
+INDENT = "    "
+
+
+class Why(Drawable, msgspec.Struct, frozen=True, kw_only=True):
+    """Why an event of a run happened.
+
+    Attributes:
+        run: The name of the run.
+        seq: The event.
+        triggers: The chain of triggers: the event's, the trigger of that one, and so on to a fact of the world, a
+            command from outside or event 0.
+        made: How the event came about, then the events that it rests on, as deep as was asked for.
+        lines: Every event that is named, in the words of `log`, by seq.
+        provenance: What the answer holds for.
+    """
+
+    run: str
+    seq: int
+    triggers: tuple[int, ...]
+    made: tuple["Made", ...]
+    lines: dict[int, "Line"]
+    provenance: "Provenance"
+
+    def draw(self, file: Place, kind: str | None = None) -> None:  # noqa: ARG002 - the suffix tells
+        """Draw the event and what it rests on, as SVG or PDF by the suffix; the file is replaced if it exists.
+
+        Raises:
+            UsageError: The name has another suffix, or the file lies inside a ledger.
+            WriteFailed: The file cannot be written.
+        """
+        from fsar_ledger.ledger.store.paths import require_outside
+        from fsar_ledger.publishing import publish
+        from fsar_ledger.view.why import figure
+
+        place = Path(file)
+        if place.suffix not in (".svg", ".pdf"):
+            raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
+        require_outside(place, str(place))
+        publish(place, figure(self.seq, self.made, self.lines, place.suffix[1:]))
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return how the event came about, and every event that is named."""
+        lines = {str(seq): line for seq, line in self.lines.items()}
+        return {"run": self.run, "seq": self.seq, "triggers": self.triggers, "made": self.made, "lines": lines}
+
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield the answer as an indented tree."""
+        proven = printable.word(f"{screen.run_word(self.run)}:{self.seq}")
+        hint = f"`fsar-ledger prove {printable.word(screen.path)} {proven}` proves event {self.seq} to others"
+        yield printable.lines(screen.run_text(self.run), "", *Tree(self).lines(), "", hint)
+
+
+class Verdicts(Answer, msgspec.Struct, frozen=True):
+    """The verdicts of a kind on a run."""
+
+    run: str
+    kind: str
+    found: "Table"
+
+    @property
+    def provenance(self) -> "Provenance":
+        """What the answer holds for."""
+        return self.found.provenance
+
+    def document(self, _: Screen) -> Mapping[str, object]:
+        """Return the verdicts."""
+        return {"run": self.run, "verdict": self.kind, "rows": self.found.rows()}
+
+    def text(self, screen: Screen) -> Iterator[Shown]:
+        """Yield the verdicts, and how to ask why the first event happened."""
+        rows = self.found.rows()
+        if not rows:
+            unseen = " on record; not all that it rests on was observed" if self.provenance.not_observed else ""
+            yield printable.lines(screen.run_text(self.run), f"no {self.kind}{unseen}")
+            return
+        first = printable.word(f"{screen.run_word(self.run)}:{rows[0]['seq']}")
+        hint = f"`fsar-ledger why {printable.word(screen.path)} {first}` says why event {rows[0]['seq']} happened"
+        yield printable.lines(screen.run_text(self.run), "")
+        yield screen.table([{**row, "time_s": f"{row['time_s']:.3f}"} for row in rows])
+        yield printable.lines("", hint)
+
+
+def _asked(
+    ledger: "Ledger",
+    event: str | None = None,
+    depth: int = 2,
+    svg: SvgOption = None,
+    run: Annotated[
+        Run | None,
+        declare(
+            "--run",
+            "RUN",
+            "With --verdict: the run, by number, name, or a part of it that no other run has.",
+            complete="runs",
+        ),
+    ] = None,
+    verdict: Annotated[
+        str | None,
+        declare(
+            "--verdict",
+            "KIND",
+            "Instead of an event: list violation, conflict, late, unattributed, or an invariant, as i4.",
+        ),
+    ] = None,
+) -> Answer:
+    """Answer about an event, or list verdicts."""
+    if (event is None) == (verdict is None):
+        raise UsageError("why: expected an EVENT, as RUN:SEQ, or --run RUN and --verdict KIND")
+    if verdict is not None and run is None:
+        raise UsageError(f"--verdict {verdict}: expected the run, too; give --run RUN")
+    if verdict is None and run is not None:
+        raise UsageError(f"--run {run}: expected it with --verdict only; EVENT names the run")
+    if verdict is not None and svg is not None:
+        raise UsageError(f"--svg {svg}: found no event to draw, expected EVENT without --verdict")
+    if verdict is not None and run is not None:
+        name = ledger.record(run).run_id
+        return Verdicts(name, verdict, verdicts(ledger, name, verdict))
+    assert event is not None
+    if svg is not None and Path(svg).suffix != ".svg":
+        raise UsageError(f"--svg {svg}: expected a name that ends in .svg")
+    return drawn(lambda: why(ledger, event, depth=depth), svg=svg)
+
+
+@verb(
+    "why out/ledger 1:148",
+    "why out/ledger 1:148 --depth 1 --svg out/why.svg",
+    "why out/ledger --run 2 --verdict violation",
+    call=_asked,
+)
+def why(
+    ledger: "Ledger",
+    event: Annotated[
+        str | tuple[Run, int],
+        argument("[EVENT]", "RUN:SEQ, or the event's place in the ledger, as for `prove`."),
+    ],
+    *,
+    depth: Annotated[
+        int | None,
+        declare(
+            "--depth",
+            "N",
+            "1: how the event came about; 2: and how the events came about that it rests on; and so on.",
+            least=1,
+        ),
+    ] = 2,
+) -> Why:
+    """Say why an event happened: what triggered it, what the decision read, and what was answered.
+
+    The run is made again, and the decision watched while it reads the state: every field and key, also those that were
+    not there, each with the event that last wrote it. With --verdict, list the verdicts of a kind on a run (a start
+    against policy, a conflict of authority, a late task, a record without a principal) and the events that made each.
+
+    Raises:
+        UsageError: There is no such event, or the run cannot be made again, or not as it is recorded.
+    """
+    from .lookup import present, recorded
+    from .prove import asked_event, found_event
+
+    view, provenance = present(ledger)
+    if isinstance(event, str):
+        run, seq = found_event(view, *asked_event(view, event, ledger.demanded), ledger.demanded)
+        return why_of(recorded(ledger, view, run), provenance, seq, depth)
+    return why_of(recorded(ledger, view, event[0]), provenance, event[1], depth)
+
+
+def verdicts(ledger: "Ledger", run: Run, kind: str) -> "Table":
+    """Return the verdicts of one kind on a run, each with the events that made it.
+
+    A kind is `violation` (a start against policy), `conflict` (of authority), `late` (a task), `unattributed` (a record
+    that lacks a principal), or an invariant, as `i4`.
+
+    Raises:
+        UsageError: There is no such run or kind.
+    """
+    from .lookup import about_run, present
+
+    with about_run(present(ledger)[0], run, ledger.demanded) as (database, name, _):
+        return _verdicts_of(database, name, kind)
+
+
+def why_of(record: "LedgerRun", provenance: "Provenance", seq: int, depth: int | None) -> Why:
+    """Return why the event of the run happened.
+
+    Raises:
+        UsageError: There is no such event, the depth is not positive, or the run cannot be made again as recorded.
+    """
+    from fsar_ledger.analysis.why import reasons
+    from fsar_ledger.analysis.words import lines_of
+
+    if depth is not None and depth < 1:
+        raise UsageError(f"{option('depth', depth)}: expected 1 or more")
+    if not 0 <= seq < len(record.events):
+        raise UsageError(
+            f"EVENT {printable.value(record.run_id)}:{seq}: found {len(record.events):,} events in the run, expected a "
+            f"seq from 0 to {len(record.events) - 1}"
+        )
+    found = reasons(record, seq, depth)
+    lines = lines_of([record], [(record.run_id, one) for one in found.seqs])
+    return Why(
+        run=found.run,
+        seq=found.seq,
+        triggers=found.triggers,
+        made=found.made,
+        lines={seq: line for (_, seq), line in sorted(lines.items())},
+        provenance=provenance,
+    )
+
+
+def kinds() -> dict[str, str]:
+    """Return the kinds of verdicts, each with the metric or invariant that judges."""
+    from fsar_ledger.metrics.invariants import invariants
+
+    return JUDGES | {query.relation.partition("_")[0]: query.relation for query in invariants()}
+
+
+def _verdicts_of(database: "Database", run: str, kind: str) -> "Table":
+    """Return the verdicts of this kind on a run, with the events that made each.
+
+    Raises:
+        UsageError: There is no such kind.
+    """
+    from .provenance import of_rows
+    from .table import Table
+
+    judges = kinds()
+    if kind not in judges:
+        hint = printable.did_you_mean(kind, judges) or ";"
+        raise UsageError(
+            f"{option('verdict', printable.value(kind))}: there is no such kind of verdict{hint} expected one of "
+            f"{', '.join(judges)}"
+        )
+    judge = judges[kind]
+    if kind in JUDGES:
+        values: dict[str, Any] = {"run": run, "kind": kind}
+        rows, query = database.table(_OF_METRICS, values), f"metrics/{judge}"
+    else:
+        rows, query = database.table(_OF_INVARIANT.format(relation=judge), {"run": run}), f"invariants/{judge}"
+    return Table(rows, of_rows(database, database.library.find(query), run))
+
+
+class Tree:
+    """The answer as an indented tree. How an event came about is told once, where it is first needed from the top."""
+
+    def __init__(self, found: Why) -> None:
+        self._found = found
+        self._made = {seq: one for one in found.made for seq in range(one.seq, one.seq + one.count)}
+        self._under = {found.made[0].seq: found.made[0].seq}
+        for one in found.made:
+            for seq in one.rests_on:
+                if seq in self._made:
+                    self._under.setdefault(self._made[seq].seq, one.seq)
+        self._told: set[int] = set()
+
+    def lines(self) -> Iterator[str]:
+        """Yield the event, its triggers, and how it came about."""
+        yield self._line(self._found.seq)
+        if self._found.triggers:
+            yield ""
+            yield "triggers, the last one first"
+            yield from (self._line(seq) for seq in self._found.triggers)
+        yield ""
+        yield from self._origin(self._found.made[0], "")
+
+    def _line(self, seq: int) -> str:
+        line = self._found.lines[seq]
+        return f"{seq:>6} {line.time_s:>10.3f} s  {_words(line)}"
+
+    def _origin(self, one: "Made", indent: str) -> Iterator[str]:
+        """Yield how a batch came about, and below it what it rests on."""
+        self._told.add(one.seq)
+        if one.count > 1 and one.origin != "founding":
+            yield f"{indent}made at once: events {one.seq} to {one.seq + one.count - 1}"
+        if one.origin in ("founding", "world"):
+            yield indent + ("the run begins with it" if one.origin == "founding" else "a fact of the world")
+            return
+        yield f"{indent}decided by {one.handler} on {one.command}"
+        if one.scheduled_by is not None:
+            yield f"{indent}scheduled by {one.scheduled_by}"
+        for answered in one.answers:
+            yield f"{indent}asked {answered.port}: {printable.value(answered.question)}, answered {answered.answer}"
+        groups = _by_writer((*one.scheduled_reads, *one.reads))
+        if one.triggered_by is not None:
+            yield from self._below(one, one.triggered_by, "triggered by", groups.pop(one.triggered_by, []), indent)
+        for fact in one.waited_for:
+            yield from self._below(one, fact, "waited for", groups.pop(fact, []), indent)
+        unwritten = groups.pop(None, [])
+        for seq, reads in groups.items():
+            if seq is not None:
+                yield from self._below(one, seq, "read of", reads, indent)
+        if unwritten:
+            yield f"{indent}read, and nothing had written it"
+            yield from (f"{indent}{INDENT}{read}" for read in unwritten)
+
+    def _below(self, above: "Made", seq: int, how: str, reads: Sequence[str], indent: str) -> Iterator[str]:
+        """Yield an event that a batch rests on, what was read of it, and how it came about if its place is here."""
+        line, deeper = self._found.lines[seq], indent + INDENT
+        yield f"{indent}{how} {seq}  {line.time_s:.3f} s  {_words(line)}"
+        yield from (f"{deeper}{read}" for read in reads)
+        made = self._made.get(seq)
+        if made is None or made.origin == "founding":
+            return
+        if made.seq in self._told or self._under[made.seq] != above.seq:
+            under = self._under[made.seq]
+            yield f"{deeper}(told under {self._found.seq if under == self._found.made[0].seq else under})"
+        else:
+            yield from self._origin(made, deeper + INDENT if reads else deeper)
+
+
+def _words(line: "Line") -> str:
+    action = "" if line.action_id is None else f"{printable.value(line.action_id)}  "
+    return action + printable.value(line.text, MAX_WORDS)
+
+
+def _by_writer(reads: "Sequence[Read]") -> dict[int | None, list[str]]:
+    """Return by the event that wrote it what was read, a line for each place; the earliest event first.
+
+    What the presence of a key says is left out where something under that key was read.
+    """
+    places = {read.place for read in reads}
+    found: dict[int | None, dict[str, dict[str, str]]] = {}
+    for read in reads:
+        if read.name.startswith("has ") and f"{read.place}[{read.name[4:]}]" in places:
+            continue
+        of_writer = found.setdefault(read.written_by, {})
+        of_writer.setdefault(read.place, {})[read.name] = f"{read.name} = {_value(read)}"
+        for seq in read.elements:
+            if seq != read.written_by:
+                found.setdefault(seq, {}).setdefault(read.place, {})[read.name] = f"{read.name}, in part"
+    ordered = sorted(found.items(), key=lambda one: -1 if one[0] is None else one[0])
+    return {
+        seq: [
+            f"{printable.value(place)}: {printable.value(', '.join(names.values()), MAX_WORDS)}"
+            for place, names in places.items()
+        ]
+        for seq, places in ordered
+    }
+
+
+def _value(read: "Read") -> str:
+    if read.is_absent:
+        return "absent"
+    from fsar_ledger.api.fields import json_bytes
+
+    shown = read.value if isinstance(read.value, str) else json_bytes(read.value).decode()
+    return printable.value(shown, MAX_VALUE) or '""'

@@ -1,0 +1,150 @@
+"""Answer a verb's call: open its ledgers, show the answer in the form asked for, and warn of what it leaves open.
+
+Warnings go to stderr before the answer goes to stdout.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from functools import partial
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fsar_ledger.api.answers import Answer, provenances
+from fsar_ledger.api.fields import Row
+from fsar_ledger.api.verbs import Clock, Pause, Shows, Verb, declared
+from fsar_ledger.printable import Shown
+
+from .answering import opened, warn
+from .output import answer_json, pretty, run_text, run_word
+from .progress import Progress
+from .streaming import Form, Kept
+from .tables import is_fitted, table
+from .terminal import pause, say, width_of_names
+
+if TYPE_CHECKING:
+    from fsar_ledger.api.ledger import Ledger
+
+
+class Screen:
+    """What an answer may know of its call, as `api.answers.Screen` says."""
+
+    def __init__(self, ledger: "Ledger | None", asked: Collection[str], *, wide: bool) -> None:
+        self._ledger = ledger
+        self._asked = asked
+        self._numbers: Mapping[str, int] | None = None
+        self._wide = wide
+
+    @property
+    def path(self) -> Path:
+        """The folder of the ledger."""
+        assert self._ledger is not None  # only answers about a ledger ask
+        return self._ledger.path
+
+    def has(self, switch: str) -> bool:
+        """Return whether the call has this switch."""
+        return switch in self._asked
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether tables are fitted to a terminal."""
+        return is_fitted(wide=self._wide)
+
+    def numbers(self) -> Mapping[str, int]:
+        """Return the number of each run that has one, by its name."""
+        if self._numbers is None:
+            self._numbers = {} if self._ledger is None else self._ledger.numbers()
+        return self._numbers
+
+    def _number(self, run: str) -> int | None:
+        """Return the number of a run, which may have come since the numbers were read."""
+        if run not in self.numbers():
+            self._numbers = None
+        return self.numbers().get(run)
+
+    def table(self, rows: Sequence[Row], columns: Sequence[str] | None = None) -> Shown:
+        """Return the rows as a table; None: with the columns of the first."""
+        return table(rows, list(rows[0]) if columns is None else columns, wide=self._wide)
+
+    def run_text(self, run: str) -> str:
+        """Return the words that name a run: `run 12, NAME`; `run NAME` where it has no number."""
+        return run_text(run, self._number(run))
+
+    def run_word(self, run: str) -> str:
+        """Return what names the run in a command that people may copy: its number, where it has one."""
+        return run_word(run, self._number(run))
+
+    def width_of_names(self, longest: int, beside: int) -> int:
+        """Return the width of the column of names before words, in a line with so many columns beside both."""
+        return width_of_names(longest, beside)
+
+
+def respond(
+    verb: Verb,
+    given: dict[str, Any],
+    ledgers: Sequence[str],
+    form: Form,
+    asked: Collection[str] = (),
+    *,
+    verified: bool,
+    now_s: Callable[[], int],
+) -> int:
+    """Answer the call, show the answer, and return the exit code. Raises: Whatever the verb raises.
+
+    Args:
+        verb: The verb.
+        given: The values of its parameters, by name.
+        ledgers: Which of the parameters are ledgers; they are opened.
+        form: The form of the answer.
+        asked: The switches that were given for its text.
+        verified: Compare the rows of the ledgers with their roots first.
+        now_s: Gives the present time in seconds since 1970.
+    """
+    places = {name: given[name] for name in ledgers if given[name] is not None}
+    held = {name: opened(place, verified=verified) for name, place in places.items()}
+    screen = Screen(held.get("ledger"), asked, wide=form.wide)
+    with ExitStack() as stack:
+        for one in verb.parameters.values():
+            beside = declared(one)
+            if isinstance(beside, Shows):
+                words = (other for switch, other in beside.instead.items() if given[switch])
+                given[one.name] = stack.enter_context(Progress(next(words, beside.verb), beside.unit))
+            elif isinstance(beside, Clock):
+                given[one.name] = now_s()
+            elif isinstance(beside, Pause):
+                given[one.name] = partial(pause, beside.seconds)
+        answer = verb.call(**given | held)
+        for ledger in held.values():
+            ledger.demanded  # noqa: B018 - compares the rows, had the verb not asked for them
+    if isinstance(answer, AbstractContextManager):  # rows that come from a process, which may fail in their midst
+        with answer as rows:
+            pieces: Iterable[Shown] = Kept(_pieces(rows, form, screen))
+            answer = rows
+    else:
+        failure = answer.failure if isinstance(answer, Answer) else None
+        pieces = [] if failure is not None and not form.as_json else _pieces(answer, form, screen)
+    for place, provenance in zip(places.values(), provenances(answer), strict=False):
+        warn(place, provenance)
+    form.show(pieces)
+    if isinstance(answer, Answer):
+        if answer.failure is not None:
+            raise answer.failure
+        return answer.exit_code
+    return 0
+
+
+def _pieces(answer: Any, form: Form, screen: Screen) -> Iterable[Shown]:
+    """Return the answer in this form, as text."""
+    if isinstance(answer, Answer):
+        if form.as_json:
+            document = answer.document(screen)
+            first, *_ = (*provenances(answer), None)
+            return [pretty(document) if first is None else answer_json(first, document)]
+        if not (form.as_csv or form.as_ndjson):
+            return answer.text(screen)
+        say(*answer.beside_rows())
+        answer = answer.rows_alone()
+    if form.as_json or form.as_csv or form.as_ndjson:
+        return form.pieces(answer.provenance, answer.columns, answer.batches())
+    pieces = form.pieces(answer.provenance, answer.columns_shown(), answer.batches(), screen.numbers)
+    return chain(pieces, answer.below(screen))

@@ -1,0 +1,132 @@
+"""The registration, written down before the fit: `reports/registration.toml`.
+
+It says which constants are free within which range, the rules of the verdicts, and what is predicted.
+"""
+
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+
+import msgspec
+
+UNNAMED = "informed"
+"""The class of cells that the registration does not name."""
+
+
+class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How the fit is made: the table it aims at, its rule in words, its seed, and how many points are judged.
+
+    Counts of runs are for each scenario and architecture.
+
+    `starts` searches of at most `rough_steps` begin at the best of the `screened` points; one of at most `most_steps`
+    continues from the best of them.
+    """
+
+    aims_at: str
+    rule: str
+    seed: int
+    screened: int
+    screened_runs: int
+    starts: int
+    rough_runs: int
+    rough_steps: int
+    runs: int
+    most_steps: int
+    enough: float
+    judged_runs: int
+
+
+class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A kind of constant: the range within which the fit may choose values, and the reason for that range."""
+
+    unit: str
+    low: float
+    high: float
+    because: str
+
+    @property
+    def middle(self) -> float:
+        """Return the geometric mean of the range's ends."""
+        return float((self.low * self.high) ** 0.5)
+
+
+class Free(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One constant that the fit may choose, and its kind."""
+
+    name: str
+    kind: str
+    meaning: str
+
+    @property
+    def range(self) -> Kind:
+        """Return the range within which the fit may choose it."""
+        return registration().kinds[self.kind]
+
+
+class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The rules of the verdicts in words, their level, how many experiments are drawn, and which n decides."""
+
+    alpha: float
+    model: str
+    experiment: str
+    draws: int
+    decided: int
+
+
+class Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
+    """What the registration says of some printed cells: where they are, their class, why, and what they depend on."""
+
+    table: str
+    where: dict[str, str | int | list[int]]
+    kind: str
+    because: str | None = None
+    dial: str | None = None
+
+    def is_of(self, table: str, place: Mapping[str, object]) -> bool:
+        """Return whether the cell at this place of a table is one of them."""
+        return self.table == table and all(
+            place.get(name) in (wanted if isinstance(wanted, list) else [wanted]) for name, wanted in self.where.items()
+        )
+
+
+class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A prediction of what nobody has seen, what the paper's claims imply for it, and where the paper makes them."""
+
+    name: str
+    of: str
+    implies: str
+    claim: str
+
+
+class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The whole registration; `margins` by metric, in the metric's unit.
+
+    `classes` says what each class of cells means, `cells` the class of a whole table, `cell` that of single cells.
+    """
+
+    model_version: str
+    fit: Fit
+    kinds: dict[str, Kind]
+    free: tuple[Free, ...]
+    verdicts: Verdicts
+    margins: dict[str, float]
+    classes: dict[str, str]
+    cells: dict[str, str]
+    cell: tuple[Said, ...]
+    prediction: tuple[Prediction, ...]
+
+    def said_of(self, table: str, place: Mapping[str, object]) -> Said:
+        """Return what the registration says of the cell at this place of a table (names as in `where`).
+
+        An entry for the cell comes before one for its table; without either, the cell is `informed`.
+        """
+        whole = Said(table, {}, self.cells.get(table, UNNAMED))
+        return next((one for one in self.cell if one.is_of(table, place)), whole)
+
+
+@cache
+def registration() -> Registration:
+    """Return the packaged registration."""
+    return msgspec.toml.decode(
+        files("fsar_ledger.reports").joinpath("registration.toml").read_bytes(), type=Registration
+    )

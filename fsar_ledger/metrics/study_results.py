@@ -1,0 +1,283 @@
+"""The result files of the studies: what is in them, what they rest on, and what of that has changed since.
+
+A study (`fsar_ledger/studies`) writes one; the report and a later study read it. Each names the version of the model,
+and has a digest of the SQL of every query that judged its runs, so that a number that no query gives any more is not
+taken for a result. Units are those of the queries (shares in [0, 1], seconds).
+"""
+
+from collections.abc import Mapping
+from hashlib import sha256
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import ClassVar, TypeVar
+
+import msgspec
+
+from fsar_ledger.errors import FsarLedgerError, UsageError
+from fsar_ledger.parameters import read_parameters
+
+from .definitions import concerns_sql, definitions_sql, measured_sql, published_metrics
+from .library import Library, Query, library, plain_sql
+from .verdicts import Answer
+
+METRICS, CLAIMS = "metric_summary", "case_claims"
+"""The relations that the results, and the claims of the cases, are read from."""
+
+
+class Objective(msgspec.Struct, frozen=True):
+    """What the fit minimised: a description, and its value before and after."""
+
+    description: str
+    start: float | None = None
+    accepted: float | None = None
+
+
+class Parameter(msgspec.Struct, frozen=True, kw_only=True):
+    """One fitted constant: its range, start and accepted value in `unit`, and whether the data identify it."""
+
+    name: str
+    unit: str
+    low: float | None = None
+    high: float | None = None
+    start: float
+    accepted: float
+    meaning: str = ""
+    identified: bool | None = None
+
+
+class Residual(msgspec.Struct, frozen=True):
+    """One cell after the fit: paper and fitted mean (stored units), and their distance in margins of the metric."""
+
+    metric: str
+    architecture: str
+    paper: float
+    ours: float | None
+    distance_margins: float | None = None
+
+
+class Direction(msgspec.Struct, frozen=True):
+    """One direction of the parameter space: its singular value in the scaled Jacobian, and the largest weights."""
+
+    singular_value: float
+    identified: bool
+    weights: dict[str, float] = {}
+
+
+class Search(msgspec.Struct, frozen=True):
+    """One search of the fit: its runs, the objective where it began and ended, and the constants at its end."""
+
+    runs_per_scenario: int
+    start: float
+    reached: float
+    ended_at: dict[str, float]
+
+
+class Calibration(msgspec.Struct, frozen=True, kw_only=True):
+    """The result of the fit.
+
+    Every part is optional and unknown keys are skipped, so that a report can be made before, during and after a fit;
+    the report says which parts are absent.
+    """
+
+    FILE: ClassVar[str] = "calibration.json"
+    MADE_BY: ClassVar[str] = "fsar-ledger study run calibration --out FILE"
+
+    objective: Objective | None = None
+    seeds: list[int] = []
+    runs_per_scenario: int | None = None
+    evaluations: int | None = None
+    model_version: str | None = None
+    rules: dict[str, str] | None = None
+    command: str | None = None
+    parameters: list[Parameter] = []
+    residuals: list[Residual] = []
+    directions: list[Direction] = []
+    searches: list[Search] = []
+
+
+class Predicted(msgspec.Struct, frozen=True, kw_only=True):
+    """One predicted number: its experiment, and the metric's mean, SD per run, runs and 95 % interval, in its unit.
+
+    `teams_working` None: all teams. `scenario` None: all scenarios.
+    """
+
+    of: str
+    seed: int
+    fleet_size: int
+    teams_working: int | None
+    encounter_mean_s: float
+    configuration: str
+    architecture: str
+    scenario: str | None
+    metric: str
+    mean: float | None
+    sd: float | None
+    n: int
+    ci_low: float | None
+    ci_high: float | None
+
+
+class Claim(msgspec.Struct, frozen=True, kw_only=True):
+    """One claim of the paper's cases, as in `cases/case_claims`: what is counted, of how many, and their ratio.
+
+    The counts and the ratio are None where no case arose.
+    """
+
+    case_number: int
+    claim: str
+    is_taken: bool
+    architecture: str
+    runs: int
+    numerator: int | None
+    denominator: int | None
+    value: float | None
+
+
+class Predictions(msgspec.Struct, frozen=True, kw_only=True):
+    """All predictions, with the model, the constants and the queries that they rest on."""
+
+    FILE: ClassVar[str] = "predictions.json"
+    MADE_BY: ClassVar[str] = "fsar-ledger study run predictions --out FILE"
+
+    model_version: str
+    parameters: str
+    rules: dict[str, str]
+    command: str = MADE_BY
+    numbers: list[Predicted]
+    cases: list[Claim]
+
+
+class Cell(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "class"}):
+    """One printed cell beside what was predicted for it.
+
+    `ours` is with all teams working, `ours_one_team` with one, for larger fleets; `low` and `high` are the 90 %
+    interval of (ours - paper); `gives` answers whether this model gives the printed number, None where the paper does
+    not specify what the cell depends on.
+    """
+
+    table: str
+    metric: str
+    architecture: str
+    configuration: str
+    fleet_size: int
+    scenario: str | None
+    kind: str
+    paper: float
+    ours: float | None
+    ours_one_team: float | None
+    n: int
+    margin: float
+    low: float | None
+    high: float | None
+    distance: float | None
+    gives: Answer | None
+
+
+class Check(msgspec.Struct, frozen=True):
+    """A number and the interval in which it must lie; an end of None is open.
+
+    `holds` is None if a number that the check needs is undefined.
+    """
+
+    what: str
+    value: float | None
+    low: float | None
+    high: float | None
+    holds: bool | None
+
+
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """The outcome of one registered prediction, which holds if all its checks do.
+
+    `holds` is None if no check fails but one cannot be made.
+    """
+
+    name: str
+    implies: str
+    holds: bool | None
+    held: int
+    of: int
+    checks: list[Check]
+
+
+class Comparison(msgspec.Struct, frozen=True, kw_only=True):
+    """The printed cells of the results, ablation and scaling tables, and all predictions.
+
+    Model, constants and queries are those of the predictions. The tests of the significance table and the numbers of
+    the cases are in `report`.
+    """
+
+    FILE: ClassVar[str] = "comparison.json"
+    MADE_BY: ClassVar[str] = "fsar-ledger study run comparison PREDICTIONS --out FILE"
+
+    model_version: str
+    parameters: str
+    rules: dict[str, str]
+    command: str = MADE_BY
+    cells: list[Cell]
+    predictions: list[Outcome]
+
+    def __post_init__(self) -> None:
+        read_parameters(self.parameters)
+
+
+Result = TypeVar("Result", bound=Calibration | Predictions | Comparison)
+
+
+def packaged(kind: type[Result], folder: Traversable | None = None) -> Result | None:
+    """Return the packaged result of this kind, or the one in this folder; None if there is none. Raises: As `read`."""
+    place = (folder or files("fsar_ledger.reports")).joinpath(kind.FILE)
+    return read(place, kind, f"reports/{kind.FILE}") if place.is_file() else None
+
+
+def read(path: Path | Traversable, kind: type[Result], name: str | None = None) -> Result:
+    """Return the result in the file; messages call it `name`.
+
+    Raises:
+        UsageError: It cannot be read.
+        FsarLedgerError: It is another kind of file.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+    except OSError as error:
+        raise UsageError(
+            f"{name or path}: cannot be read ({error.strerror}); expected what `{kind.MADE_BY}` writes"
+        ) from error
+    # ValueError: a number of thousands of digits
+    except (msgspec.MsgspecError, RecursionError, ValueError) as error:
+        raise FsarLedgerError(
+            f"{name or path}: {error}; expected what `{kind.MADE_BY}` writes; write it again"
+        ) from error
+
+
+def encoded(result: Calibration | Predictions | Comparison) -> bytes:
+    """Return the content of the file."""
+    return msgspec.json.format(msgspec.json.encode(result), indent=2) + b"\n"
+
+
+# See docs/decisions/results-name-their-queries.md.
+def rules(*relations: str, of: Library | None = None) -> dict[str, str]:
+    """Return a SHA-256 of the SQL of each query that these relations rest on, by name; comments and layout aside.
+
+    Left out are the views of event types and concerns, which judge nothing: they have the fields of the events. Of the
+    registry of metrics it has what concerns the paper's, since another metric changes no number of theirs.
+    """
+    every = (of or library()).needs(relations)
+    return {one.name: _digest(one) for one in sorted(every, key=lambda one: one.name) if not one.tags}
+
+
+def changed(recorded: Mapping[str, str], of: Library | None = None) -> list[str]:
+    """Return the names of the recorded queries that judge otherwise now, or are gone."""
+    every = (of or library()).queries
+    return [name for name, digest in recorded.items() if name not in every or _digest(every[name]) != digest]
+
+
+def _digest(query: Query) -> str:
+    made = {
+        "metrics/metric_definitions": definitions_sql,
+        "metrics/metric_concerns": concerns_sql,
+        "metrics/metric_measurements": measured_sql,
+    }.get(query.name)
+    sql = query.sql if made is None else made(published_metrics())
+    return sha256(plain_sql(sql).encode()).hexdigest()

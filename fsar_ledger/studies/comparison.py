@@ -1,0 +1,298 @@
+"""Compares the predictions with what the paper prints, and with what its claims were registered to imply.
+
+It reads the result of `predictions.py` and nothing else of ours: nothing is simulated here, and the file is never
+replaced. No program can guarantee that a number was not predicted again after it was compared; `tests/history.py` shows
+it from the commits of the repository.
+"""
+
+from collections.abc import Callable, Iterator
+from itertools import combinations, pairwise
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from fsar_ledger.errors import FsarLedgerError, UsageError
+from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.metrics import verdicts
+from fsar_ledger.metrics.definitions import published_metrics
+from fsar_ledger.metrics.paper_numbers import Place, Table, printed
+from fsar_ledger.metrics.registration import registration
+from fsar_ledger.metrics.results import MetricRow
+from fsar_ledger.metrics.study_results import Cell, Check, Comparison, Outcome, Predicted, Predictions, read
+from fsar_ledger.metrics.verdicts import MARGINS, Answer
+from fsar_ledger.publishing import require_another
+from fsar_ledger.runtime.simulation import ARCHITECTURES
+
+from .predictions import CASES, SEED, SEEDS
+from .result import require_out, stale, write
+
+SAME = 22  # cells of 24 that must be answered alike whatever the seed; registered as `seeds`
+SUCCESS, LOCALITY, CONFLICTS = "coordination_success", "governance_locality", "authority_conflicts"
+COUNTS = tuple(one.name for one in published_metrics() if one.scale == "count")
+"""Metrics without an upper bound; the others in the ablation table are shares."""
+TABLES: dict[Table, str] = {"results": CASES, "ablation": "ablation", "ablation_text": "ablation", "scaling": "scaling"}
+"""The predictions that each table is compared with, as `Play.of`."""
+
+
+class NotPredicted(Exception):
+    """Raised when a number is not among the predictions; the message says which."""
+
+
+class Numbers:
+    """The predicted numbers, by experiment and cell."""
+
+    def __init__(self, every: list[Predicted]) -> None:
+        keys = (
+            "of",
+            "seed",
+            "fleet_size",
+            "teams_working",
+            "encounter_mean_s",
+            "configuration",
+            "architecture",
+            "scenario",
+            "metric",
+        )
+        self._by_place = {tuple(getattr(one, key) for key in keys): one for one in every}
+
+    def find(
+        self,
+        of: str,
+        metric: str,
+        architecture: Architecture | str = "fsar",
+        *,
+        seed: int = SEED,
+        size: int = 4,
+        teams: int | None = None,
+        encounter_s: float = 90.0,
+        configuration: Configuration | str = FULL,
+        scenario: str | None = None,
+    ) -> Predicted:
+        """Return one prediction. Raises: NotPredicted."""
+        place = (of, seed, size, teams, encounter_s, configuration, architecture, scenario, metric)
+        if (found := self._by_place.get(place)) is None:
+            raise NotPredicted(str(place))
+        return found
+
+    def mean(self, *place: Any, **named: Any) -> float | None:
+        """Return the mean of one prediction. Raises: NotPredicted."""
+        return self.find(*place, **named).mean
+
+
+def judge(predictions: str | PathLike[str], out: str | PathLike[str]) -> None:
+    """Compare predicted numbers with the paper's, and write the comparison; nothing is simulated.
+
+    Raises:
+        FsarLedgerError: the file is no such record, or lacks a number.
+        UsageError: it cannot be read, is of another model or other constants, or `out` is the same file or lies inside
+            a ledger.
+        WriteFailed: `out` cannot be written.
+    """
+    predictions, out = Path(predictions), Path(out)
+    require_out(out)
+    require_another(out, f"--out {out}", predictions, "PREDICTIONS")
+    found = read(predictions, Predictions)
+    if differs := stale(found):
+        raise UsageError(
+            f"{predictions}: found predictions {differs}; judge them with the version that wrote them, or predict again"
+        )
+    try:
+        write(out, compared(found))
+    except NotPredicted as error:
+        raise FsarLedgerError(
+            f"{predictions}: found no {error}, expected everything that `{Predictions.MADE_BY}` writes; write it again"
+        ) from error
+
+
+def compared(found: Predictions) -> Comparison:
+    """Return all cells and predictions with their answers. Raises: NotPredicted if a number is missing."""
+    numbers = Numbers(found.numbers)
+    cells = [_cell(numbers, place) for table in TABLES for place in printed(table)]
+    outcomes = [
+        _outcome(said.name, said.implies, list(CHECKS[said.name](numbers))) for said in registration().prediction
+    ]
+    return Comparison(
+        model_version=found.model_version,
+        parameters=found.parameters,
+        rules=found.rules,
+        cells=cells,
+        predictions=outcomes,
+    )
+
+
+def _cell(numbers: Numbers, place: Place) -> Cell:
+    where: dict[str, Any] = {"size": place.fleet_size, "configuration": place.configuration, "scenario": place.scenario}
+    found = numbers.find(TABLES[place.table], place.metric, place.architecture, **where)
+    one_team = (
+        numbers.mean("scaling", place.metric, place.architecture, teams=1, **where) if place.fleet_size > 4 else None
+    )
+    paper, said = printed(place.table)[place].value, registration().said_of(place.table, place._asdict())
+    judged = verdicts.judge(_row(found), paper, None)
+    by_text: dict[str, Answer | None] = {"cannot_follow": "no", "unspecified": None}
+    return Cell(
+        **place._asdict(),
+        kind=said.kind,
+        paper=paper,
+        ours=found.mean,
+        ours_one_team=one_team,
+        n=found.n,
+        margin=judged.margin,
+        low=judged.low,
+        high=judged.high,
+        distance=judged.distance,
+        gives=by_text.get(said.kind, judged.gives),
+    )
+
+
+def _row(number: Predicted) -> MetricRow:
+    """Return a predicted number in the form that the verdicts take."""
+    names = [name for name in MetricRow.__struct_fields__ if name in Predicted.__struct_fields__]
+    return MetricRow(
+        **{**dict.fromkeys(MetricRow.__struct_fields__), **{name: getattr(number, name) for name in names}}
+    )
+
+
+def _outcome(name: str, implies: str, checks: list[Check]) -> Outcome:
+    answers = [check.holds for check in checks]
+    holds = False if False in answers else None if None in answers or not answers else True
+    return Outcome(name=name, implies=implies, holds=holds, held=answers.count(True), of=len(answers), checks=checks)
+
+
+# --- what each prediction implies, as registered ---
+
+
+def _seeds(numbers: Numbers) -> Iterator[Check]:
+    cells = list(printed("results").items())
+
+    def answers(of: str, seed: int) -> list[Answer]:
+        found = (numbers.find(of, place.metric, place.architecture, seed=seed) for place, _ in cells)
+        return [
+            verdicts.judge(_row(number), paper.value, None).gives
+            for number, (_, paper) in zip(found, cells, strict=True)
+        ]
+
+    first = answers(CASES, SEED)
+    for seed in SEEDS:
+        same = sum(one == other for one, other in zip(first, answers("seeds", seed), strict=True))
+        yield _check(f"cells answered alike with seed {seed} and {SEED}", same, low=SAME)
+
+
+def _twelve(numbers: Numbers) -> Iterator[Check]:
+    for metric in dict.fromkeys(place.metric for place in printed("scaling")):
+        for architecture in ARCHITECTURES:
+            for teams in (None, 1):
+                eight, twelve, sixteen = (
+                    numbers.mean("scaling", metric, architecture, size=size, teams=teams) for size in (8, 12, 16)
+                )
+                yield _between(
+                    f"{metric}, {architecture}, 12 robots, {_said(teams)}", twelve, (eight, sixteen), MARGINS[metric]
+                )
+
+
+def _twenty_four(numbers: Numbers) -> Iterator[Check]:
+    for teams in (None, 1):
+        at_16, at_24 = (numbers.mean("scaling", LOCALITY, size=size, teams=teams) for size in (16, 24))
+        yield _between(f"{LOCALITY}, fsar, 24 robots, {_said(teams)}", at_24, (at_16,), MARGINS[LOCALITY])
+        falls: dict[str, float | None] = {}
+        for architecture in ARCHITECTURES:
+            before, after = (
+                numbers.mean("scaling", SUCCESS, architecture, size=size, teams=teams) for size in (16, 24)
+            )
+            falls[architecture] = None if before is None or after is None else before - after
+        for architecture in ("cfc", "dhma"):
+            what = f"fall of {SUCCESS} from 16 to 24 robots, fsar and {architecture}, {_said(teams)}"
+            yield _less(what, falls["fsar"], falls[architecture])
+
+
+def _loads(numbers: Numbers) -> Iterator[Check]:
+    def at(metric: str, architecture: str, teams: int) -> float | None:
+        of, working = ("loads", teams) if teams in (2, 3) else ("scaling", 1 if teams == 1 else None)
+        return numbers.mean(of, metric, architecture, size=16, teams=working)
+
+    for architecture in ARCHITECTURES:
+        for fewer, more in pairwise(range(1, 5)):
+            before, after = at(SUCCESS, architecture, fewer), at(SUCCESS, architecture, more)
+            high = None if before is None else before + MARGINS[SUCCESS]
+            yield _check(f"{SUCCESS}, {architecture}, {_said(more)}", after, high=high, is_known=before is not None)
+            before, after = at(CONFLICTS, architecture, fewer), at(CONFLICTS, architecture, more)
+            low = None if before is None else before - MARGINS[CONFLICTS]
+            yield _check(f"{CONFLICTS}, {architecture}, {_said(more)}", after, low=low, is_known=before is not None)
+    for teams in range(1, 5):
+        for architecture in ("cfc", "dhma"):
+            yield _less(
+                f"{CONFLICTS}, fsar and {architecture}, {_said(teams)}",
+                at(CONFLICTS, "fsar", teams),
+                at(CONFLICTS, architecture, teams),
+            )
+
+
+def _encounters(numbers: Numbers) -> Iterator[Check]:
+    def at(metric: str, mean_s: float) -> float | None:
+        return numbers.mean("encounters", metric, encounter_s=mean_s, configuration=without(["shared-registry"]))
+
+    for low_s, mean_s, high_s in ((30.0, 45.0, 90.0), (90.0, 120.0, 300.0)):
+        yield _between(
+            f"{SUCCESS} at {mean_s:g} s", at(SUCCESS, mean_s), (at(SUCCESS, low_s), at(SUCCESS, high_s)), 0.0
+        )
+    for metric in _ablated():
+        if metric != SUCCESS:
+            yield _between(f"{metric} at 120 s, as at 45 s", at(metric, 120.0), (at(metric, 45.0),), MARGINS[metric])
+
+
+def _pairs(numbers: Numbers) -> Iterator[Check]:
+    """Yield the checks of pairs of mechanisms; where the sum leaves the metric's range, nothing is implied."""
+    for pair in combinations(MECHANISMS, 2):
+        for metric in _ablated():
+            full = numbers.mean("ablation", metric)
+            alone = [numbers.mean("ablation", metric, configuration=without([one])) for one in pair]
+            together = numbers.mean("pairs", metric, configuration=without(pair))
+            known = [one for one in alone if one is not None]
+            expected = (
+                None if full is None or len(known) < len(pair) else round(full + sum(one - full for one in known), 9)
+            )
+            if expected is None or (expected >= 0.0 and (metric in COUNTS or expected <= 1.0)):
+                yield _between(f"{metric} {without(pair)}", together, (expected,), MARGINS[metric])
+
+
+CHECKS: dict[str, Callable[[Numbers], Iterator[Check]]] = {
+    "seeds": _seeds,
+    "twelve": _twelve,
+    "twenty-four": _twenty_four,
+    "loads": _loads,
+    "encounters": _encounters,
+    "pairs": _pairs,
+}
+"""The checks that each registered prediction implies, by its name."""
+
+
+def _between(what: str, value: float | None, ends: tuple[float | None, ...], margin: float) -> Check:
+    known = [end for end in ends if end is not None]
+    is_known = len(known) == len(ends)
+    return _check(
+        what,
+        value,
+        min(known) - margin if is_known else None,
+        max(known) + margin if is_known else None,
+        is_known=is_known,
+    )
+
+
+def _check(
+    what: str, value: float | None, low: float | None = None, high: float | None = None, *, is_known: bool = True
+) -> Check:
+    holds = None if value is None or not is_known else (low is None or low <= value) and (high is None or value <= high)
+    return Check(what, value, low, high, holds)
+
+
+def _less(what: str, value: float | None, other: float | None) -> Check:
+    """Return the check that the value is less than the other."""
+    return Check(what, value, None, other, None if value is None or other is None else value < other)
+
+
+def _ablated() -> list[str]:
+    return list(dict.fromkeys(place.metric for place in printed("ablation")))
+
+
+def _said(teams: int | None) -> str:
+    return "all teams" if teams is None else f"{teams} team{'s' if teams > 1 else ''}"

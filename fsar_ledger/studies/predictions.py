@@ -1,0 +1,136 @@
+"""Simulates the registered predictions, and writes down the numbers before anyone compares them.
+
+They are registered in `reports/registration.toml`: the tables of the paper that the fit does not aim at (ablation,
+scaling), and what nobody has seen: other seeds, fleet sizes between and beyond the paper's, loads, encounter rates,
+pairs of ablations. Nothing here reads a number of the paper.
+"""
+
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from fsar_ledger.api.names import Place
+from fsar_ledger.api.workload import Progress, workers_of
+from fsar_ledger.constants import Constants, Load, write_constants
+from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.metrics.progress import each
+from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
+from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Claim, Predicted, Predictions, rules
+from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
+
+from .evaluations import simulated
+from .result import require_out, write
+
+SEED = 42
+SEEDS = (57721, 61803)  # registered, and never used before
+SEED_RUNS = 200  # runs a scenario for the results table
+ABLATION_RUNS = 40
+SCALING_RUNS = 20  # the paper's
+ENCOUNTERS_S = (30.0, 45.0, 90.0, 120.0, 300.0)
+
+CASES = "cases"
+CLAIMS_SQL = """
+    SELECT case_number, claim, is_taken, architecture, runs, numerator, denominator, value
+    FROM case_claims
+    ORDER BY case_number, position, claim, is_taken DESC, architecture
+"""
+
+
+class Play(msgspec.Struct, frozen=True):
+    """One experiment whose numbers are predicted, and what it is for."""
+
+    of: str
+    experiment: Experiment
+
+
+def plays() -> Iterator[Play]:
+    """Yield the experiments, in the order of the registration."""
+
+    def one(
+        of: str,
+        runs: int,
+        *,
+        seed: int = SEED,
+        size: int = 4,
+        teams: int | None = None,
+        architectures: tuple[Architecture, ...] = ARCHITECTURES,
+        configurations: tuple[Configuration, ...] = ("full",),
+        constants: Constants | None = None,
+    ) -> Play:
+        base = constants or Constants()
+        loaded = base if teams is None else msgspec.structs.replace(base, load=Load(teams_working=teams))
+        return Play(of, Experiment(architectures, SCENARIOS, runs, seed, size, configurations, loaded))
+
+    yield one(CASES, SEED_RUNS)
+    yield one("ablation", ABLATION_RUNS, architectures=("fsar",), configurations=CONFIGURATIONS)
+    yield one(
+        "pairs",
+        ABLATION_RUNS,
+        architectures=("fsar",),
+        configurations=tuple(without(pair) for pair in combinations(MECHANISMS, 2)),
+    )
+    for mean in ENCOUNTERS_S:
+        world = msgspec.structs.replace(Constants().world, encounter_mean_s=mean)
+        alone: tuple[Configuration, ...] = (without(["shared-registry"]),)
+        yield one(
+            "encounters", ABLATION_RUNS, architectures=("fsar",), configurations=alone, constants=Constants(world)
+        )
+    for size in (4, 8, 12, 16, 24):
+        yield one("scaling", SCALING_RUNS, size=size)
+        if size > 4:
+            yield one("scaling", SCALING_RUNS, size=size, teams=1)
+    for teams in (2, 3):
+        yield one("loads", SCALING_RUNS, size=16, teams=teams)
+    for seed in SEEDS:
+        yield one("seeds", SEED_RUNS, seed=seed)
+
+
+def predict(out: Place, *, workers: int | None = None, progress: Progress | None = None) -> None:
+    """Simulate the experiments registered for prediction, and write their numbers; takes minutes.
+
+    Raises:
+        UsageError: The file lies inside a ledger.
+        WriteFailed: The file cannot be written.
+    """
+    out, workers = Path(out), workers_of(workers)
+    require_out(out)
+    numbers: list[Predicted] = []
+    claims: list[Claim] = []
+    for play in each(list(plays()), progress):
+        with simulated(play.experiment, workers) as database:
+            rows = [*metric_rows(database), *metric_rows(database, by_scenario=True)]
+            numbers += [_predicted(play, row) for row in rows]
+            if play.of == CASES:
+                claims += typed(database.rows(CLAIMS_SQL), Claim)
+    write(
+        out,
+        Predictions(
+            model_version=MODEL_VERSION,
+            parameters=write_constants(Constants()),
+            rules=rules(METRICS, CLAIMS),
+            numbers=numbers,
+            cases=claims,
+        ),
+    )
+
+
+def _predicted(play: Play, row: MetricRow) -> Predicted:
+    asked = play.experiment
+    load = asked.constants.load
+    found: dict[str, Any] = {
+        name: getattr(row, name)
+        for name in ("architecture", "configuration", "scenario", "metric", "mean", "sd", "n", "ci_low", "ci_high")
+    }
+    return Predicted(
+        of=play.of,
+        seed=asked.seed,
+        fleet_size=asked.fleet_size,
+        teams_working=None if load is None else load.teams_working,
+        encounter_mean_s=asked.constants.world.encounter_mean_s,
+        **found,
+    )

@@ -1,0 +1,66 @@
+"""Every registered prediction is played, each in its own world, and the record names what was played."""
+
+import json
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from fsar_ledger.errors import WriteFailed
+from fsar_ledger.events.configuration import CONFIGURATIONS, lacks
+from fsar_ledger.metrics.definitions import metrics
+from fsar_ledger.runtime.simulation import MODEL_VERSION
+from fsar_ledger.studies import predictions
+from fsar_ledger.studies.predictions import Play, plays, predict
+
+
+def registered(of: str) -> list[Play]:
+    return [play for play in plays() if play.of == of]
+
+
+def test_all_that_is_registered_is_played_and_nothing_twice() -> None:
+    every = [msgspec.json.encode(play) for play in plays()]
+    assert len(every) == len(set(every))
+    assert {play.of for play in plays()} == {"cases", "ablation", "pairs", "encounters", "scaling", "loads", "seeds"}
+
+
+def test_ablations_are_those_of_the_paper_and_pairs_lack_two_mechanisms() -> None:
+    assert [play.experiment.configurations for play in registered("ablation")] == [CONFIGURATIONS]
+    (pairs,) = registered("pairs")
+    assert [len(lacks(one)) for one in pairs.experiment.configurations] == [2] * 6
+
+
+def test_fleets_are_the_papers_those_between_and_one_beyond_at_both_ends_of_the_load() -> None:
+    found = {
+        (play.experiment.fleet_size, play.experiment.constants.load and play.experiment.constants.load.teams_working)
+        for play in registered("scaling")
+    }
+    assert found == {(4, None), *((size, teams) for size in (8, 12, 16, 24) for teams in (None, 1))}
+
+
+def test_encounters_change_nothing_else() -> None:
+    worlds = [play.experiment.constants.world for play in registered("encounters")]
+    assert [world.encounter_mean_s for world in worlds] == [30, 45, 90, 120, 300]
+    assert len({msgspec.json.encode(msgspec.structs.replace(world, encounter_mean_s=90.0)) for world in worlds}) == 1
+
+
+@pytest.mark.slow
+def test_numbers_name_what_was_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small = [
+        msgspec.structs.replace(play, experiment=msgspec.structs.replace(play.experiment, runs=1))
+        for play in (registered("loads")[0], registered("cases")[0])
+    ]
+    monkeypatch.setattr(predictions, "plays", lambda: iter(small))
+    told: list[tuple[int, int]] = []
+    predict(tmp_path / "new" / "predictions.json", workers=1, progress=lambda *done: told.append(done))
+    record = json.loads((tmp_path / "new" / "predictions.json").read_text())
+    assert (record["model_version"], told) == (MODEL_VERSION, [(1, 2), (2, 2)])
+    played = {(row["of"], row["fleet_size"], row["teams_working"], row["seed"]) for row in record["numbers"]}
+    assert played == {("loads", 16, 2, 42), ("cases", 4, None, 42)}
+    assert len(record["numbers"]) == 2 * 3 * len(metrics()) * 6, "over all scenarios, and of each"
+    assert {claim["case_number"] for claim in record["cases"]} == {1, 2, 3, 4}
+
+
+def test_a_path_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> None:
+    with pytest.raises(WriteFailed, match="it is a folder"):
+        predict(tmp_path)
