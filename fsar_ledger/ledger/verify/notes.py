@@ -142,7 +142,7 @@ def check_anchor(
     if missing:
         expected = (
             f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger "
-            f"recover, or verify without {option('quick')}"
+            f"maintain recover, or verify without {option('quick')}"
         )
         return [Problem(NODES, f"one that cannot be read ({missing})", expected)]
     if root_then is None:
