@@ -22,15 +22,16 @@ from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started
 
 from .architectures import REGISTERED
-from .staging import Batch, Staging
+from .staging import COMMIT_EVENTS, Batch, Staging
 from .world.checks import problems_of_design, problems_of_fleet
 from .world.founding import team_size
 from .world.schedule import happening
 
 ORIGIN = "fsar-ledger/simulated"
 WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # a ledger of its own: no key signs two trees under one origin
-BATCH_ROBOTS = 84
-"""The robots of all runs of a batch: of the paper's fleet, one commit; independent of the number of workers."""
+# See docs/decisions/batches-follow-from-the-plan.md.
+EVENTS_PER_ROBOT, EVENTS_PER_DHMA_ROBOT = 150, 257
+"""Events of a run expected for each robot; they decide nothing but how batches are cut."""
 MOST_ROBOTS = 1 << 16
 """The most robots of a run; nobody has made a run of more than 4,096."""
 MAX_OWN = 60_000
@@ -186,12 +187,21 @@ class Experiment(msgspec.Struct, frozen=True):
         return len(self.scenarios) * self.runs * len(self.architectures) * len(self.configurations)
 
     def batches(self, is_there: Callable[[RunSpec], bool] | None = None) -> list[Batch]:
-        """Return the missing runs of each batch: so many in a row of all runs that they have `BATCH_ROBOTS` robots."""
-        specs, size = list(self.specs()), max(1, BATCH_ROBOTS // self.fleet_size)
-        found = [tuple(specs[at : at + size]) for at in range(0, len(specs), size)]
-        if is_there is not None:
-            found = [tuple(filterfalse(is_there, batch)) for batch in found]
-        return [batch for batch in found if batch]
+        """Return the missing runs of each batch: as many in a row as a commit is expected to hold, or one.
+
+        Batches are cut from all runs, missing or not, so an interruption moves no boundary.
+        """
+        found: list[list[RunSpec]] = []
+        room = 0
+        for spec in self.specs():
+            events = self.fleet_size * (EVENTS_PER_DHMA_ROBOT if spec.architecture == "dhma" else EVENTS_PER_ROBOT)
+            if events > room:
+                found.append([])
+                room = COMMIT_EVENTS
+            room -= events
+            found[-1].append(spec)
+        missing = (tuple(filterfalse(is_there, batch)) if is_there else tuple(batch) for batch in found)
+        return [batch for batch in missing if batch]
 
     # See docs/decisions/experiment-plans-are-events.md.
     def plan(self) -> ExperimentPlanned:

@@ -29,7 +29,9 @@ def test_runs_come_in_canonical_order() -> None:
 
 
 def test_batches_have_as_many_runs_as_a_commit_holds_of_such_a_fleet_and_the_last_one_the_rest() -> None:
-    assert [len(batch) for batch in SMALL.batches()] == [21, 9]
+    assert [len(batch) for batch in SMALL.batches()] == [22, 8]
+    default = Experiment(ARCHITECTURES, SCENARIOS, runs=20)
+    assert [len(batch) for batch in default.batches()] == [22, 22, *[21] * 12, 4]
     larger = msgspec.structs.replace(SMALL, fleet_size=16)
     assert [len(batch) for batch in larger.batches()] == [5] * 6
     assert {len(batch) for batch in msgspec.structs.replace(SMALL, fleet_size=1024).batches()} == {1}

@@ -42,7 +42,7 @@ def _small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def small_batches(patch: pytest.MonkeyPatch) -> None:
     """Let a batch have three runs of the paper's fleet."""
-    patch.setattr(module, "BATCH_ROBOTS", 12)
+    patch.setattr(module, "COMMIT_EVENTS", 4 * 3 * module.EVENTS_PER_ROBOT)
 
 
 def stop_after(batches: int) -> Callable[[int, int], None]:
