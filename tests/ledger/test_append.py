@@ -31,6 +31,15 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "out" / "ledger"
 
 
+def test_a_batch_staged_again_after_its_commit_is_cleaned_up(path: Path) -> None:
+    append_all(path, BATCHES)
+    before = contents(path)
+    stage(path, BATCHES[1])
+    assert contents(path) != before
+    Writer(path, ORIGIN).close()
+    assert contents(path) == before
+
+
 def test_a_new_ledger_is_empty(path: Path) -> None:
     with Writer(path, ORIGIN) as writer:
         assert writer.head == EMPTY_HEAD

@@ -57,7 +57,7 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Files:
 
 def much_to_do(one: Files) -> Files:
     """Return what a crash leaves, with damage of all kinds that can be mended."""
-    files = one | {"stray": b"?", "nodes": b"?" * 32, "tile/0/000": b""}
+    files = one | {"stray": b"?", "segments/stray": b"??", "nodes": b"?" * 32, "tile/0/000": b""}
     [name] = [name for name in one if name.startswith("segments/")]
     segment = files.pop(name)
     del files["ledger.json"]
@@ -118,3 +118,6 @@ def test_a_disk_that_refuses_is_named_with_what_to_do(
         pytest.raises(WriteFailed, match="mending failed: Read-only file system"),
     ):
         recover(path)
+    whole = write(tmp_path / "whole", one)
+    with stopping_at(0, monkeypatch, OSError(errno.EROFS, "Read-only file system")):
+        assert recover(whole).outcome == "whole"

@@ -3,6 +3,7 @@ import random
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -16,6 +17,7 @@ from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store.manifest import Manifest
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, Asked
+from fsar_ledger.ledger.verify.segment import examine_all
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER
 from tests.ledger.forgery import changed, forge, forge_segment, segment_at, table_of
@@ -65,6 +67,23 @@ def test_workers_find_the_same_and_progress_is_told(intact: Path, tmp_path: Path
     assert told == [(1, 3), (2, 3), (3, 3)]
     forge_segment(path, 1, changed(table_of(path, 1), "time_us", 3, 1))
     assert verify(path, workers=2) == verify(path)
+
+
+def test_verify_looks_again_where_a_writer_has_changed_the_ledger_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "ledger"
+    append_all(path, BATCHES[:2])
+
+    def then_another_is_made(*given: Any, **options: Any) -> object:
+        found = examine_all(*given, **options)
+        monkeypatch.undo()
+        append_all(path, BATCHES[2:])
+        return found
+
+    monkeypatch.setattr("fsar_ledger.ledger.verify.chain.examine_all", then_another_is_made)
+    report = verify(path)
+    assert (report.problems, report.commits) == ((), 3)
 
 
 def test_what_is_no_ledger_is_not_verified(tmp_path: Path) -> None:

@@ -65,20 +65,21 @@ class Verification:
         self.path, self.asked = path, asked
         self.problems: list[Problem] = []
         self.events = self.done = 0
-        self.derived: list[Problem] = []  # the first one of the pack, and of the index
+        self.derived: list[Problem] = []  # the first one of the checkpoint, the pack and the index
         self.index: list[bytes] = []  # its lines; empty where they are not as their placements say
         self.trusted = (0, 0)  # placements, and commits, before the first doubt about one
         self.runs = Runs()
         self.tree: Frontier | None = Frontier()  # by the rows; None: unknown, because some were not read
         self.roots: dict[int, bytes] = {0: merkle.EMPTY_ROOT}  # by the rows, at the end of each commit and anchor
 
-    def run(self, workers: int, progress: Progress | None) -> VerifyReport:
-        """Look at the whole ledger."""
-        self.problems += _check_names(self.path)
-        _, document, doubt = check_manifest(self.path)
-        if document is None or doubt is not None:
-            self.problems += [doubt] if doubt is not None else []
-            return VerifyReport(False, tuple(self.problems[:MAX_PROBLEMS]), 0, 0, 0, None)
+    def run(self, workers: int, progress: Progress | None, document: bytes | None = None) -> VerifyReport:
+        """Look at the whole ledger, whatever ledger.json holds if this is the `document` that it should be."""
+        names = list(_check_names(self.path))
+        if document is None:
+            _, document, doubt = check_manifest(self.path)
+            if document is None or doubt is not None:
+                self.problems += names + ([doubt] if doubt is not None else [])
+                return VerifyReport(False, tuple(self.problems[:MAX_PROBLEMS]), 0, 0, 0, None)
         view = open_chain(self.path, document, is_damage_told=False)
         chain = view.chain
         self.problems += [one for one in (view.followed.problem, view.journal.problem) if one is not None]
@@ -94,7 +95,11 @@ class Verification:
             self.tree = chain.tree()
         for number, frame in enumerate(view.journal.frames):
             self._add_frame(frame, SEALING if number < view.journal.sealing else JOURNAL)
-        self.problems += _check_segments(view)
+        self.problems += names
+        self.problems += [
+            Problem(name, "a file of no placement", "segments that the chain names; take it away")
+            for name in unplaced(view)
+        ]
         self.problems += self.derived
         remarks = self._check_derived(view, is_behind=is_behind)
         return self._report(view, remarks)
@@ -103,7 +108,7 @@ class Verification:
         """Return whether the checkpoint is that of before the last append to the chain."""
         back = covered(view)
         if isinstance(back, Problem):
-            self.problems += [] if self.problems else [back]
+            self.derived += [] if self.problems else [back]
             return False
         size = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
         return back > 0 and size < view.chain.placed_size
@@ -282,17 +287,20 @@ class Verification:
             *((SUPERSEDED,) if left else ()),
         )
 
+    def check_signatures(self, view: View) -> tuple[list[Problem], Signatures]:
+        """Return what is wrong with the signatures of the commits, and what they say."""
+        chained = len(view.commits) - len(view.journal.frames) + view.journal.chained
+        judged = self._to_judge(view.commits)
+        return check_signatures(
+            [commit.note(view.manifest.origin) for commit in judged],
+            lambda at: CHAIN if judged[at].number < chained else JOURNAL,
+            self.asked.trusted,
+        )
+
     def _report(self, view: View, remarks: tuple[str, ...]) -> VerifyReport:
-        origin = view.manifest.origin
         signed = Signatures("signer not checked")
         if not self.problems:
-            chained = len(view.commits) - len(view.journal.frames) + view.journal.chained
-            judged = self._to_judge(view.commits)
-            doubts, signed = check_signatures(
-                [commit.note(origin) for commit in judged],
-                lambda at: CHAIN if judged[at].number < chained else JOURNAL,
-                self.asked.trusted,
-            )
+            doubts, signed = self.check_signatures(view)
             self.problems += doubts
         anchored = self._check_anchors(view)
         ok = not self.problems
@@ -367,9 +375,7 @@ def _check_names(path: Path) -> Iterator[Problem]:
         yield Problem(SEGMENTS, MISSING, "a folder of the ledger")
 
 
-def _check_segments(view: View) -> Iterator[Problem]:
-    """Yield a problem for each file among the segments that no placement names."""
+def unplaced(view: View) -> list[str]:
+    """Return the files among the segments that no placement names."""
     known = {segment_of(placement) for placement in view.chain.placements}
-    for name in names_in(view.path / SEGMENTS):
-        if f"{SEGMENTS}/{name}" not in known:
-            yield Problem(f"{SEGMENTS}/{name}", "a file of no placement", "segments that the chain names; take it away")
+    return [name for file in names_in(view.path / SEGMENTS) if (name := f"{SEGMENTS}/{file}") not in known]

@@ -1,7 +1,7 @@
 """Recover a ledger: finish or set aside what a crash left, explain what was altered, and delete nothing.
 
-1. First find what can be trusted, without changing anything (`trusted.py`).
-2. If that is the whole ledger, committed segments move into place, and what can be derived from the commits
+1. First find what can be trusted, without changing anything (`trusted.py`). If nothing is to be mended, that is all.
+2. If it is the whole ledger, committed segments move into place, and what can be derived from the commits
    (ledger.json, nodes, index, checkpoint) is made again where it is wrong. Everything else is set aside: it moves to
    `LEDGER.set-aside/NNN/` under the same name. A crash may follow any step; the next recovery goes on from there.
 3. If it is not, the ledger stays as it is, as evidence; `into` copies the trusted commits to a new ledger, byte for
@@ -47,7 +47,7 @@ class Recovery(msgspec.Struct, frozen=True):
     the trusted commits in a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits.
     `problems` are those of the first commit after them, `later` each commit after them, judged on its own. `anchored`
     counts the trusted events that the anchor vouches for, None if it cannot or none was given. `report` is what
-    `verify` says about the mended or the new ledger.
+    `verify` says about the whole, the mended or the new ledger.
     """
 
     outcome: Outcome
@@ -92,6 +92,8 @@ def recover(
             report = _copy(path, found, into, workers, progress, asked) if into is not None else None
             outcome: Outcome = "damaged" if into is None else "continued"
             return Recovery(outcome, found.head, (), found.problems, tuple(found.later()), found.anchored, report)
+        if found.is_whole:
+            return Recovery("whole", found.head, anchored=found.anchored, report=found.report)
         mending = _Mending(path)
         with disk.refusals(path, "mending"):
             mend(found, mending.set_aside, mending.did)

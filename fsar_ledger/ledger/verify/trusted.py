@@ -1,9 +1,11 @@
 """How much of a ledger can be trusted, how it is mended, and a copy of what is trusted: parts of `recover`."""
 
 import os
+import re
 import shutil
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
 from typing import Literal
@@ -24,21 +26,23 @@ from fsar_ledger.ledger.chain.snapshot import read_checkpoint
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
-from fsar_ledger.ledger.log.note import Checkpoint, Note, doubt, parse_note
+from fsar_ledger.ledger.log.note import Checkpoint, Note, VerifierKey, doubt, parse_note
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store import disk, growing
 from fsar_ledger.ledger.store.manifest import FORMAT, VERSION, Manifest
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.segments import names_in
+from fsar_ledger.ledger.store.segments import check_manifest, names_in
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
-from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification
+from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification, unplaced
 from fsar_ledger.ledger.verify.notes import Nodes, check_anchor
-from fsar_ledger.ledger.verify.report import Asked, Progress
+from fsar_ledger.ledger.verify.report import Asked, Progress, VerifyReport
 
 SetAside = Callable[[str], None]
 Done = Callable[[Literal["moved into place", "made again", "set aside"], str, str], None]
 
+
+_SEGMENT_NAME = re.compile(rf"{SEGMENTS}/[0-9]{{12,}}-[0-9]{{12,}}\.parquet")
 
 FITS = "record and segment fit each other"
 NO_SEGMENT = "the segment is missing or not as its record says"
@@ -60,14 +64,23 @@ class Later(msgspec.Struct, frozen=True):
 class Found(msgspec.Struct, frozen=True):
     """What of a ledger can be trusted: the view of it, and how many of its placements and commits.
 
-    `problems` are why no more; none if the ledger is whole but for what is derived.
+    `problems` are why no more; none if the ledger is whole but for what is derived. `report` is what `verify` says
+    before anything is mended, had ledger.json what it should have.
     """
 
     view: View
     placements: int
     commits: int
     problems: tuple[Problem, ...]
+    report: VerifyReport
     anchored: int | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Return whether there is nothing to mend, and nothing that a crash left."""
+        _, manifest, _ = check_manifest(self.view.path)
+        is_described = manifest is not None and sha256_hex(manifest) == self.view.manifest_sha256
+        return is_described and self.report.ok and not self.report.remarks and not names_in(self.view.path / STAGING)
 
     def later(self) -> Iterator[Later]:
         """Yield each commit after the trusted ones, with what its segment, or the journal, shows of it alone."""
@@ -102,12 +115,15 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ask
 
     Raises: LedgerCorrupted if ledger.json cannot be read, and nothing says what was in it.
     """
-    view = open_chain(path, manifest_of(path), is_damage_told=False)
+    manifest = manifest_of(path)
+    view = open_chain(path, manifest, is_damage_told=False)
     look = Verification(path, msgspec.structs.replace(asked, is_quick=False))
-    report = look.run(workers, progress)
-    problems = [one for one in report.problems if one.where.split("/")[0] not in (NODES, INDEX, CHECKPOINT, MANIFEST)]
-    problems = [one for one in problems if not _is_stray(one.where)]
-    problems += _removed(view)
+    report = look.run(workers, progress, manifest)
+    mendable = {NODES, INDEX, CHECKPOINT, MANIFEST, *_strays(view)}
+    problems = [one for one in look.problems if one.where not in mendable]
+    problems += _removed(view) + _contradicted(view, asked.trusted)
+    if not problems and not report.ok:
+        problems += look.check_signatures(view)[0]  # which `verify` does only of a ledger without a problem
     placements, commits = look.trusted
     if asked.trusted is not None:
         key, origin = asked.trusted, view.manifest.origin
@@ -118,7 +134,7 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ask
     if problems:
         commits = min(commits, _commits_to(view, view.chain.placed[placements - 1].end if placements else 0))
     anchored = _anchored(view, look, asked, commits) if report.problems else report.anchored
-    return Found(view, placements, commits, tuple(problems), anchored)
+    return Found(view, placements, commits, tuple(problems), report, anchored)
 
 
 def _anchored(view: View, look: Verification, asked: Asked, commits: int) -> int | None:
@@ -156,8 +172,13 @@ def _commits_to(view: View, size: int) -> int:
     return sum(commit.tree_size <= size for commit in view.commits)
 
 
-def _is_stray(name: str) -> bool:
-    return name.split("/")[0] not in FILES | FOLDERS
+def _strays(view: View) -> list[str]:
+    """Return what is in the ledger's folder, or among its segments, and does not belong to it.
+
+    A file with the name of a segment is none of them: it says that its commits were removed.
+    """
+    strays = [name for name in names_in(view.path) if name not in FILES | FOLDERS]
+    return strays + [name for name in unplaced(view) if not _SEGMENT_NAME.fullmatch(name)]
 
 
 def _removed(view: View) -> list[Problem]:
@@ -173,6 +194,17 @@ def _removed(view: View) -> list[Problem]:
         if (found := growing.size_of(view.path / name)) > size:
             return [Problem(name, f"{found} bytes", expected)]
     return []
+
+
+def _contradicted(view: View, key: VerifierKey | None) -> list[Problem]:
+    """Return a problem if the key signed the file `checkpoint` and no commit has its tree."""
+    note, origin = _checkpoint_note(view.path), view.manifest.origin
+    if note is None or key is None or doubt(note, key) is not None:
+        return []
+    if note.checkpoint in (commit.note(origin).checkpoint for commit in view.commits):
+        return []
+    expected = "the tree of a commit, because the trusted key signed it: history was rewritten"
+    return [Problem(CHECKPOINT, f"a checkpoint of {note.checkpoint.size} events", expected)]
 
 
 def _checkpoint_note(path: Path) -> Note | None:
@@ -221,13 +253,8 @@ def _first_hash(path: Path) -> str:
 def mend(found: Found, set_aside: SetAside, done: Done) -> None:
     """Make the ledger whole again: its derived files, and what an interrupted writer left. Raises: OSError."""
     view, path = found.view, found.view.path
-    for name in names_in(path):
-        if _is_stray(name):
-            set_aside(name)
-    known = {segment_of(placement) for placement in view.chain.placements}
-    for name in names_in(path / SEGMENTS):
-        if f"{SEGMENTS}/{name}" not in known:
-            set_aside(f"{SEGMENTS}/{name}")
+    for name in _strays(view):
+        set_aside(name)
     _make_again(path, MANIFEST, manifest_of(path), set_aside, done)
     for placement in view.chain.placed:
         place = path / segment_of(placement)
@@ -249,15 +276,10 @@ def mend(found: Found, set_aside: SetAside, done: Done) -> None:
 
 def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: Done) -> None:
     """Write the file if it does not hold these bytes; what is there goes aside. No bytes are no file."""
-    try:
-        there: bytes | None = disk.read_large(path / name, len(data))
-    except FileNotFoundError:
-        there = None
-    except OSError:
-        there = b""
-    if there == data or (there is None and not data):
-        return
-    if there is not None:
+    with suppress(OSError):  # missing, a link or longer
+        if disk.read_large(path / name, len(data)) == data:
+            return
+    if os.path.lexists(path / name):
         set_aside(name)
     if data:
         disk.make_folder(path / STAGING)
