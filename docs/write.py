@@ -109,7 +109,6 @@ def called(text: str, folder: Path) -> str:
 def said_in_a_shell(text: str, folder: Path) -> str:
     """Return what any other command prints, run by a shell."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    surroundings = {**os.environ, "PATH": path, "XDG_CACHE_HOME": f"{folder}/.cache"}
     done = subprocess.run(
         ["sh", "-c", text],
         cwd=folder,
@@ -117,7 +116,7 @@ def said_in_a_shell(text: str, folder: Path) -> str:
         stderr=subprocess.STDOUT,
         text=True,
         check=False,
-        env=surroundings,
+        env={**os.environ, "PATH": path, "XDG_CACHE_HOME": f"{folder}/.cache"},
     )
     return done.stdout
 
@@ -334,14 +333,8 @@ def example(path: Path) -> Iterator[str]:
     yield block("`checkpoint`:", (path / "checkpoint").read_text())
     proof = merkle.inclusion_proof(open_ledger(path).node(3), 1, 3)
     hashes = [base64.b64encode(each).decode() for each in (rows[1], *proof)]
-    lines = [
-        "c2sp.org/tlog-proof@v1",
-        f"extra {hashes[0]}",
-        "index 1",
-        *hashes[1:],
-        "",
-        (path / "checkpoint").read_text(),
-    ]
+    checkpoint = (path / "checkpoint").read_text()
+    lines = ["c2sp.org/tlog-proof@v1", f"extra {hashes[0]}", "index 1", *hashes[1:], "", checkpoint]
     yield block("A proof that the second event is in the ledger:", *lines)
     yield "\n"
 

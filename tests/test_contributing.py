@@ -1,6 +1,6 @@
-"""Make the change of each section of docs/contributing.md in a copy of the repository, and run the checks at its end.
+"""Make the change of each page of docs/contributing/ in a copy of the repository, and run its commands and the checks.
 
-`python -m tests.test_contributing "An event" PLACE` makes one change in a copy, to look at it.
+`python -m tests.test_contributing event PLACE` makes one change in a copy, to look at it.
 """
 
 import os
@@ -17,8 +17,13 @@ import pytest
 from tests.reverts.soak import copy_tree
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = (ROOT / "docs" / "contributing.md").read_text("utf-8")
-_BLOCK = re.compile(r"^`([\w./-]+)`( \(new\))?:\n\n```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+FOLDER = ROOT / "docs" / "contributing"
+INDEX = (FOLDER / "README.md").read_text("utf-8")
+PAGE_LINES_MAX = 90
+_BLOCK = re.compile(
+    r"^(?:`([\w./-]+)`( \(new\))?:\n\n)?```(?:diff|python|sql|toml)\n(.*?)^```$", re.DOTALL | re.MULTILINE
+)
+_FILE = re.compile(r"^\+\+\+ ([\w./-]+)( \(new\))?\n", re.MULTILINE)
 _COMMANDS = re.compile(r"^```console\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
@@ -30,21 +35,46 @@ class Change(msgspec.Struct, frozen=True):
     text: str
 
 
-def sections() -> dict[str, str]:
-    """Return the sections that hold changes, by their titles."""
-    parts = re.split(r"^## (.+)\n", PAGE, flags=re.MULTILINE)[1:]
-    return {title: text for title, text in zip(parts[::2], parts[1::2], strict=True) if _BLOCK.search(text)}
+def pages() -> dict[str, str]:
+    """Return the pages that hold changes, by their names without suffix."""
+    texts = {path.stem: path.read_text("utf-8") for path in sorted(FOLDER.glob("*.md"))}
+    return {name: text for name, text in texts.items() if changes(text)}
 
 
-def changes(section: str) -> list[Change]:
-    """Return the changes that the section makes, in its order."""
-    return [Change(path, bool(new), text) for path, new, _, text in _BLOCK.findall(section)]
+def changes(page: str) -> list[Change]:
+    """Return the changes that the page makes, in its order.
+
+    A block has the name of its file before it, or is a diff in which `+++ FILE` begins the part of each file.
+    """
+    found = []
+    for path, new, text in _BLOCK.findall(page):
+        if path:
+            found.append(Change(path, bool(new), text))
+            continue
+        before, *parts = _FILE.split(text)
+        assert not before, f"found a block without the name of its file:\n{text}"
+        for name, is_new, part in zip(parts[::3], parts[1::3], parts[2::3], strict=True):
+            whole = re.sub(r"^\+", "", part, flags=re.MULTILINE)
+            found.append(Change(name, bool(is_new), whole if is_new else part))
+    return found
 
 
-def commands(section: str) -> list[list[str]]:
-    """Return the commands at the end of the section."""
-    lines = "".join(_COMMANDS.findall(section)).splitlines()
+def commands(page: str) -> list[list[str]]:
+    """Return the commands at the end of the page."""
+    lines = "".join(_COMMANDS.findall(page)).splitlines()
     return [shlex.split(line.removeprefix("$ ")) for line in lines]
+
+
+def checks(made: list[Change]) -> Iterator[list[str]]:
+    """Yield the commands of `make check`, for the package and the files that were made."""
+    python = [change.path for change in made if change.path.endswith(".py") and change.path.startswith("tests/")]
+    queries = [change.path for change in made if change.path.endswith(".sql")]
+    yield ["ruff", "check", "."]
+    yield ["ruff", "format", "--check", "."]
+    yield ["mypy", "--strict", "fsar_ledger", *python]
+    yield ["lint-imports"]
+    if queries:
+        yield ["sqlfluff", "lint", *queries]
 
 
 def hunks(diff: str) -> Iterator[tuple[str, str]]:
@@ -96,9 +126,9 @@ def copied(place: Path) -> Path:
     return tree
 
 
-def make(section: str, place: Path) -> list[Change]:
-    """Make the section's changes in the tree at the place."""
-    made = changes(section)
+def make(page: str, place: Path) -> list[Change]:
+    """Make the page's changes in the tree at the place."""
+    made = changes(page)
     for change in made:
         path = place / change.path
         assert path.exists() != change.is_new, f"{change.path}: found {'it' if change.is_new else 'no such file'}"
@@ -135,31 +165,45 @@ def called(command: list[str], place: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("title", sections())
-def test_a_section_followed_to_the_letter_passes_its_checks(title: str, tmp_path: Path) -> None:
-    tree = copied(tmp_path)
-    make(sections()[title], tree)
-    for command in commands(sections()[title]):
+@pytest.mark.parametrize("name", pages())
+def test_a_page_followed_to_the_letter_passes_its_checks(name: str, tmp_path: Path) -> None:
+    tree, page = copied(tmp_path), pages()[name]
+    made = make(page, tree)
+    for command in (*commands(page), *checks(made)):
         called(command, tree)
 
 
-@pytest.mark.parametrize("title", sections())
-def test_every_section_fits_the_code_as_it_is(title: str) -> None:
-    for change in changes(sections()[title]):
+@pytest.mark.parametrize("name", pages())
+def test_every_page_fits_the_code_as_it_is(name: str) -> None:
+    for change in changes(pages()[name]):
         path = ROOT / change.path
         assert path.exists() != change.is_new
         if not change.is_new:
             changed(change.path, path.read_text("utf-8"), change.text)
 
 
-def test_the_table_counts_the_files_and_the_tests_that_each_section_writes() -> None:
-    rows = re.findall(r"^\| \[.*?\]\(#([\w-]+)\).*\| (\d+) \| (\d+) \|$", PAGE, flags=re.MULTILINE)
+def test_every_page_is_short() -> None:
+    lengths = {path.name: len(path.read_text("utf-8").splitlines()) for path in FOLDER.iterdir()}
+    assert {name: lines for name, lines in lengths.items() if lines > PAGE_LINES_MAX} == {}
+
+
+def test_the_table_has_every_page_with_the_files_and_the_tests_that_it_writes() -> None:
+    rows = re.findall(r"^\| \[.*?\]\(([\w-]+)\.md\).*\| (\d+) \| (\d+) \|$", INDEX, flags=re.MULTILINE)
     written = {}
-    for title, text in sections().items():
-        paths = {change.path for change in changes(text)}
+    for name, page in pages().items():
+        paths = {change.path for change in changes(page)}
         tests = {path for path in paths if path.startswith("tests/")}
-        written[title.lower().replace(" ", "-")] = (len(paths - tests), len(tests))
+        written[name] = (len(paths - tests), len(tests))
     assert {name: (int(files), int(tests)) for name, files, tests in rows} == written
+    assert {path.name for path in FOLDER.iterdir()} - {"README.md"} <= set(re.findall(r"\]\(([\w.-]+)\)", INDEX))
+
+
+def test_a_block_holds_one_file_or_names_each_of_its_files() -> None:
+    block = "```diff\n+++ a.py (new)\n+x\n+\n+++ b.py\n x\n+y\n```\n"
+    assert changes(block) == [Change("a.py", True, "x\n\n"), Change("b.py", False, " x\n+y\n")]
+    assert changes("`c.py` (new):\n\n```python\nx\n```\n") == [Change("c.py", True, "x\n")]
+    with pytest.raises(AssertionError, match="without the name of its file"):
+        changes("```python\nx\n```\n")
 
 
 def test_a_diff_whose_place_is_missing_or_ambiguous_is_refused() -> None:
@@ -171,4 +215,4 @@ def test_a_diff_whose_place_is_missing_or_ambiguous_is_refused() -> None:
 
 if __name__ == "__main__":
     _, name, where = sys.argv
-    make(sections()[name], copied(Path(where)))
+    make(pages()[name], copied(Path(where)))

@@ -9,7 +9,12 @@ from msgspec.structs import replace
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAdmitted
-from fsar_ledger.events.supervision import Purpose, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.supervision import (
+    Purpose,
+    SupervisionDensitySet,
+    SupervisorCalled,
+    SupervisorResponded,
+)
 
 from .maps import put, without
 

@@ -12,8 +12,7 @@ SELECT
     one.reason AS one_reason,
     pairs.one_seq, pairs.other_claimant,
     other.reason AS other_reason,
-    pairs.other_seq, pairs.from_us,
-    nullif(pairs.until_us, 9223372036854775807) AS until_us
+    pairs.other_seq, pairs.from_us, pairs.until_us
 FROM claim_overlaps AS pairs
 INNER JOIN claims AS one ON pairs.run_id = one.run_id AND pairs.one_seq = one.seq
 INNER JOIN claims AS other ON pairs.run_id = other.run_id AND pairs.other_seq = other.seq

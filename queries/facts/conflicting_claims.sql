@@ -8,16 +8,15 @@
 -- Example: fsar-ledger query facts/conflicting_claims LEDGER
 WITH pairs AS (
     SELECT
-        run_id, action_id, dimension,
+        run_id, action_id, dimension, from_us, later_seq,
         unnest([one_seq, other_seq]) AS seq,
-        unnest([one_claimant, other_claimant]) AS claimant,
-        unnest([one_began_us, other_began_us]) AS began_us
+        unnest([one_claimant, other_claimant]) AS claimant
     FROM claim_overlaps
 )
 
 SELECT
     conflicts.run_id, conflicts.action_id, conflicts.dimension, conflicts.began_us,
-    max(pairs.seq) FILTER (pairs.began_us = conflicts.began_us) AS seq,
+    max(pairs.later_seq) FILTER (pairs.from_us = conflicts.began_us) AS seq,
     list(DISTINCT pairs.seq ORDER BY pairs.seq) AS claim_seqs,
     list(DISTINCT pairs.claimant ORDER BY pairs.claimant) AS claimants
 FROM conflicts

@@ -10,13 +10,8 @@
 -- Units: as in conflicts
 -- NULL: as in conflicts
 -- Example: fsar-ledger query readings/conflict_of_claim LEDGER
-WITH later AS (
-    SELECT DISTINCT
-        run_id, action_id, dimension,
-        from_us AS began_us,
-        if((one_began_us, one_seq) > (other_began_us, other_seq), one_seq, other_seq) AS seq
-    FROM claim_overlaps
-)
-
-SELECT run_id, action_id, dimension, began_us
-FROM later
+SELECT
+    run_id, action_id, dimension,
+    from_us AS began_us
+FROM claim_overlaps
+GROUP BY run_id, action_id, dimension, later_seq, from_us

@@ -1,5 +1,6 @@
-"""A made-up later release: a copy of the package whose event types were changed as docs/contributing.md says, run in a
-process of its own.
+"""A made-up later release: a copy of the package whose event types were changed, in a process of its own.
+
+The changes follow docs/contributing/event-version.md.
 
 `StepBegan` went through two versions: v2 has `is_own`, v3 has `is_delegated` instead. `RobotJoined` has a new optional
 field `depot`.

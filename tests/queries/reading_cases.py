@@ -42,9 +42,9 @@ def failed(
     return [*found, event("FailureResolved", time_us + after_us, action_id=action, failure=1, level=level)]
 
 
-def claimed(time_us: int, claimant: str, until_us: int, dimension: str = "override", reason: str = "why") -> list[Row]:
-    fields = {"action_id": "a1", "dimension": dimension, "claimant": claimant, "reason": f"{reason} {time_us}"}
-    return [event("AuthorityClaimed", time_us, **fields), event("AuthorityReleased", until_us, **fields)]
+def claimed(time_s: int, claimant: str, until_s: int, dimension: str = "override", reason: str = "why") -> list[Row]:
+    fields = {"action_id": "a1", "dimension": dimension, "claimant": claimant, "reason": f"{reason} {time_s}"}
+    return [event("AuthorityClaimed", time_s * S, **fields), event("AuthorityReleased", until_s * S, **fields)]
 
 
 def window(outcome: str) -> Row:

@@ -1,19 +1,19 @@
 """Claims and conflicts: half-open, one conflict per action and dimension."""
 
-from tests.queries.histories import Row, answer, event, measured, run
+from tests.queries.histories import Row, S, answer, event, measured, run
 
 
-def claim(claimant: str, time_us: int, dimension: str = "override", action_id: str = "t1/1") -> Row:
-    return event("AuthorityClaimed", time_us, claimant=claimant, dimension=dimension, action_id=action_id)
+def claim(claimant: str, time_s: int, dimension: str = "override", action_id: str = "t1/1") -> Row:
+    return event("AuthorityClaimed", time_s * S, claimant=claimant, dimension=dimension, action_id=action_id)
 
 
-def release(claimant: str, time_us: int, dimension: str = "override", action_id: str = "t1/1") -> Row:
-    return event("AuthorityReleased", time_us, claimant=claimant, dimension=dimension, action_id=action_id)
+def release(claimant: str, time_s: int, dimension: str = "override", action_id: str = "t1/1") -> Row:
+    return event("AuthorityReleased", time_s * S, claimant=claimant, dimension=dimension, action_id=action_id)
 
 
 def claims(*events: Row) -> list[tuple[str, int, int | None]]:
     rows = answer("facts/claims", run(*events), columns=("seq", "claimant", "began_us", "ended_us"))
-    return [(claimant, began, ended) for _, claimant, began, ended in rows]
+    return [(claimant, began // S, ended and ended // S) for _, claimant, began, ended in rows]
 
 
 def conflicts(*events: Row) -> int:
@@ -96,4 +96,4 @@ def test_a_conflict_begins_when_the_first_overlap_begins() -> None:
         run(claim("a", 1), claim("b", 7), claim("c", 5)),
         columns=("action_id", "dimension", "began_us"),
     )
-    assert rows == [("t1/1", "override", 5)]
+    assert rows == [("t1/1", "override", 5 * S)]

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from fsar_ledger.metrics.database import from_table
-from tests.queries.histories import Row, answer, event, run
+from tests.queries.histories import Row, S, answer, event, run
 
 FOREVER = 1 << 60
 
 
 class Held(NamedTuple):
-    """One claim: from when to when, half-open; FOREVER where it is never released."""
+    """One claim: from which second to which, half-open; FOREVER where it is never released."""
 
     claimant: str
     began: int
@@ -32,9 +32,9 @@ def events_of(claims: Sequence[Held], action: str) -> list[tuple[int, Row]]:
             "dimension": "override",
             "reason": f"{action} {number}",
         }
-        found.append((held.began, event("AuthorityClaimed", held.began, **fields)))
+        found.append((held.began, event("AuthorityClaimed", held.began * S, **fields)))
         if held.ended < FOREVER:
-            found.append((held.ended, event("AuthorityReleased", held.ended, **fields)))
+            found.append((held.ended, event("AuthorityReleased", held.ended * S, **fields)))
     return found
 
 
@@ -68,7 +68,7 @@ def test_the_sweep_finds_what_comparing_every_pair_finds() -> None:
     history = [row for _, row in sorted(timed, key=lambda one: one[0] + (one[1]["type"] == "AuthorityReleased.v1") / 2)]
     found = dict(answer("facts/conflicts", run(*history), columns=("action_id", "began_us")))
     expected = {action: first_overlap(claims) for action, claims in actions.items()}
-    assert found == {action: overlap for action, overlap in expected.items() if overlap is not None}
+    assert found == {action: overlap * S for action, overlap in expected.items() if overlap is not None}
     assert 100 < len(found) < 350
 
 

@@ -4,20 +4,20 @@ from typing import Any
 
 import pytest
 
-from tests.queries.histories import Row, event
+from tests.queries.histories import Row, S, event
 from tests.queries.test_audit_questions import asked, trust
 
 
 def claimed(
     name: str,
-    time_us: int,
+    time_s: int,
     claimant: str,
     reason: str = "acceptance",
     dimension: str = "override",
     action_id: str = "t1/1",
 ) -> Row:
     return event(
-        f"Authority{name}", time_us, action_id=action_id, dimension=dimension, claimant=claimant, reason=reason
+        f"Authority{name}", time_s * S, action_id=action_id, dimension=dimension, claimant=claimant, reason=reason
     )
 
 
@@ -213,12 +213,12 @@ def test_records_without_a_principal_are_counted_by_kind() -> None:
     assert asked("unattributed_records", columns, *events, kind="award") == []
 
 
-@pytest.mark.parametrize(("other_us", "expected"), [(4, [(4, 5)]), (5, []), (6, [])])
-def test_claims_overlap_until_just_before_the_release(other_us: int, expected: list[tuple[int, int]]) -> None:
+@pytest.mark.parametrize(("other_s", "expected"), [(4, [(4 * S, 5 * S)]), (5, []), (6, [])])
+def test_claims_overlap_until_just_before_the_release(other_s: int, expected: list[tuple[int, int]]) -> None:
     events = [
         claimed("Claimed", 1, "robot/A1"),
         claimed("Released", 5, "robot/A1"),
-        claimed("Claimed", other_us, "robot/B1"),
+        claimed("Claimed", other_s, "robot/B1"),
     ]
     assert (
         asked("overlapping_claims", "from_us until_us", *sorted(events, key=lambda row: str(row["time_us"])))
@@ -234,7 +234,7 @@ def test_claims_of_one_claimant_other_dimensions_or_other_actions_do_not_overlap
         claimed("Claimed", 2, "robot/B1", action_id="t1/2"),
     ):
         assert asked("overlapping_claims", "from_us", one, other) == []
-    assert asked("overlapping_claims", "from_us until_us", one, claimed("Claimed", 2, "robot/B1")) == [(2, None)]
+    assert asked("overlapping_claims", "from_us until_us", one, claimed("Claimed", 2, "robot/B1")) == [(2 * S, None)]
     assert (
         asked(
             "overlapping_claims", "from_us", one, claimed("Claimed", 2, "robot/B1"), claimed("Released", 2, "robot/B1")
@@ -247,14 +247,16 @@ def test_a_revocation_takes_effect_at_its_release_after_the_boundary() -> None:
     events = (
         claimed("Claimed", 1, "robot/B1", dimension="execution"),
         claimed("Claimed", 3, "robot/A1", "revocation"),
-        event("ExecutionFinished", 8, action_id="t1/1"),
+        event("ExecutionFinished", 8 * S, action_id="t1/1"),
         claimed("Released", 9, "robot/B1", dimension="execution"),
         claimed("Released", 9, "robot/A1", "revocation"),
     )
     columns = "revoked_by revoked_from revoked_us effective_us waited_us boundary"
-    assert asked("revocations", columns, *events) == [("robot/A1", "robot/B1", 3, 9, 6, "ExecutionFinished.v1")]
-    assert asked("revocations", columns, *events[:3]) == [("robot/A1", "robot/B1", 3, None, None, None)]
-    assert asked("revocations", columns, events[1]) == [("robot/A1", None, 3, None, None, None)]
+    assert asked("revocations", columns, *events) == [
+        ("robot/A1", "robot/B1", 3 * S, 9 * S, 6 * S, "ExecutionFinished.v1")
+    ]
+    assert asked("revocations", columns, *events[:3]) == [("robot/A1", "robot/B1", 3 * S, None, None, None)]
+    assert asked("revocations", columns, events[1]) == [("robot/A1", None, 3 * S, None, None, None)]
     assert asked("revocations", columns, events[0]) == []
 
 

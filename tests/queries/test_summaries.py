@@ -35,7 +35,8 @@ def failing(contained: int, lost: int, number: int, scenario: str = "door-relay"
 
 def test_a_count_is_a_mean_over_runs_with_students_interval_on_its_logarithm() -> None:
     claims = [
-        event("AuthorityClaimed", 1, claimant=claimant, dimension="audit", action_id="t1/1") for claimant in ("a", "b")
+        event("AuthorityClaimed", 1, claimant=claimant, dimension="override", action_id="t1/1")
+        for claimant in ("a", "b")
     ]
     row = summary([run(*claims, run_id="r0"), run(run_id="r1"), run(run_id="r2")])["authority_conflicts", "fsar", None]
     low, high = np.exp(stats.t.interval(0.95, 2, loc=math.log(1 / 3), scale=3 * stats.sem([1, 0, 0])))

@@ -15,10 +15,10 @@ from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Calibration, chan
 from fsar_ledger.report import document, predictions
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.studies.comparison import judge
-from tests.records import renew
+from tests import records
+from tests.records import RELATIONS, renew, stale
 from tests.report.test_predictions import of_the_record
 
-RECORDS = {"calibration": (METRICS,), "predictions": (METRICS, CLAIMS), "comparison": (METRICS, CLAIMS)}
 CONFLICTS = "facts/conflicts"
 
 
@@ -36,20 +36,20 @@ def edited(name: str, edit: tuple[str, str]) -> Library:
     return Library([*(one for one in library().queries.values() if one is not query), other])
 
 
-@pytest.mark.parametrize("name", RECORDS)
+@pytest.mark.parametrize("name", RELATIONS)
 def test_a_record_rests_on_the_queries_as_they_are(name: str) -> None:
-    assert changed(kept(name)["rules"]) == [], "make it again: python -m tests.records"
-    assert kept(name)["rules"] == rules(*RECORDS[name])
+    assert stale(name) == [], "see docs/contributing/judging-rule.md"
 
 
 def test_a_changed_rule_is_named_by_every_record(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, findings: Findings
 ) -> None:
     before = rules(METRICS)
-    other = edited(CONFLICTS, ("held_until_us > began_us", "held_until_us >= began_us"))
+    other = edited(CONFLICTS, ("min(began_us)", "max(began_us)"))
     monkeypatch.setattr(bound, "library", lambda: other)
     assert [name for name, digest in rules(METRICS).items() if before[name] != digest] == [CONFLICTS]
-    for name in RECORDS:
+    for name in RELATIONS:
+        assert stale(name) == [CONFLICTS]
         assert changed(kept(name)["rules"]) == [CONFLICTS]
     fit = document.data(of_the_record(findings), packaged(Calibration))["fit"]
     assert CONFLICTS in fit["changed"]
@@ -97,3 +97,17 @@ def test_a_record_is_renewed_only_if_its_results_are_the_same(
 
     assert renew(record, make) == is_same
     assert record.read_text() == (again if is_same else before)
+
+
+def test_records_are_made_until_one_has_other_results(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert records.main(["--stale"]) == records.main([]) == 0
+    assert capsys.readouterr().out.count("rests on the queries as they are\n") == 3
+    other = edited(CONFLICTS, ("min(began_us)", "max(began_us)"))
+    monkeypatch.setattr(bound, "library", lambda: other)
+    monkeypatch.setattr(records, "renew", lambda record, _: record.name == "predictions.json")
+    assert records.main(["--stale"]) == 0
+    assert capsys.readouterr().out == "".join(f"{name}.json: {CONFLICTS}\n" for name in RELATIONS)
+    assert records.main([]) == 1
+    assert capsys.readouterr().out == "predictions.json: the same results\ncomparison.json: other results; kept\n"

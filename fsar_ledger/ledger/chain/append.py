@@ -193,7 +193,7 @@ class Writer:
         """Commit these runs, or parts of runs, to the journal, durably: for a few events at a time.
 
         Raises:
-            InvalidRun: As `store.append.stage`, or as `append`; or they are more than a journal holds, 16,384 events or
+            InvalidRun: As `stage`, or as `append`; or they are more than a journal holds, 16,384 events or
                 8 MiB. The ledger is unchanged.
             LedgerCorrupted: Another writer made the ledger contradict itself.
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.

@@ -107,6 +107,9 @@ def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
     return (RegistryCached(command.holder, command.now_us),)
 
 
-DECIDES: Decides = {ConsultRegistry: consult_registry, CacheRegistry: cache_registry}
+DECIDES: Decides = {
+    ConsultRegistry: consult_registry,
+    CacheRegistry: cache_registry,
+}
 ACTORS: Actors = {}
 REACTS: Reacts = {}

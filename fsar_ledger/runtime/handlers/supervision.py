@@ -202,6 +202,10 @@ def awaiting(state: State, event: SupervisorCalled, caller: str | None) -> tuple
     return (Scheduled(Respond(state.supervision.called), 0, (response, at_once(caller)), verdict),)
 
 
-DECIDES: Decides = {Respond: respond, RespondToCall: respond_to_call, SetSupervisionDensity: set_supervision_density}
+DECIDES: Decides = {
+    Respond: respond,
+    RespondToCall: respond_to_call,
+    SetSupervisionDensity: set_supervision_density,
+}
 ACTORS: Actors = {Respond: nobody}
 REACTS: Reacts = {SupervisorCalled: on_call}
