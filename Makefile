@@ -111,8 +111,8 @@ soak-tests: $(READY_TEST)
 soak-federation: $(READY_TEST)
 	$(BIN)/python -m tests.runtime.test_federation_model $(STEPS)
 
-# Inject a fault at every call of an append and of its recovery, cut the power, kill 2,000 processes, in both formats; in
-# format 2 of the journal, sealing and compaction, too: nothing is lost, nothing torn.
+# Inject a fault at every call of an append and of its recovery, cut the power, kill 2,000 processes, of
+# appends, the journal, sealing and compaction: nothing is lost, nothing torn.
 soak-crash: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.crash_soak
 
@@ -121,8 +121,8 @@ soak-crash: $(READY_TEST)
 soak-beside: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.readers_beside_soak
 
-# Flip every bit of every file of a ledger of each format and cut it at every length: each is found, with its place, but
-# for what a crash may leave of a ledger of format 2 that was not closed.
+# Flip every bit of every file of a ledger and cut it at every length: each is found, with its place, but for what a
+# crash may leave of a ledger that was not closed.
 soak-damage: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.damage_soak
 
@@ -130,11 +130,11 @@ soak-damage: $(READY_TEST)
 soak-verifier: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.mutate_verifier
 
-# Compare verify with a verifier that shares no code with the package, on 1,200 good and damaged ledgers of each format.
+# Compare verify with a verifier that shares no code with the package, on 1,200 good and damaged ledgers.
 soak-agreement: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.agreement_soak 1200
 
-# Flip 2,000 single bits of a ledger of each format, one at a time, and call every command that answers: it refuses, or
+# Flip 2,000 single bits of a ledger, one at a time, and call every command that answers: it refuses, or
 # its answer is right.
 soak-flips: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.flips_soak 2000
@@ -164,7 +164,7 @@ soak-sensitivity: $(READY)
 # Which size breaks which architecture, and what does a request cost there? Not a test; 62 million events, 10 GiB.
 fleets: reproduce
 	for size in 4 16 64 256 1024 4096; do \
-		$(BIN)/fsar-ledger simulate "$$OUT/fleets" --runs 1 --scenario door-relay --fleet-size $$size --format 2 || exit; \
+		$(BIN)/fsar-ledger simulate "$$OUT/fleets" --runs 1 --scenario door-relay --fleet-size $$size || exit; \
 	done
 	$(BIN)/fsar-ledger report "$$OUT/results" --with "$$OUT/fleets" --out "$$OUT/fleets.pdf" --memory 10240
 

@@ -105,12 +105,12 @@ def arguments(name: str, ledger: Path, folder: Path) -> list[str]:
 
 
 def ledger_of(events: int, cache: Path) -> Path:
-    """Return a ledger of about so many events in format 2; it is simulated once and kept."""
+    """Return a ledger of about so many events; it is simulated once and kept."""
     runs = max(1, round(events / EVENTS_A_RUN / 15))
     ledger = cache / f"every-command-{runs}"
     if not ledger.exists():
         print(f"simulates {runs} runs per scenario and architecture: {ledger}", flush=True)
-        made = ["simulate", str(ledger), "--runs", str(runs), "--seed", ONE_SEED, "--format", "2"]
+        made = ["simulate", str(ledger), "--runs", str(runs), "--seed", ONE_SEED]
         cost = cost_of([*MODULE, *made], Path(os.devnull))
         if cost.code:
             raise SystemExit(f"simulate: found exit code {cost.code}, expected 0")

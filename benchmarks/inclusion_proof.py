@@ -3,12 +3,12 @@
     python benchmarks/inclusion_proof.py                     10 million events, 200 proofs
     python benchmarks/inclusion_proof.py --events 100000     a small run
 
-The ledger holds tiles and a checkpoint only, since a proof reads nothing else; the leaf hashes are those of a counter.
-It takes 33 bytes an event in the folder for temporary files and is removed at the end. Each proof starts cold: it has a
-reader of its own without any tile (the system may have the files in memory).
+The ledger holds the hashes of its tree only; the events are a counter. It takes 3 bytes an event in the folder for
+temporary files and is removed at the end. Each proof starts cold: it has a reader of its own (the system may have the
+file in memory).
 
-The alternative is what a ledger without tiles must do: hash the whole tree from its leaf hashes, once, in memory and
-with `hashlib` alone. Both must come to the same root, and the proof must lead to it.
+The alternative is what a ledger without stored hashes must do: hash the whole tree from its leaf hashes, once, in
+memory and with `hashlib` alone. Both must come to the same root, and the proof must lead to it.
 """
 
 import argparse
@@ -23,12 +23,13 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fsar_ledger.ledger.log.hashing import HASH_BYTES
-from fsar_ledger.ledger.log.merkle import leaf_hash, root_of_inclusion
-from fsar_ledger.ledger.log.note import Checkpoint, checkpoint_of, parse_note
-from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile, node_of, partial_tiles
-from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
-from fsar_ledger.ledger.store.proof import prove_inclusion
+from fsar_ledger.ledger.chain.derived import node_reader
+from fsar_ledger.ledger.chain.paths import NODES
+from fsar_ledger.ledger.chain.proof import prove_inclusion
+from fsar_ledger.ledger.log import pack
+from fsar_ledger.ledger.log.hashing import leaves_of
+from fsar_ledger.ledger.log.merkle import Frontier, leaf_hash, root_of_inclusion
+from fsar_ledger.ledger.log.note import checkpoint_of
 
 BATCH = 1 << 16
 LIMIT_MS = 50
@@ -38,29 +39,26 @@ def leaf(number: int) -> bytes:
     return leaf_hash(b"%d" % number)
 
 
-def build(ledger: Path, events: int) -> Checkpoint:
-    """Write the tiles and the checkpoint, without the partial tiles of older sizes, which no proof reads."""
-    edge = Edge()
-    for first in range(0, events, BATCH):
-        edge, made = edge.extend(b"".join([leaf(number) for number in range(first, min(events, first + BATCH))]))
-        write(ledger, {tile: data for tile, data in made.items() if tile.width == WIDTH})
-    write(ledger, {tile: edge.partial[tile.level] for tile in partial_tiles(events)})
-    tree = checkpoint_of("example.org/benchmark", edge.frontier())
-    (ledger / "checkpoint").write_text(f"{tree.text()}\n")
+def rows(first: int, end: int) -> list[bytes]:
+    """Return the bytes of these events."""
+    return [b"%d" % number for number in range(first, end)]
+
+
+def build(ledger: Path, events: int) -> Frontier:
+    """Write the hashes of the tree that a ledger holds."""
+    tree = Frontier()
+    with open(ledger / NODES, "wb") as file:
+        for first in range(0, events, BATCH):
+            tree, nodes = pack.grow(tree, leaves_of(rows(first, min(events, first + BATCH))))
+            file.write(nodes)
     return tree
 
 
-def write(ledger: Path, files: dict[Tile, bytes]) -> None:
-    for tile, data in files.items():
-        (ledger / tile.name).parent.mkdir(parents=True, exist_ok=True)
-        (ledger / tile.name).write_bytes(data)
-
-
-def proof_ms(ledger: Path, index: int) -> float:
-    """Return the time of one proof, from reading the checkpoint on."""
+def proof_ms(ledger: Path, frontier: Frontier, index: int) -> float:
+    """Return the time of one proof, with the rows beside the event."""
     began = time.perf_counter_ns()
-    tree = parse_note("checkpoint", read_checkpoint(ledger) or "").checkpoint
-    found, hashes = prove_inclusion(ledger, node_of(tile_reader(ledger), tree.size), tree, index)
+    tree = checkpoint_of("example.org/benchmark", frontier)
+    found, hashes = prove_inclusion(ledger, node_reader(ledger, frontier, b"", rows), tree, index)
     spent = time.perf_counter_ns() - began
     if found != leaf(index) or root_of_inclusion(found, index, tree.size, hashes) != tree.root:
         raise SystemExit(
@@ -89,18 +87,20 @@ def main() -> int:
     ledger = Path(tempfile.mkdtemp(prefix="fsar-inclusion-"))
     try:
         tree = build(ledger, options.events)
-        size = sum(file.stat().st_size for file in (ledger / "tile").rglob("*") if file.is_file())
+        size = (ledger / NODES).stat().st_size
         draw = random.Random(1)
-        spent = [proof_ms(ledger, draw.randrange(options.events)) for _ in range(options.proofs)]
+        spent = [proof_ms(ledger, tree, draw.randrange(options.events)) for _ in range(options.proofs)]
     finally:
         shutil.rmtree(ledger)
     alternative, root = hash_all_ms(options.events)
-    if root != tree.root:
-        print(f"differs: the tiles give the root {tree.root.hex()}, hashing anew {root.hex()}", file=sys.stderr)
+    if root != tree.root():
+        print(
+            f"differs: the stored hashes give the root {tree.root().hex()}, hashing anew {root.hex()}", file=sys.stderr
+        )
         return 1
     median, worst = statistics.median(spent), max(spent)
     print(f"{options.events:,} events, {options.proofs} proofs, ", end="")
-    print(f"{size / options.events:.1f} bytes of tiles an event ({HASH_BYTES} are the leaf hash)")
+    print(f"{size / options.events:.1f} bytes of hashes an event")
     fastest, each_ns = min(spent), alternative * 1e6 / options.events
     print(f"one proof, fastest / median / slowest, ms   {fastest:>8.2f} {median:>8.2f} {worst:>8.2f}", end="   ")
     print(f"(goal: under {LIMIT_MS})")

@@ -1,4 +1,4 @@
-"""Measures commits per second into the journal of a ledger of format 2, against SQLite with the same bytes.
+"""Measures commits per second into the journal of a ledger, against SQLite with the same bytes.
 
     python benchmarks/journal.py                groups of 1, 10, 100 and 1,000 events
 
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.pieces import piece
@@ -83,7 +83,7 @@ def insert(connection: sqlite3.Connection, groups: list[list[tuple[bytes]]]) -> 
         connection.execute("COMMIT")
 
 
-def add(writer: ChainWriter, groups: list[LedgerRun]) -> None:
+def add(writer: Writer, groups: list[LedgerRun]) -> None:
     for group in groups:
         writer.add([group])
     writer.settle()
@@ -95,7 +95,7 @@ def paired(run: LedgerRun, group: int, groups: int, turns: int) -> tuple[list[Sp
     with tempfile.TemporaryDirectory(prefix="fsar-ledger-") as name:
         path = Path(name) / "ledger"
         connection = stored(Path(name) / "events.db")
-        with ChainWriter(path, "example.org/journal") as writer:
+        with Writer(path, "example.org/journal") as writer:
             writer.add([LedgerRun("begun", [0], [None], run.events[:1])])
             writer.seal()  # as in any ledger that is not quite new, there is a chain
             for turn in range(turns):

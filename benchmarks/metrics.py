@@ -3,7 +3,7 @@
     python benchmarks/metrics.py                    10 million events; the ledger is simulated once and kept
     python benchmarks/metrics.py --events 200000    a small run
 
-Both sides start from the segment files of a ledger of format 2, use every core, and must give the same numbers.
+Both sides start from the segment files of a ledger, use every core, and must give the same numbers.
 Printed are medians of wall time and of CPU seconds.
 """
 
@@ -46,9 +46,9 @@ def ledger_of(events: int, cache: Path, workers: int) -> Path:
         per_run = run_experiment(Path(probe) / "probe", experiment(4), workers, None).head.size / (15 * 4)
     runs = max(4, round(events / per_run / 15))
     model = run_id(run_started(next(experiment(1).specs()), Constants()))[-12:]  # a changed model gets its own cache
-    ledger = cache / f"runs-{runs}-{model}-format-2"
+    ledger = cache / f"runs-{runs}-{model}"
     print(f"ledger of {runs} runs per scenario and architecture: {ledger}", flush=True)
-    run_experiment(ledger, experiment(runs), workers, None, version=2)
+    run_experiment(ledger, experiment(runs), workers, None)
     return ledger
 
 

@@ -4,7 +4,7 @@
     python benchmarks/one_run.py --runs 12 120  another pair of sizes, in runs of each scenario
     python benchmarks/one_run.py --cache DIR    the ledgers are kept in DIR, and copied from there the next time
 
-Both are in format 2. Asked of each in turns: prove an event, list the requests of a run, tell a run, how it stood, and
+Asked of each in turns: prove an event, list the requests of a run, tell a run, how it stood, and
 append one run. Each time it is a run of another scenario and architecture, the same run in both ledgers: the one in the
 middle of these in the smaller ledger. Printed are the medians of wall time and of processor time, and of the
 differences.
@@ -22,9 +22,9 @@ from pathlib import Path
 
 import fsar_ledger
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
@@ -48,7 +48,7 @@ def questions(path: Path, runs: Sequence[str]) -> dict[str, Callable[[int], obje
 
     def append(number: int) -> object:
         made = simulate_run(RunSpec(1_000_000 + number, "fsar", "full", "door-relay", 4, 0), Constants())
-        with ChainWriter(path, ORIGIN) as writer:
+        with Writer(path, ORIGIN) as writer:
             return writer.append(stage(path, [made]))
 
     return {
@@ -64,7 +64,7 @@ def make(path: Path, runs: int, cache: Path | None) -> None:
     """Make a ledger with this many runs of each scenario, or copy it from the cache, which is filled first."""
     kept = path if cache is None else cache / f"{runs}"
     if not kept.exists():
-        fsar_ledger.simulate(kept, runs=runs, seed=42, format=2)
+        fsar_ledger.simulate(kept, runs=runs, seed=42)
     if kept != path:
         shutil.copytree(kept, path)
 

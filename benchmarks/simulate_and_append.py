@@ -2,7 +2,6 @@
 
     python benchmarks/simulate_and_append.py             the paper's 300 runs
     python benchmarks/simulate_and_append.py --runs 4    a small run
-    python benchmarks/simulate_and_append.py --format 1  ledgers of format 1
 
 Ours simulates, encodes, checks, hashes and commits. The peers of `peers.py` begin at the world, too: the same runs are
 simulated and stored as they come, without checks and hashes. Beside it all stores alone, ours and theirs, which are
@@ -24,15 +23,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.peers import Measurement, apart, cpu_rate, eventsourcing_saves, measured, sqlite_saves, wall_rate
 from benchmarks.table import note
 from fsar_ledger.constants import Constants
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.append import stage
-from fsar_ledger.ledger.writing import open_writer
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, run_experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, simulate_run
 
-RUNS_AT_ONCE = 30  # some 16,000 events, as in a commit of format 2
+RUNS_AT_ONCE = 30  # some 16,000 events, as in a commit
 
 
 def experiment(runs: int) -> Experiment:
@@ -56,22 +55,20 @@ def encoded(runs: Iterator[LedgerRun]) -> Iterator[bytes]:
         yield from encode_lines(some)
 
 
-def world_to_ledger(folder: Path, runs: int, workers: int, version: int) -> Measurement:
+def world_to_ledger(folder: Path, runs: int, workers: int) -> Measurement:
     """Measure from world to committed ledger; with two workers, the start of their processes is counted."""
     with tempfile.TemporaryDirectory(dir=folder) as warm:  # everything is imported now
-        run_experiment(Path(warm) / "ledger", experiment(1), 1, version=version)
+        run_experiment(Path(warm) / "ledger", experiment(1), 1)
     with tempfile.TemporaryDirectory(dir=folder) as place:
-        return measured(
-            lambda: run_experiment(Path(place) / "ledger", experiment(runs), workers, version=version).head.size
-        )
+        return measured(lambda: run_experiment(Path(place) / "ledger", experiment(runs), workers).head.size)
 
 
-def our_store(folder: Path, runs: int, version: int) -> Measurement:
+def our_store(folder: Path, runs: int) -> Measurement:
     """Measure from finished events to committed ledger."""
     found = made(runs)
 
     def store(place: Path, parts: Sequence[LedgerRun]) -> int:
-        with open_writer(place, ORIGIN, None, version=version) as writer:
+        with Writer(place, ORIGIN, None) as writer:
             for at in range(0, len(parts), RUNS_AT_ONCE):
                 writer.append(stage(place, parts[at : at + RUNS_AT_ONCE]))
             return writer.head.size
@@ -125,31 +122,30 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=20, help="runs per scenario and architecture")
     parser.add_argument("--scaling-runs", type=int, default=None, help="for one worker against two; 8 times as many")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--format", type=int, choices=(1, 2), default=2)
     options = parser.parse_args()
-    runs, version = options.runs, options.format
+    runs = options.runs
     scaling_runs = options.scaling_runs or 8 * runs
     found: dict[str, list[Measurement]] = {}
     with tempfile.TemporaryDirectory(prefix="fsar-ledger-") as name:
         folder = Path(name)
         for turn in range(options.repeats):  # in turn, so that a slow moment of the machine hits all
             for key, measurement in (
-                ("ours", apart(world_to_ledger, folder, runs, 1, version)),
-                ("store", apart(our_store, folder, runs, version)),
+                ("ours", apart(world_to_ledger, folder, runs, 1)),
+                ("store", apart(our_store, folder, runs)),
                 ("eventsourcing", apart(eventsourcing_store, folder, runs, True)),
                 ("SQLite", apart(sqlite_store, folder, runs, "world")),
                 ("eventsourcing's store", apart(eventsourcing_store, folder, runs, False)),
                 ("SQLite's store", apart(sqlite_store, folder, runs, "events")),
                 ("bytes", apart(sqlite_store, folder, runs, "bytes")),
-                ("one", apart(world_to_ledger, folder, scaling_runs, 1, version)),
-                ("two", apart(world_to_ledger, folder, scaling_runs, 2, version)),
+                ("one", apart(world_to_ledger, folder, scaling_runs, 1)),
+                ("two", apart(world_to_ledger, folder, scaling_runs, 2)),
             ):
                 found.setdefault(key, []).append(measurement)
             print(f"turn {turn + 1}: load {os.getloadavg()[0]:.1f}", flush=True)
-        run_experiment(folder / "ledger", experiment(runs), 1, version=version)
+        run_experiment(folder / "ledger", experiment(runs), 1)
         view = open_ledger(folder / "ledger")
         segments = sum(path.stat().st_size for path in view.segments())
-    print(f"events                                  {found['ours'][0].events:>11,}, format {version}")
+    print(f"events                                  {found['ours'][0].events:>11,}")
     print("                                          of wall time   of processor time")
     for key, what in (
         ("ours", "world to durable, hashed ledger"),

@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import SEAL_ROWS, ChainWriter
+from fsar_ledger.ledger.chain.append import SEAL_ROWS, Writer
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 
@@ -71,14 +71,14 @@ def cut(run: LedgerRun) -> list[LedgerRun]:
 
 def in_small(path: Path, runs: Sequence[LedgerRun]) -> list[Spent]:
     """Add the runs in small commits, and compact the ledger. Returns what each commit took."""
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         taken = [spent(partial(writer.add, [part])) for run in runs for part in cut(run)]
         print(f"compacting: {spent(writer.compact)}")
     return taken
 
 
 def in_large(path: Path, runs: Sequence[LedgerRun]) -> None:
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         for at in range(0, len(runs), LARGE):
             writer.append(stage(path, runs[at : at + LARGE]))
 
@@ -86,7 +86,7 @@ def in_large(path: Path, runs: Sequence[LedgerRun]) -> None:
 def restart(path: Path, runs: Sequence[LedgerRun], repeats: int) -> None:
     """Print what it takes to open a ledger whose journal holds as much as it may."""
     rows = 0
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         for run in runs:
             if (rows := rows + len(run.events)) > SEAL_ROWS:
                 break
@@ -95,7 +95,7 @@ def restart(path: Path, runs: Sequence[LedgerRun], repeats: int) -> None:
     view = open_for_answers(path)
     print(f"restart with {view.head.size:,} events in a journal, which is sealed before {SEAL_ROWS:,}:")
     reader = median([spent(lambda: open_for_answers(path)) for _ in range(repeats)])
-    writer_ = median([spent(lambda: ChainWriter(path, ORIGIN).close()) for _ in range(repeats)])
+    writer_ = median([spent(lambda: Writer(path, ORIGIN).close()) for _ in range(repeats)])
     print(f"    a reader {reader}; a writer {writer_} (wanted: under {WANTED_RESTART_S} s)")
 
 

@@ -1,4 +1,4 @@
-"""Measures the cost of trust: verifying against hashing alone, hashing and tiles against simulating; prints ratios.
+"""Measures the cost of trust: verifying against hashing alone, hashing and its tree against simulating; prints ratios.
 
 python benchmarks/trust.py              2.8 million events
 python benchmarks/trust.py --runs 20    a small run
@@ -19,22 +19,24 @@ import pyarrow.parquet as pq
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.metrics import experiment
-from fsar_ledger.ledger.log.tiles import Edge
+from fsar_ledger.ledger.chain import append
+from fsar_ledger.ledger.chain.paths import CHAIN
+from fsar_ledger.ledger.chain.read import View
+from fsar_ledger.ledger.log import pack
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, codec
 from fsar_ledger.ledger.rows.segment import read_table
-from fsar_ledger.ledger.store import append
-from fsar_ledger.ledger.store.read import LedgerView, open_ledger
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.experiment import run_experiment
 
 
-def leaf_bytes(view: LedgerView) -> list[list[bytes]]:
+def leaf_bytes(view: View) -> list[list[bytes]]:
     """Return the canonical bytes of all rows, each after its 0x00, by segment."""
     return [canonical.from_table(read_table(path)) for path in view.segments()]
 
 
-def hash_and_read(view: LedgerView, rows: list[list[bytes]]) -> None:
+def hash_and_read(view: View, rows: list[list[bytes]]) -> None:
     """Hash the same leaf bytes with hashlib and read the same rows from Parquet, as the alternative, on one core."""
     for lines in rows:
         for line in lines:
@@ -45,7 +47,7 @@ def hash_and_read(view: LedgerView, rows: list[list[bytes]]) -> None:
 
 def hash_files(ledger: Path) -> None:
     """Hash the records and segments with hashlib, as the alternative to `verify --quick`, on one core."""
-    for path in [*(ledger / "commits").iterdir(), *(ledger / "segments").iterdir()]:
+    for path in [ledger / CHAIN, *(ledger / "segments").iterdir()]:
         with path.open("rb") as file:
             hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -92,13 +94,13 @@ class Clock:
 
 
 def share_of_simulate(folder: Path, runs: int) -> float:
-    """Return the share of a one-core simulation spent on leaves, the tree, tiles and the checkpoint."""
+    """Return the share of a one-core simulation spent on leaves, the tree, its nodes and the checkpoint."""
     clock = Clock()
     undo = [
         clock.wrap(codec._Rows, "leaves"),
-        clock.wrap(Edge, "extend"),
-        clock.wrap(Edge, "frontier"),
-        clock.wrap(append, "write_derived"),
+        clock.wrap(pack, "grow"),
+        clock.wrap(append, "append_derived"),
+        clock.wrap(append.Writer, "_write_checkpoint"),
     ]
     began = time.perf_counter()
     run_experiment(folder, experiment(runs), 1, None)
@@ -142,7 +144,7 @@ def main() -> int:
             print(f"{name:22} {seconds:7.3f} s   {other:15} {other_seconds:7.3f} s   ", end="")
             print(f"ratio {found:5.2f}   (target {target})")
         share = share_of_simulate(Path(temporary) / "again", min(arguments.runs, 40))
-        print(f"hashing and tiles: {share:.0%} of simulate's time on one core   (target 30%)")
+        print(f"hashing and nodes: {share:.0%} of simulate's time on one core   (target 30%)")
     return 0
 
 

@@ -1,7 +1,7 @@
 """Measures `verify`, a few segments at a time, against only reading and hashing the same rows; prints the ratio.
 
 python benchmarks/verify.py                        a ledger of 400,000 events; it is simulated first
-python benchmarks/verify.py --ledger out/ledger    a ledger of yours, of format 2
+python benchmarks/verify.py --ledger out/ledger    a ledger of yours
 
 The other side reads each segment with pyarrow, and hashes the file and the canonical bytes of each row with hashlib;
 these bytes are given to it, and it checks nothing. The two take turns after a few segments, so that a slow moment of
@@ -25,7 +25,7 @@ from fsar_ledger.ledger.chain.paths import CHAIN, segment_of
 from fsar_ledger.ledger.chain.read import open_chain
 from fsar_ledger.ledger.rows import canonical, joining
 from fsar_ledger.ledger.rows.segment import read_table
-from fsar_ledger.ledger.store.walk import Names, check_manifest
+from fsar_ledger.ledger.store.segments import Names, check_manifest
 from fsar_ledger.ledger.verify.segment import examine, examine_some
 from fsar_ledger.metrics.duckdb_check import ReadAgain
 from fsar_ledger.runtime.experiment import run_experiment
@@ -81,7 +81,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         ledger = options.ledger or Path(temporary) / "ledger"
         if options.ledger is None:
-            run_experiment(ledger, experiment(RUNS), 1, version=2)
+            run_experiment(ledger, experiment(RUNS), 1)
         events, plain_s, one_s, both_s = measure(ledger, options.segments)
     print(f"events {events:,}, load {os.getloadavg()[0]:.1f}; rows are joined in C: {joining.IS_COMPILED}")
     for name, seconds in (

@@ -15,7 +15,7 @@ from fsar_ledger import open_ledger
 from fsar_ledger.analysis.whatif import effects
 from fsar_ledger.api.whatif import fork_pairs, runs_of
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.store import read
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.runtime.change_texts import parsed
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.own import with_values
@@ -38,7 +38,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         ledger, other = Path(folder) / "ledger", Path(folder) / "other"
         run_experiment(ledger, Experiment(("fsar",), SCENARIOS, RUNS, 42), 1)
-        view = read.open_ledger(ledger)
+        view = open_for_answers(ledger)
         runs = runs_of(view, ())
         changes = parsed([f"set {CHANGE[0]}={CHANGE[1]}"])
 

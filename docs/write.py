@@ -37,17 +37,15 @@ from fsar_ledger.events.configuration import MECHANISMS_OF
 from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.log.tiles import node_of
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_hashed
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
-from fsar_ledger.ledger.store.append import Writer, stage_rows
-from fsar_ledger.ledger.store.derived import tile_reader
-from fsar_ledger.ledger.store.paths import commit_path
-from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.staging import stage_rows
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.metrics.multiverse import readings
 from fsar_ledger.report.printing import flat
@@ -324,17 +322,15 @@ def example(path: Path) -> Iterator[str]:
         "The bytes of the three events, one a line (the third holds U+2028, which some editors show as a line break):",
         *[row.decode() for row in rows],
     )
-    yield block(
-        "Their leaf hashes, which are also the first and only tile, `tile/0/000.p/3`, in hex:",
-        *[leaf.hex() for leaf in leaves],
-    )
+    yield block("Their leaf hashes, in hex:", *[leaf.hex() for leaf in leaves])
     yield block(
         "The root of the first two, which is the first commit's, and of all three, the second's:",
         *[merkle.root(leaves[:at]).hex() for at in (2, 3)],
     )
-    yield block("The record of the second commit, `commits/000000000001.json`:", commit_path(path, 1).read_text())
+    chain = (path / "chain.jsonl").read_text().splitlines()
+    yield block("The second commit and its placement, the last two lines of `chain.jsonl`:", *chain[-2:])
     yield block("`checkpoint`:", (path / "checkpoint").read_text())
-    proof = merkle.inclusion_proof(node_of(tile_reader(path), 3), 1, 3)
+    proof = merkle.inclusion_proof(open_ledger(path).node(3), 1, 3)
     hashes = [base64.b64encode(each).decode() for each in (rows[1], *proof)]
     checkpoint = (path / "checkpoint").read_text()
     lines = ["c2sp.org/tlog-proof@v1", f"extra {hashes[0]}", "index 1", *hashes[1:], "", checkpoint]

@@ -5,6 +5,7 @@ FsarLedgerError            every error that a user can meet          exit code
 ├── UsageError             the request does not make sense           2
 │   ├── InvalidExperiment      unknown or impossible parameters
 │   ├── InvalidRun             a run that may not be stored; also a ValueError
+│   │   └── CommitTooLarge         more than one commit may hold
 │   ├── UnknownQuery           no query of that name
 │   ├── InvalidQuery           a packaged query with a wrong header; also a ValueError
 │   ├── QueryFailed            SQL or its parameters are wrong
@@ -74,6 +75,10 @@ class InvalidExperiment(UsageError):
 
 class InvalidRun(UsageError, ValueError):
     """The run would fail `verify` or could not be read, so it was not written."""
+
+
+class CommitTooLarge(InvalidRun):
+    """The runs are more than one commit may hold; they may be committed in parts."""
 
 
 class UnknownQuery(UsageError):

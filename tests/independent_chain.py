@@ -1,6 +1,6 @@
-"""The second verifier for ledgers of format 2, written from docs/ledger-format-2.md; imports nothing of the package.
+"""Follow the chain, the journal and the segments, as docs/ledger-format.md says; imports nothing of the package.
 
-`independent_verifier.py` calls it, and has what both formats share.
+`independent_verifier.py` calls it.
 """
 
 import base64
@@ -25,7 +25,6 @@ from independent_verifier import (  # type: ignore[import-not-found]
     Note,
     ProblemError,
     Tree,
-    Verifier,
     canonical,
     flaw_of,
     from_base64,
@@ -156,7 +155,7 @@ class Chain:
         self.added += [record] if first == placed else []
 
 
-class ChainVerifier:
+class Verifier:
     """The verification of section 8; each step raises ProblemError for the first thing that is wrong."""
 
     def __init__(self, ledger: Path, key: Key | None = None, anchor: Path | None = None, types: Row | None = None):
@@ -543,20 +542,9 @@ class ChainVerifier:
         except (OSError, ValueError) as error:
             raise ProblemError(str(self.anchor), error, f"a checkpoint of {self.origin}") from error
         if note.size > chain.size or root_of(self.tree.frontier(note.size)) != note.root:
-            raise ProblemError("commits", "fewer events than then, or others", f"the first {note.size} of the anchor")
-
-
-def verifier_of(ledger: Path, *given: Any) -> Any:
-    """Return the verifier for the format that ledger.json names or, if it names none, that the files show."""
-    try:
-        found = json.loads(read_file(ledger / "ledger.json"))
-        is_chained = found["version"] == 2 if found["version"] in (1, 2) else None
-    except (OSError, ValueError, TypeError, KeyError, RecursionError):
-        is_chained = None
-    if is_chained is None:
-        own = [ledger / "chain.jsonl", ledger / "journal.jsonl", ledger / "sealing.jsonl"]
-        is_chained = any(map(os.path.lexists, own)) and not os.path.lexists(ledger / "commits")
-    return (ChainVerifier if is_chained else Verifier)(ledger, *given)
+            raise ProblemError(
+                "chain.jsonl", "fewer events than then, or others", f"the first {note.size} of the anchor"
+            )
 
 
 class Whole:

@@ -1,4 +1,4 @@
-"""Subtrees of a ledger of format 2, for `independent_chain.py`; imports nothing of the package."""
+"""Subtrees of a ledger, for `independent_chain.py`; imports nothing of the package."""
 
 from independent_verifier import sha256  # type: ignore[import-not-found]
 

@@ -23,6 +23,7 @@ from fsar_ledger.ledger.store.keys import read_verifier
 from fsar_ledger.metrics.library import library
 from fsar_ledger.witness.cosignature import Cosigner
 from tests.cli.conftest import SMALL
+from tests.ledger.keep_release import LEDGERS
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
@@ -306,9 +307,10 @@ def parses(line: str) -> str:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder in which out/ledger is a small ledger, cosigned, out/workflows one of the workflows, question.sql a
-    SELECT, and what was kept before."""
+    SELECT, out/old one of format 1, and what was kept before."""
     path = tmp_path_factory.mktemp("examples")
     (path / "question.sql").write_text("SELECT count(*) AS events FROM events\n")
+    shutil.copytree(LEDGERS / "0.8.1" / "ledger", path / "out" / "old")
     key, ledger = str(path / "out" / "fleet.key"), path / "out" / "ledger"
     assert run(["key", "new", key]) == 0
     assert run(["simulate", str(ledger), *SMALL, "--key", key]) == 0

@@ -61,30 +61,30 @@ def contracts(root: Path) -> subprocess.CompletedProcess[str]:
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
     graph = imports(ROOT)
-    assert {"fsar_ledger.errors", "fsar_ledger.ledger.store.disk"} <= graph["fsar_ledger.ledger.store.append"]
+    assert {"fsar_ledger.errors", "fsar_ledger.ledger.store.disk"} <= graph["fsar_ledger.ledger.store.staging"]
     assert circle(graph) == []
 
 
 @pytest.mark.parametrize(
     ("line", "is_found"),
     [
-        ("from .append import Writer", True),
-        pytest.param("from . import append", True, marks=pytest.mark.slow),
-        pytest.param("import fsar_ledger.ledger.store.append", True, marks=pytest.mark.slow),
-        ("class Lazy:\n    from fsar_ledger.ledger.store import append", True),
+        ("from .staging import stage", True),
+        pytest.param("from . import staging", True, marks=pytest.mark.slow),
+        pytest.param("import fsar_ledger.ledger.store.staging", True, marks=pytest.mark.slow),
+        ("class Lazy:\n    from fsar_ledger.ledger.store import staging", True),
         pytest.param(
-            "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .append import Writer",
+            "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .staging import stage",
             False,
             marks=pytest.mark.slow,
         ),
-        ("def late() -> None:\n    from .append import Writer", False),
+        ("def late() -> None:\n    from .staging import stage", False),
     ],
 )
 def test_a_circle_of_imports_is_found(tree: Path, line: str, is_found: bool) -> None:
     disk = tree / "fsar_ledger" / "ledger" / "store" / "disk.py"
     disk.write_text(f"{disk.read_text()}\n{line}\n")
     found = circle(imports(tree))
-    assert ({"fsar_ledger.ledger.store.disk", "fsar_ledger.ledger.store.append"} <= {*found}) == is_found
+    assert ({"fsar_ledger.ledger.store.disk", "fsar_ledger.ledger.store.staging"} <= {*found}) == is_found
 
 
 def test_imports_go_one_way(tree: Path) -> None:

@@ -9,11 +9,10 @@ import pyarrow.compute as pc
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.rows import codec, segment
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
 from fsar_ledger.ledger.rows.pieces import whole
-from fsar_ledger.ledger.store.places import segments_of
-from fsar_ledger.ledger.store.view import View
 from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.results import typed
 
@@ -28,7 +27,7 @@ def record_of(view: View, run: str, size: int | None = None) -> LedgerRun:
         LedgerCorrupted: A segment cannot be read.
     """
     pieces: list[LedgerRun] = []
-    for number in segments_of(view, view.parts(run)):
+    for number in view.segments_of(view.parts(run)):
         table = segment.read_table(view.segment(number))
         table = table.slice(0, len(table) if size is None else max(0, size - view.first(number)))
         pieces += codec.decode(table.filter(pc.equal(table.column("run_id"), run)), is_whole=False)
@@ -44,7 +43,7 @@ def commits_of(view: View, run: str) -> list[tuple[int, int]]:
     """
     found: dict[int, int] = {}
     sizes = np.array([commit.tree_size for commit in view.commits])
-    for number in segments_of(view, view.parts(run)):
+    for number in view.segments_of(view.parts(run)):
         table = segment.read_table(view.segment(number), ["run_id", "seq"])
         places = np.flatnonzero(pc.equal(table.column("run_id"), run).to_numpy())
         commits, at = np.unique(np.searchsorted(sizes, view.first(number) + places, side="right"), return_index=True)

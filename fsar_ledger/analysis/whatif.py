@@ -8,22 +8,23 @@ import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode_coded
-from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import Head
-from fsar_ledger.ledger.writing import open_writer
 from fsar_ledger.memory import without_collection
 from fsar_ledger.metrics.comparison_sides import beside
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import typed
 from fsar_ledger.runtime.changes import Changes
-from fsar_ledger.runtime.experiment import BATCH_RUNS, ORIGIN
+from fsar_ledger.runtime.experiment import ORIGIN
 from fsar_ledger.runtime.forks import Fork
 
 from .fork_base import Base, rerun
 
 EVENTS_AT_ONCE = 200_000
 """Events of pairs that are judged together."""
+BATCH_RUNS = 25  # runs in a commit
 
 RUNS = """
     SELECT
@@ -207,9 +208,9 @@ def commit_pairs(out: Path, pairs: Iterable[Pair]) -> Head:
     What it holds already is left out.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: See `open_writer`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: See `Writer`.
     """
-    with open_writer(out, ORIGIN) as writer, without_collection():
+    with Writer(out, ORIGIN) as writer, without_collection():
         held = {*writer.held().runs}
         waiting: list[LedgerRun] = []
         for record in (record for pair in pairs for record in (pair.base.record, pair.fork.record)):

@@ -13,10 +13,9 @@ from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
 from fsar_ledger.events import CONCERNS
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST
-from fsar_ledger.ledger.store.view import View
+from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST
 from fsar_ledger.metrics import relation
 from fsar_ledger.metrics.connection import Value
 from fsar_ledger.metrics.database import Database
@@ -157,7 +156,7 @@ def _growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[View, int]]:
     while pause is not None:
         pause()
         # A file system may give two changes in a row one time.
-        if (found := _state(ledger)) == state and (not isinstance(view, ChainView) or view.is_current()):
+        if (found := _state(ledger)) == state and view.is_current():
             continue
         state, grown = found, open_for_answers(ledger)
         _require_same(view, grown)
@@ -169,7 +168,7 @@ def _growth(ledger: Path, pause: Pause | None) -> Iterator[tuple[View, int]]:
 def _state(ledger: Path) -> tuple[tuple[int, int, int] | None, ...]:
     """Return what changes when the ledger grows or is replaced; None for a file that is not there."""
     found: list[tuple[int, int, int] | None] = []
-    for name in (MANIFEST, COMMITS, CHAIN, JOURNAL, CHECKPOINT):
+    for name in (MANIFEST, CHAIN, JOURNAL, CHECKPOINT):
         try:
             status = (ledger / name).stat()
         except OSError:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from fsar_ledger.ledger.store.view import Head
     from fsar_ledger.ledger.verify.recover import Recovery, Step
     from fsar_ledger.ledger.verify.report import Asked
-    from fsar_ledger.ledger.verify.trusted_prefix import Later
+    from fsar_ledger.ledger.verify.trusted import Later
 
     from .ledger import Ledger
 
@@ -178,7 +178,7 @@ def recover(
 def _upgraded(ledger: "Ledger", into: Path, *, progress: Progress | None) -> Lines:
     head = upgrade(ledger, into, progress=progress)
     return Lines(
-        f"{into}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}, format 2",
+        f"{into}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}",
         f"root {head.root}",
         **{"head": head_json(head), "ledger": str(into), "from": str(ledger.path), "commits": head.commits},
     )
@@ -195,21 +195,20 @@ def _upgraded(ledger: "Ledger", into: Path, *, progress: Progress | None) -> Lin
 )
 def upgrade(
     ledger: "Ledger",
-    into: Annotated[Place, declare("--into", "NEW", "The new folder of the ledger in format 2.")],
+    into: Annotated[Place, declare("--into", "NEW", "The new folder of the ledger.")],
     *,
     progress: Annotated[Progress | None, Shows("written", "commits")] = None,
 ) -> "Head":
-    """Write a ledger of format 1 as one of format 2: the same events, commits, signatures and roots.
+    """Write a ledger of format 1, of fsar-ledger up to 0.8, in today's format: the same events, commits and root.
 
-    LEDGER stays as it is. In format 2 runs may span commits, the hashes take a tenth of the room, and a few events at a
-    time go into a journal; see docs/ledger-format-2.md.
+    LEDGER is verified first, and stays as it is. Signatures are kept.
 
     Raises:
-        UsageError: The ledger has format 2, or something else is at `into`.
-        LedgerCorrupted: A segment is not as committed.
+        UsageError: The ledger is not of format 1, its writer was interrupted, or something else is at `into`.
+        LedgerCorrupted: It does not verify; nothing was written.
         WriteFailed: A write failed.
     """
-    from fsar_ledger.ledger.upgrading import upgrade
+    from fsar_ledger.ledger.v1 import upgrade
 
     return upgrade(ledger.path, Path(into), progress)
 
@@ -241,12 +240,11 @@ def _compacted(ledger: "Ledger") -> Lines:
     old="compact",
 )
 def compact(ledger: "Ledger") -> "Compacted":
-    """Put small segments of a ledger of format 2 together, and what is in its journal into one.
+    """Put small segments together, and what is in the journal into one.
 
     Answers from few large segments are quicker than from many small ones. No event, root, commit or proof changes.
 
     Raises:
-        UsageError: The ledger has format 1, whose segments stay as they are.
         LedgerCorrupted: A segment is not as placed.
         WriteFailed: A write failed.
     """

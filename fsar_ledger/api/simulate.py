@@ -63,7 +63,6 @@ class Simulated(Answer):
     "simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
     "simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 --runs 2",
     "simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
-    "simulate out/old --scenario door-relay --runs 1 --format 1",
     takes=("json",),
     after_interruption=CONTINUES,
 )
@@ -155,17 +154,6 @@ def simulate(
     ] = None,
     key: KeyOption = None,
     adopt: AdoptOption = False,
-    format: Annotated[
-        int | None,
-        declare(
-            "--format",
-            "N",
-            "The format of a new ledger: in format 1 a commit holds whole runs, so fleets are small.",
-            "2",
-            least=1,
-            most=2,
-        ),
-    ] = None,
     workers: WorkersOption = None,
     progress: Annotated[Progress | None, Shows("simulated", "batches")] = None,
 ) -> Simulated:
@@ -199,9 +187,7 @@ def simulate(
     )
     signer = signer_of(key, adopts=adopt)
     processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)
-    made = run_experiment(
-        Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt, version=format
-    )
+    made = run_experiment(Path(out), experiment, processes, progress, signer, origin_of(origin), adopts=adopt)
     return Simulated(Ledger(out), made, key)
 
 

@@ -1,4 +1,4 @@
-"""Write the hashes of a ledger's tree as files for any client of C2SP tlog-tiles, whatever the ledger's format."""
+"""Write the hashes of a ledger's tree as files for any client of C2SP tlog-tiles."""
 
 import os
 import shutil

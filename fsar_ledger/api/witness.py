@@ -108,14 +108,15 @@ def seen_of(
                 "witnesses"
             )
         return None
-    from fsar_ledger.ledger.opening import manifest_of
+    from fsar_ledger.ledger.store.manifest import parse_manifest, read_manifest
+    from fsar_ledger.ledger.store.paths import MANIFEST
     from fsar_ledger.witness.evidence import ask_witnesses, read_cosigned
     from fsar_ledger.witness.policy import read_policy
 
     read = read_policy(policy)
     logs = _logs_of(read, trusted)
     try:
-        origin = manifest_of(ledger).origin
+        origin = parse_manifest(ledger / MANIFEST, read_manifest(ledger)).origin
     except LedgerCorrupted:
         return None  # `verify` reports it, with whatever else is wrong
     logs = tuple(key for key in logs if key.name == origin)

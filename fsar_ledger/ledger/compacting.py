@@ -1,13 +1,11 @@
-"""Put the segments of a ledger of format 2 together."""
+"""Put the segments of a ledger together."""
 
 from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.chain.append import ChainWriter
-from fsar_ledger.ledger.opening import open_ledger, version_of
-from fsar_ledger.ledger.store.record import CHAINED
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.store.view import Head
 
 
@@ -23,16 +21,10 @@ def compact(ledger: Path) -> Compacted:
     """Put small neighbouring segments together; first, what is in the journal becomes one.
 
     Raises:
-        UsageError: The ledger has another format.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted, WriteFailed: As `ChainWriter`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, WriteFailed: As `Writer`.
     """
-    if (found := version_of(ledger)) != CHAINED:
-        raise UsageError(
-            f"{ledger}: found a ledger of format {found}, whose segments stay as they are, expected one of format "
-            f"{CHAINED}; fsar-ledger upgrade writes one"
-        )
     view = open_ledger(ledger)
-    with ChainWriter(ledger, view.manifest.origin) as writer:
+    with Writer(ledger, view.manifest.origin) as writer:
         before = len(view.releases)
         writer.compact()
         return Compacted(writer.head, before, len(open_ledger(ledger).releases))

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store.paths import SEGMENTS, segment_bytes
-from fsar_ledger.ledger.store.places import segments_between, segments_of
-from fsar_ledger.ledger.store.view import Extent, View
+from fsar_ledger.ledger.store.view import Extent
 
 from . import relation
 from .connection import (
@@ -95,7 +95,7 @@ def connect_run(view: View, run: str, demanded: str | None = None) -> Database:
         SequenceConflict: As `is_verified`.
     """
     rows_verified = is_verified_for_runs(view, demanded)
-    held = segments_of(view, view.parts(run))
+    held = view.segments_of(view.parts(run))
     segments = [view.segment(number) for number in held]
     database = Database(view.head, segments, rows_verified=rows_verified)
     ordinal, releases = view.ordinal_of(run), view.releases
@@ -137,10 +137,10 @@ class Slices:
     def _connect(self, runs: Sequence[Extent]) -> Database:
         view, releases = self._view, self._view.releases
         first, end = min(one.first for one in runs), max(one.end for one in runs)
-        held = {number: view.segment(number) for number in segments_between(view, first, end)}
+        held = {number: view.segment(number) for number in view.segments_between(first, end)}
         names = [one.run for one in runs]
         others = [one for one in self._extents if one.first < end and one.end > first and one.run not in set(names)]
-        cut = {number for one in others for number in segments_between(view, one.first, one.end)}
+        cut = {number for one in others for number in view.segments_between(one.first, one.end)}
         whole = frozenset(path for number, path in held.items() if number not in cut)
         database = Database(view.head, [*held.values()], rows_verified=self._rows_verified)
         # See docs/decisions/slices-have-a-table-for-each-concern.md.

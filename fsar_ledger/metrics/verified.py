@@ -25,12 +25,11 @@ import msgspec
 from fsar_ledger import __version__
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict, UsageError
 from fsar_ledger.ledger.chain.indexed import compare_index, require_index
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.read import View
+from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.ledger.store.record import sha256_hex
-from fsar_ledger.ledger.store.view import View
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 
@@ -91,7 +90,7 @@ def is_verified(view: View, demanded: str | None = None) -> bool:
             "run it again"
         )
     is_known = demanded is not None or not view.head.size or is_remembered(view.record_sha256)
-    if is_known and isinstance(view, ChainView):
+    if is_known:
         view.believe_index()
     return is_known
 
@@ -107,8 +106,8 @@ def is_verified_for_runs(view: View, demanded: str | None = None) -> bool:
         LedgerCorrupted: The chain contradicts the rows of a segment.
     """
     is_known = is_verified(view, demanded)
-    if is_known or not isinstance(view, ChainView):
-        return is_known
+    if is_known:
+        return True
     lines = (f"index {sha256_hex(canonical.document(one))}" for one in reversed(view.chain.placed[-_MOST_SOUGHT:]))
     known = next((at for at, line in enumerate(lines) if is_remembered(line)), None)
     if known is not None:
@@ -123,8 +122,7 @@ def require_runs(view: View) -> None:
 
     Raises: LedgerCorrupted if it does not, or some cannot be read.
     """
-    if isinstance(view, ChainView):
-        require_index(view)
+    require_index(view)
 
 
 def is_remembered(record_sha256: str) -> bool:

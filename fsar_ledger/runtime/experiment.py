@@ -21,15 +21,12 @@ from fsar_ledger.events.configuration import (
     removed_mechanisms,
 )
 from fsar_ledger.events.fleet import ExperimentPlanned
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
-from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.record import CHAINED
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import Head
-from fsar_ledger.ledger.writing import open_writer, version_for
 
 from .architectures import REGISTERED
-from .capacity import Cell, Expected, expected, fits, largest_fleet
 from .simulation import MODEL_VERSION, RunSpec, plan_record, run_id, run_started
 from .staging import COMMIT_EVENTS, Batch, Staging
 from .world.checks import problems_of_design, problems_of_fleet
@@ -38,9 +35,11 @@ from .world.schedule import happening
 
 ORIGIN = "fsar-ledger/simulated"
 WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # a ledger of its own: no key signs two trees under one origin
-BATCH_RUNS = 25  # runs in a commit, if it can hold that many; independent of the number of workers
+# See docs/decisions/batches-follow-from-the-plan.md.
+EVENTS_PER_ROBOT, EVENTS_PER_DHMA_ROBOT = 150, 257
+"""Events of a run expected for each robot; they decide nothing but how batches are cut."""
 MOST_ROBOTS = 1 << 16
-"""The most robots of a run that may span commits; nobody has made a run of more than 4,096."""
+"""The most robots of a run; nobody has made a run of more than 4,096."""
 MAX_OWN = 60_000
 """The most characters of parameters that contain a fleet or a scenario; readers take them constant by constant.
 
@@ -89,32 +88,6 @@ class Experiment(msgspec.Struct, frozen=True):
         self._require_workflows_as_written()
         self._require_possible_load()
         self._put_in_order()
-
-    def require_fits(self, runs_at_once: int = BATCH_RUNS) -> None:
-        """Check that a commit can hold this many runs with this fleet, or all runs if there are fewer.
-
-        Raises: InvalidExperiment, with the largest fleet for which it can.
-        """
-        at_once = min(runs_at_once, self.size)
-        cells = [
-            tuple(
-                (scenario, architecture, configuration)
-                for architecture in self.architectures
-                for configuration in self.configurations
-            )
-            for scenario in self.scenarios
-        ]
-        if fits(cells, at_once, self.fleet_size, self.constants):
-            return
-        at_once = min(BATCH_RUNS, self.size)  # so that the suggested size fits the whole experiment
-        largest = largest_fleet(cells, at_once, self.constants)
-        many = "one run" if at_once == 1 else f"{at_once} runs at once"
-        raise InvalidExperiment(
-            f"fleet size: found {self.fleet_size}, "
-            f"expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and so large a fleet makes "
-            "more; take a smaller fleet, "
-            f"{'' if at_once == 1 else 'fewer runs or architectures, '}fewer --teams-working, or a ledger of --format 2"
-        )
 
     def _known_scenarios(self) -> tuple[str, ...]:
         """Return the designer's own scenario alone if there is one, else all registered ones."""
@@ -219,30 +192,22 @@ class Experiment(msgspec.Struct, frozen=True):
         """Return the number of runs."""
         return len(self.scenarios) * self.runs * len(self.architectures) * len(self.configurations)
 
-    def batches(self, is_there: Callable[[RunSpec], bool] | None = None, *, spans_commits: bool = False) -> list[Batch]:
-        """Return the missing runs of each batch: `BATCH_RUNS`, or as many in a row as a commit is expected to hold.
+    def batches(self, is_there: Callable[[RunSpec], bool] | None = None) -> list[Batch]:
+        """Return the missing runs of each batch: as many in a row as a commit is expected to hold, or one.
 
-        When all runs are missing, architectures take turns, and `require_fits` ensures that a batch fits. When a ledger
-        is enlarged, a batch may hold runs of a single architecture. Where runs may span commits, a batch has as many
-        runs as a commit of `COMMIT_EVENTS` is expected to hold, and one run at least.
+        Batches are cut from all runs, missing or not, so an interruption moves no boundary.
         """
-        sizes: dict[Cell, Expected] = {}
         found: list[list[RunSpec]] = []
-        most, most_events, most_values = BATCH_RUNS, MAX_ROWS, MAX_LIST_VALUES
-        if spans_commits:
-            most, most_events, most_values = COMMIT_EVENTS, COMMIT_EVENTS, MAX_LIST_VALUES // 2
-        events = list_values = 0.0
-        for spec in self.specs() if is_there is None else filterfalse(is_there, self.specs()):
-            cell = (spec.scenario, spec.architecture, spec.configuration)
-            if cell not in sizes:
-                sizes[cell] = expected(cell, self.fleet_size, self.constants)
-            one = sizes[cell]
-            events, list_values = events + one.events, list_values + one.list_values
-            if not found or len(found[-1]) == most or events > most_events or list_values > most_values:
+        room = 0
+        for spec in self.specs():
+            events = self.fleet_size * (EVENTS_PER_DHMA_ROBOT if spec.architecture == "dhma" else EVENTS_PER_ROBOT)
+            if events > room:
                 found.append([])
-                events, list_values = one
+                room = COMMIT_EVENTS
+            room -= events
             found[-1].append(spec)
-        return [tuple(batch) for batch in found]
+        missing = (tuple(filterfalse(is_there, batch)) if is_there else tuple(batch) for batch in found)
+        return [batch for batch in missing if batch]
 
     # See docs/decisions/experiment-plans-are-events.md.
     def plan(self) -> ExperimentPlanned:
@@ -323,7 +288,6 @@ def run_experiment(
     origin: str | None = None,
     *,
     adopts: bool = False,
-    version: int | None = None,
 ) -> SimulationResult:
     """Commit the experiment's plan and the runs that the ledger lacks.
 
@@ -332,37 +296,34 @@ def run_experiment(
     canonical order, in `batches`. Each commit follows from those before it, so neither `workers` nor an interruption
     changes a byte. `progress` is called with (batches done, batches in all). New commits are signed by `signer`, whose
     key stays in this process; with `adopts` even where another key or none signed the existing ones. A new ledger gets
-    `origin`, else the name of the signer, else `ORIGIN`, and this format `version`, by default the newest.
+    `origin`, else the name of the signer, else `ORIGIN`.
 
     Raises:
-        InvalidExperiment: a commit cannot hold this many runs of so large a fleet.
+        InvalidExperiment: the fleet is too large to be held in memory.
         InvalidRun: another process made some of these runs meanwhile, in other batches; the same call again makes what
             is missing then.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
     constants, plan = experiment.constants, plan_record(experiment.plan())
     name = origin or (signer.verifier.name if signer is not None else ORIGIN)
-    spans_commits = version_for(out, version) == CHAINED
-    if not spans_commits:
-        experiment.require_fits()
-    elif experiment.fleet_size > MOST_ROBOTS:
+    if experiment.fleet_size > MOST_ROBOTS:
         raise InvalidExperiment(
             f"fleet size: found {experiment.fleet_size}, expected at most {MOST_ROBOTS}: a fleet is held in memory"
         )
-    with open_writer(out, name, signer, adopts=adopts, version=version) as writer:
+    with Writer(out, name, signer, adopts=adopts) as writer:
         found = writer.held()
-        going_on = {} if isinstance(writer, Writer) else writer.going_on()
+        going_on = writer.going_on()
         held = found.runs - going_on.keys()
         is_there = partial(_is_there, constants, held) if held else None
-        missing = experiment.batches(is_there, spans_commits=spans_commits)
+        missing = experiment.batches(is_there)
         if missing and plan.run_id not in found.plans:
             writer.append(stage(out, [plan]))
         made = sum(map(len, missing))
-        done = max(0, len(experiment.batches(spans_commits=spans_commits)) - len(missing))
+        done = max(0, len(experiment.batches()) - len(missing))
         batches = done + len(missing)
         if progress is not None:
             progress(done, batches)
-        staging = Staging(out, constants, going_on, spans_commits)
+        staging = Staging(out, constants, going_on)
         for batch in staging.of_all(missing, min(workers, len(missing))):
             for staged in batch:
                 writer.append(staged)

@@ -114,7 +114,7 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
         try:
             constants = msgspec.convert(tree, Constants)
         except msgspec.ValidationError as error:
-            whole = " whole" if "`int" in str(error) else ""
+            whole = "" if _is_constant(tree, name, 0.5) else " whole"
             raise UsageError(f"--set {setting}: found {printable.value(value)}, expected a{whole} number") from error
     for name, low_s, high_s in _ranges("", msgspec.to_builtins(constants)):
         if low_s > high_s and any(one.startswith(name) for one in given):
@@ -123,6 +123,16 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
                 "smaller first; set both"
             )
     return constants
+
+
+def _is_constant(tree: dict[str, Any], name: str, value: float) -> bool:
+    """Return whether the constant of this name may have this value."""
+    _put(tree, name, value)
+    try:
+        msgspec.convert(tree, Constants)
+    except msgspec.ValidationError:
+        return False
+    return True
 
 
 def with_values(constants: Constants, values: Mapping[str, float | int | None]) -> Constants:

@@ -175,7 +175,7 @@ def _replayed(path: str, files: list[tuple[str, ...]], workers: int, is_recorded
 def replay_commit(path: str, number: int, files: tuple[str, ...], is_recorded: bool = False) -> CommitReport:
     """Return the report on the runs of one commit, in these files of the ledger; other arguments as of `replay`.
 
-    In format 2, files are those that share runs, and `number` counts such groups.
+    Files are those that share runs, and `number` counts such groups.
 
     Never raises.
     """

@@ -10,19 +10,19 @@ from typing import TypeAlias
 import msgspec
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.errors import InvalidExperiment, InvalidRun
+from fsar_ledger.errors import CommitTooLarge
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.pieces import joined, piece
-from fsar_ledger.ledger.store.append import Staged, stage
+from fsar_ledger.ledger.store.staging import Staged, stage
 from fsar_ledger.memory import without_collection
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run, simulate_slices
+from fsar_ledger.runtime.simulation import RunSpec, simulate_slices
 from fsar_ledger.workers import WorkerPool
 
 IN_FLIGHT = 2
 """Batches in progress per worker at most, so that memory stays flat."""
 # See docs/decisions/commits-hold-16384-events.md.
 COMMIT_EVENTS = 1 << 14
-"""Events of a commit where runs may span several; independent of the number of workers."""
+"""Events of a commit; independent of the number of workers."""
 
 Batch: TypeAlias = tuple[RunSpec, ...]
 
@@ -30,14 +30,13 @@ Batch: TypeAlias = tuple[RunSpec, ...]
 class Staging(msgspec.Struct, frozen=True):
     """Makes the runs of batches and stages them for the ledger `out`.
 
-    `held` says of each run that the ledger holds in part how many events. If a run `spans_commits`, a batch is staged
-    as segments of at most `COMMIT_EVENTS` events; else as one.
+    `held` says of each run that the ledger holds in part how many events. A batch is staged as segments of at most
+    `COMMIT_EVENTS` events.
     """
 
     out: Path
     constants: Constants
     held: Mapping[str, int]
-    spans_commits: bool
 
     def of_all(self, batches: Sequence[Batch], workers: int) -> Iterator[Iterable[Staged]]:
         """Yield what is staged of each batch, in order, made by this process or by `workers` worker processes.
@@ -57,22 +56,14 @@ class Staging(msgspec.Struct, frozen=True):
                 yield queue.popleft().result()
 
     def of(self, batch: Batch) -> Sequence[Staged]:
-        """Simulate and stage the batch. Raises: InvalidExperiment if it does not fit into a commit, where it must."""
+        """Simulate and stage the batch."""
         return list(self._stream(batch))
 
     def _stream(self, batch: Batch) -> Iterator[Staged]:
         """As `of`, one segment after the other, without garbage collection: a run makes no cyclic garbage."""
         with without_collection():
-            try:
-                if self.spans_commits:
-                    for part in self._parts(batch):
-                        yield from self._fitted(part)
-                else:
-                    yield stage(self.out, [simulate_run(spec, self.constants) for spec in batch])
-            except ValueError as error:
-                if "in one commit" not in str(error):
-                    raise
-                raise InvalidExperiment(f"fleet size {batch[0].fleet_size}: {error}, or a smaller fleet") from error
+            for part in self._parts(batch):
+                yield from self._fitted(part)
 
     def _parts(self, batch: Batch) -> Iterator[list[LedgerRun]]:
         """Yield the runs of the batch in parts of `COMMIT_EVENTS` events, the last one of what remains."""
@@ -96,9 +87,9 @@ class Staging(msgspec.Struct, frozen=True):
         """Stage the part; in halves, if a segment cannot hold it."""
         try:
             yield stage(self.out, part)
-        except InvalidRun as error:
+        except CommitTooLarge:
             events = sum(len(run.events) for run in part)
-            if "in one commit" not in str(error) or events < 2:
+            if events < 2:
                 raise
             for half in _halves(part, events // 2):
                 yield from self._fitted(half)

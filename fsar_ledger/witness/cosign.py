@@ -16,10 +16,10 @@ from urllib.parse import SplitResult, urlsplit
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.log.merkle import consistency_proof
 from fsar_ledger.ledger.log.note import Note, Signature
 from fsar_ledger.ledger.opening import open_ledger
-from fsar_ledger.ledger.store.view import View
 from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness
 from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, SIZE, Answer, Request
@@ -136,7 +136,7 @@ def published_note(view: View) -> Note:
     Raises:
         UsageError: There is no commit, or its checkpoint is unsigned.
     """
-    note = view.published()
+    note = view.note()
     if note is None:
         raise UsageError(f"{view.path}: found no commit, expected one whose checkpoint can be cosigned")
     if not note.signatures:

@@ -11,14 +11,14 @@ from fsar_ledger.api.log_rows import Asked, stream
 from fsar_ledger.api.provenance import Provenance
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.merkle import tree_root
-from fsar_ledger.ledger.log.tiles import node_of
+from fsar_ledger.ledger.log.tiles import Tile, node_of
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from tests.ledger.keep_release import LEDGERS
 from tests.ledger.samples import contents
 
 RUNS = [simulate_run(RunSpec(7, name, "full", "door-relay", 4, 0), Constants()) for name in ("fsar", "cfc")]
@@ -33,7 +33,7 @@ def piece(run: LedgerRun, first: int, end: int) -> LedgerRun:
 
 def write(path: Path) -> None:
     """Write both runs, turn by turn, into a ledger with segments and a journal."""
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         for number, at in enumerate(range(0, max(len(run.events) for run in RUNS), 90)):
             pieces = [piece(run, at, at + 90) for run in RUNS if at < len(run.events)]
             if number % 2:
@@ -44,7 +44,7 @@ def write(path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Ledger, Ledger]:
-    """Return the same runs whole in format 1, and in pieces in format 2."""
+    """Return the same runs whole, and in pieces."""
     folder = tmp_path_factory.mktemp("both")
     with Writer(folder / "whole", ORIGIN) as writer:
         writer.append(stage(folder / "whole", RUNS))
@@ -65,15 +65,26 @@ def test_every_answer_is_that_of_whole_runs(both: tuple[Ledger, Ledger]) -> None
     assert [row.holds for row in pieces.audit().rows] == [row.holds for row in whole.audit().rows]
 
 
-def test_tiles_are_those_that_format_1_keeps(both: tuple[Ledger, Ledger], tmp_path: Path) -> None:
-    whole, pieces = both
+def test_tiles_of_an_upgraded_ledger_are_those_that_format_1_kept(tmp_path: Path) -> None:
+    old = LEDGERS / "0.8.1" / "ledger"
+    Ledger(old).upgrade(tmp_path / "new")
+    count = Ledger(tmp_path / "new").export(tmp_path / "out", tiles=True).row_count
+    kept, made = contents(old), contents(tmp_path / "out")
+    assert made == {name: kept[name] for name in made}
+    assert count == len(made) - 1 > 5
+
+
+def test_tiles_are_those_of_the_tree_however_its_runs_are_cut(both: tuple[Ledger, Ledger], tmp_path: Path) -> None:
+    _, pieces = both
     for number, ledger in enumerate(both):
         assert ledger.export(tmp_path / str(number), tiles=True).row_count > 3
-    kept, made = contents(whole.path), contents(tmp_path / "0")
-    assert made == {name: data for name, data in kept.items() if name.startswith(("tile/", "checkpoint"))}
     view = open_for_answers(pieces.path)
     assert (tmp_path / "1" / "checkpoint").read_text() == str(view.note())
-    assert tree_root(node_of(tile_reader(tmp_path / "1"), view.head.size), view.head.size).hex() == view.head.root
+
+    def read(tile: Tile) -> bytes:
+        return (tmp_path / "1" / tile.name).read_bytes()
+
+    assert tree_root(node_of(read, view.head.size), view.head.size).hex() == view.head.root
     with pytest.raises(UsageError, match="found something there, expected a free path for a new folder"):
         pieces.export(tmp_path / "1", tiles=True)
     with pytest.raises(UsageError, match="expected tiles alone"):
@@ -104,7 +115,7 @@ def test_followers_are_told_every_event_once_while_the_journal_grows_and_is_seal
     class Ended(Exception):
         pass
 
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.add([piece(run, 0, 50)])
 
         def grow() -> None:

@@ -22,10 +22,6 @@ def attacked() -> Path:
     return Path(os.environ.get(ATTACKED, ROOT))
 
 
-OF_FORMAT_1 = ("--format", "1") if attacked() == ROOT else ()
-"""What `simulate` is told for a ledger of format 1; releases before 0.8.0 know no other."""
-
-
 @pytest.fixture
 def command(tmp_path: Path) -> Attack:
     """Run a command of the checkout under attack in its own process with its own cache.

@@ -1,7 +1,6 @@
 """Killed processes, full disks and malformed parameters: each ends in one message, and the next command continues."""
 
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -14,7 +13,8 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, plan_record, simulate_run
 from tests.attacks.conftest import Attack, attacked
@@ -149,33 +149,6 @@ def test_a_verification_that_could_not_finish_calls_a_ledger_neither_good_nor_ba
     assert err.startswith("fsar-ledger: worker process ")
     assert "nothing is said about what was not checked" in err
     assert not any(word in err for word in ("consistent", "damaged", "do not rely"))
-
-
-@pytest.mark.slow
-def test_after_a_recovery_without_room_a_simulation_goes_on_by_itself(
-    tmp_path: Path, command: Attack, whole: Path
-) -> None:
-    """The disk is full after the second commit of runs, before its tiles and checkpoint are written."""
-    ledger = tmp_path / "ledger"
-    shutil.copytree(whole.with_name("one"), ledger)
-    for name in ("commits/000000000002.json", "segments/000000000002.parquet"):
-        shutil.copy(whole / name, ledger / name)
-    call = [sys.executable, "-m", "fsar_ledger", "recover", str(ledger), "--workers", "1"]
-    without_room = subprocess.run(
-        call,
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(attacked())},
-        capture_output=True,
-        text=True,
-        check=False,
-        # Folders and small files can be written, a tile of 8 KiB cannot.
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
-    )
-    assert without_room.returncode == 1
-    assert "mending failed" in without_room.stderr
-    continued = command("simulate", ledger, *SOME)
-    assert continued.code == 0, continued.err
-    assert (ledger / "checkpoint").read_bytes() == (whole / "checkpoint").read_bytes()
 
 
 BAD = {

@@ -14,10 +14,9 @@ import duckdb
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.ledger.store.paths import segment_path
 from tests.ledger.damage import only_problem
 from tests.ledger.flips import write_runs
-from tests.ledger.forgery import changed, forge_segment, table_of
+from tests.ledger.forgery import changed, forge_segment, segment_at, table_of
 
 from .conftest import Attack
 
@@ -76,20 +75,20 @@ def read_by_duckdb(segment: Path, column: str) -> list[tuple[object, ...]]:
 def test_no_answer_comes_from_a_segment_with_a_flipped_bit(
     command: Attack, ledger: Path, verb: tuple[str, ...], column: str
 ) -> None:
-    flip_unnoticed(segment_path(ledger, NUMBER), column)
-    assert only_problem(ledger).commit == NUMBER
+    flip_unnoticed(segment_at(ledger, NUMBER), column)
+    assert only_problem(ledger).where == f"segments/{segment_at(ledger, NUMBER).name}"
 
     answer = command(verb[0], ledger, *verb[1:])
 
     assert (answer.code, answer.out) == (3, "")
-    assert "segments/000000000000.parquet" in answer.err
+    assert f"segments/{segment_at(ledger, NUMBER).name}" in answer.err
     assert "SHA-256" in answer.err
 
 
 @pytest.mark.slow
 def test_a_verification_before_the_bit_was_flipped_excuses_nothing(command: Attack, ledger: Path) -> None:
     assert command("verify", ledger).code == 0
-    flip_unnoticed(segment_path(ledger, NUMBER), "scenario")
+    flip_unnoticed(segment_at(ledger, NUMBER), "scenario")
 
     answer = command("statistics", ledger, "--csv")
 

@@ -9,9 +9,9 @@ import pytest
 
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from tests.attacks.conftest import OF_FORMAT_1, Attack
+from tests.attacks.conftest import Attack
 from tests.cli.conftest import Called
-from tests.ledger.forgery import forge_segment, table_of
+from tests.ledger.forgery import forge_segment, segment_at, table_of
 from tests.ledger.parts import two_faced
 
 
@@ -36,7 +36,6 @@ def ledger(command: Attack, tmp_path: Path) -> Path:
         "key",
         "--origin",
         "example.org/fleet",
-        *OF_FORMAT_1,
     )
     assert command("key", "new", "key", "--name", "example.org/fleet").code == 0
     assert command("simulate", "ledger", *call).code == 0
@@ -67,7 +66,7 @@ def forged(ledger: Path) -> Path:
 def test_a_segment_with_two_contents_is_not_consistent(command: Attack, forged: Path) -> None:
     called = command("verify", forged)
     assert called.code == 3, called.out
-    assert f"segments/{newest(forged):012d}.parquet" in called.err
+    assert f"segments/{segment_at(forged, newest(forged)).name}" in called.err
 
 
 @pytest.mark.slow
@@ -82,7 +81,7 @@ def test_a_segment_with_two_contents_gives_no_other_metrics(
     assert called.code in (2, 3), (
         f"found {violations(called)} policy violations under the same root, expected a refusal"
     )
-    assert f"segments/{newest(forged):012d}.parquet" in called.err
+    assert f"segments/{segment_at(forged, newest(forged)).name}" in called.err
 
 
 @pytest.mark.slow
@@ -95,4 +94,4 @@ def test_a_segment_with_two_contents_is_refused_by_every_answer(
     more = ("SELECT count(*) FROM policy_windows",) if verb == ("sql",) else ()
     called = command(*verb, forged, *more)
     assert called.code in (2, 3), called.out[:500]
-    assert f"segments/{newest(forged):012d}.parquet" in called.err
+    assert f"segments/{segment_at(forged, newest(forged)).name}" in called.err

@@ -7,8 +7,8 @@ import pytest
 
 from tests.attacks.conftest import Attack
 from tests.cli.conftest import one_message
-from tests.ledger.agreement import plain, rewrite, tables_of, write
-from tests.ledger.samples import ORIGIN
+from tests.ledger.agreement_chain import rewrite, tables_of
+from tests.ledger.samples import ORIGIN, append_all, made_up_batches
 from tests.ledger.weak_keys import WEAK, Forger
 from tests.quick import few
 
@@ -17,7 +17,9 @@ KINDS = ("order 1", "order 8, second, odd", "order 4, y = p")
 
 @pytest.fixture(scope="module")
 def unsigned(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write(tmp_path_factory.mktemp("unsigned") / "ledger", plain([5, 6]), [None, None])
+    path = tmp_path_factory.mktemp("unsigned") / "ledger"
+    append_all(path, made_up_batches(2))
+    return path
 
 
 def signed_by_nobody(unsigned: Path, folder: Path, kind: str) -> tuple[Path, Forger]:

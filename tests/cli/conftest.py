@@ -10,6 +10,7 @@ from typing import NamedTuple
 import pytest
 
 from fsar_ledger.cli import app
+from tests.ledger.keep_release import LEDGERS
 
 
 class Called(NamedTuple):
@@ -72,9 +73,9 @@ def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def older(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same events in format 1."""
-    return made_in(tmp_path_factory.mktemp("cli-older"), "--format", "1")
+def older() -> Path:
+    """A ledger of format 1, which a release kept."""
+    return LEDGERS / "0.8.1" / "ledger"
 
 
 def one_message(called: Called, code: int, *parts: str) -> None:

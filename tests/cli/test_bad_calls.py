@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.cli import app
-from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
 from tests.quick import few
@@ -22,19 +22,6 @@ from tests.quick import few
 def copy(ledger: Path, tmp_path: Path) -> Path:
     """A ledger that a test may damage."""
     return Path(shutil.copytree(ledger, tmp_path / "copy"))
-
-
-@pytest.fixture
-def older_copy(older: Path, tmp_path: Path) -> Path:
-    """One of format 1 that a test may damage."""
-    return Path(shutil.copytree(older, tmp_path / "copy"))
-
-
-@pytest.fixture(params=["copy", "older_copy"])
-def either(request: pytest.FixtureRequest) -> Path:
-    """One of each format."""
-    found: Path = request.getfixturevalue(request.param)
-    return found
 
 
 def contents_of(folder: Path) -> dict[str, bytes]:
@@ -53,10 +40,6 @@ def contents_of(folder: Path) -> dict[str, bytes]:
         (("--runs", "many"), ("--runs", "'many'", "fsar-ledger simulate --help")),
         (("--fleet-size", "6"), ("6", "4")),
         (("--fleet-size", "0"), ("0",)),
-        (
-            ("--fleet-size", "1024", "--format", "1"),
-            ("fleet size: found 1024", "expected at most", "fewer --teams-working"),
-        ),
         (("--teams-working", "2"), ("teams working: found 2", "expected 1 to 1")),
         (("--task-sets", "9"), ("task sets: found 9", "expected 1 to 5")),
         (("--seed", "-1"), ("seed", "-1")),
@@ -154,7 +137,7 @@ def test_a_place_without_ledger_is_named(call: Call, tmp_path: Path, command: st
 @pytest.mark.parametrize("command", ["info", "metrics", "verify", "recover"])
 def test_an_interrupted_creation_is_no_damage_and_can_be_finished(call: Call, tmp_path: Path, command: str) -> None:
     ledger = tmp_path / "begun"
-    for name in ("commits", "segments", "staging", "staging/ledger.json.0123456789abcdef.tmp"):
+    for name in ("segments", "staging", "staging/ledger.json.0123456789abcdef.tmp"):
         if name.endswith(".tmp"):
             (ledger / name).write_bytes(b"{")
         else:
@@ -169,13 +152,12 @@ def test_an_interrupted_creation_is_no_damage_and_can_be_finished(call: Call, tm
 
 @pytest.mark.parametrize(
     "name",
-    ["commits/000000000000.json", "segments/000000000000.parquet", "tile/0/000.p/1", "staging/x.parquet", "checkpoint"],
+    ["chain.jsonl", "segments/000000000000-000000000001.parquet", "nodes", "staging/x.parquet", "checkpoint"],
 )
 def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_begun(
     call: Call, tmp_path: Path, name: str
 ) -> None:
-    for folder in ("commits", "segments"):
-        (tmp_path / folder).mkdir()
+    (tmp_path / "segments").mkdir()
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / name).write_bytes(b"")
     called = call("verify", tmp_path)
@@ -227,11 +209,11 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
 
 
 @pytest.mark.parametrize("command", ["info", "metrics", "simulate"])
-def test_a_ledger_of_another_format_version_is_refused(call: Call, either: Path, command: str) -> None:
-    of_another_version(either)
-    before = contents_of(either)
-    one_message(call(command, either), 2, "99", "version")
-    assert contents_of(either) == before
+def test_a_ledger_of_another_format_version_is_refused(call: Call, copy: Path, command: str) -> None:
+    of_another_version(copy)
+    before = contents_of(copy)
+    one_message(call(command, copy), 2, "99", "version")
+    assert contents_of(copy) == before
 
 
 def of_another_version(ledger: Path) -> None:
@@ -239,9 +221,9 @@ def of_another_version(ledger: Path) -> None:
     manifest.write_text(re.sub('"version":[12]', '"version":99', manifest.read_text()))
 
 
-def test_verify_doubts_another_format_version(call: Call, either: Path) -> None:
-    of_another_version(either)
-    called = call("verify", either)
+def test_verify_doubts_another_format_version(call: Call, copy: Path) -> None:
+    of_another_version(copy)
+    called = call("verify", copy)
     assert called.code == 3
     assert "format version 99" in called.err
 
@@ -285,15 +267,10 @@ def test_an_unreadable_segment_is_named(call: Call, copy: Path) -> None:
     assert "Traceback" not in called.err
 
 
-@pytest.mark.parametrize(
-    ("which", "place"), [("copy", "chain.jsonl"), ("older_copy", "commits/000000000000.json")], ids=["chain", "commits"]
-)
-def test_verify_names_each_place_and_ends_with_3(
-    call: Call, request: pytest.FixtureRequest, which: str, place: str
-) -> None:
-    ledger: Path = request.getfixturevalue(which)
-    (ledger / place).write_bytes((ledger / place).read_bytes().replace(b"rows", b"rowz", 1))
-    called = call("verify", ledger)
+def test_verify_names_each_place_and_ends_with_3(call: Call, copy: Path) -> None:
+    place = "chain.jsonl"
+    (copy / place).write_bytes((copy / place).read_bytes().replace(b"rows", b"rowz", 1))
+    called = call("verify", copy)
     assert called.code == 3
     assert called.out == ""
     assert place in called.err
@@ -338,8 +315,6 @@ WRITERS = [
     ("reproduce", "--out", "PLACE"),
 ]
 
-SHARED = ("ledger.json", "segments")
-
 
 @pytest.mark.parametrize("command", WRITERS)
 def test_no_command_writes_into_any_ledger(
@@ -355,12 +330,15 @@ def test_no_command_writes_into_any_ledger(
 
 @pytest.mark.parametrize(
     ("which", "lost"),
-    [(which, lost) for which, file in (("copy", "chain.jsonl"), ("older_copy", "commits")) for lost in (file, *SHARED)],
+    [
+        *(("new", lost) for lost in ("chain.jsonl", "ledger.json", "segments")),
+        *(("old", lost) for lost in ("commits", "ledger.json", "segments")),
+    ],
 )
 def test_a_damaged_ledger_is_written_into_no_more_than_a_whole_one(
-    call: Call, request: pytest.FixtureRequest, which: str, lost: str
+    call: Call, ledger: Path, older: Path, tmp_path: Path, which: str, lost: str
 ) -> None:
-    ledger: Path = request.getfixturevalue(which)
+    ledger = Path(shutil.copytree({"new": ledger, "old": older}[which], tmp_path / "copy"))
     (ledger / lost).rename(ledger.parent / "lost")
     before = contents_of(ledger)
     one_message(call("key", "new", ledger / "fleet.key"), 2, "inside the ledger")

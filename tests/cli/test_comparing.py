@@ -10,7 +10,8 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, founding_of, handler_table_of, run_id, run_started, simulate_run

@@ -15,12 +15,12 @@ from fsar_ledger.api.simulate import before
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.keys import read_signer
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
-from fsar_ledger.ledger.writing import open_writer
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, SimulationResult, run_experiment
 from fsar_ledger.runtime.paper import paper_ledger
@@ -75,7 +75,7 @@ def live(name: str) -> LedgerRun:
 
 
 def appended(path: Path, *runs: LedgerRun) -> None:
-    with open_writer(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.append(stage(path, runs))
 
 
@@ -294,7 +294,7 @@ def test_a_ledger_without_a_plan_is_never_complete(
 
 def test_a_plan_of_strange_names_is_shown_and_never_continued(call: Call, tmp_path: Path) -> None:
     planned = msgspec.structs.replace(small().plan(), scenarios=("door\x1b[31m", "$(reboot)"), run_count=2**53 - 1)
-    with open_writer(tmp_path / "ledger", ORIGIN) as writer:
+    with Writer(tmp_path / "ledger", ORIGIN) as writer:
         writer.append(stage_anything(tmp_path / "ledger", [plan_record(planned)]))
     [plan] = info(call, tmp_path / "ledger")["plans"]
     assert (plan["planned_count"], plan["continues_with"]) == (2 * (2**53 - 1), None)
@@ -304,7 +304,7 @@ def test_a_plan_of_strange_names_is_shown_and_never_continued(call: Call, tmp_pa
 
 
 def test_a_ledger_without_anything_says_so(call: Call, tmp_path: Path) -> None:
-    with open_writer(tmp_path / "ledger", ORIGIN):
+    with Writer(tmp_path / "ledger", ORIGIN):
         pass
     assert info(call, tmp_path / "ledger")["is_complete"] is None
     assert "no runs yet, and no plan on record" in said(call, tmp_path / "ledger")

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.constants import Constants
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from fsar_ledger.witness.cosignature import Cosigner
 from tests.cli.conftest import Call
@@ -264,7 +264,7 @@ def test_no_other_form_or_mistake_paints_the_screen(ledger: Path, call: Call, tm
 
 def test_a_damaged_ledger_does_not_paint_either(ledger: Path, call: Call, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(ledger, tmp_path / FOLDER))
-    (copy / "commits" / "evil\x1b[2J\x1b[H\n\u202e").write_bytes(b"x")
+    (copy / "segments" / "evil\x1b[2J\x1b[H\n\u202e").write_bytes(b"x")
     segment = next((copy / "segments").iterdir())
     segment.write_bytes(segment.read_bytes()[:-100] + EVIL.encode())
     for arguments in (

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger import printable
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from tests.cli.conftest import Call, Called
-from tests.ledger.chain_trials import RUNS
+from tests.ledger.crash_trials import RUNS
 from tests.ledger.samples import ORIGIN
 from tests.quick import few
 
@@ -119,7 +119,7 @@ def crowded(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in (PLAIN, *NAMES, ALL_IN_ONE):
         shutil.copytree(ledger, folder / name)
     for name in MATCHED:
-        with ChainWriter(folder / name, ORIGIN) as writer:
+        with Writer(folder / name, ORIGIN) as writer:
             writer.add(RUNS[:1])
     return folder
 
@@ -188,7 +188,7 @@ def test_a_ledger_or_folder_of_any_name_is_made_there_and_nowhere_else(
 ) -> None:
     monkeypatch.setenv("HOME", str(crowded))
     monkeypatch.chdir(tmp_path)
-    damaged = shutil.copytree(older, tmp_path / f"{ALL_IN_ONE}.damaged")
+    damaged = shutil.copytree(crowded / PLAIN, tmp_path / f"{ALL_IN_ONE}.damaged")
     last = sorted((damaged / "segments").iterdir())[-1]
     last.write_bytes(last.read_bytes()[:-1])
     words = {"old": older, "ledger": crowded / PLAIN, "damaged": path_of(damaged.name)}

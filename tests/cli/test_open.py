@@ -15,12 +15,11 @@ import pyarrow as pa
 import pytest
 
 import fsar_ledger
-from fsar_ledger.ledger.chain.append import ChainWriter
-from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.metrics.library import library
 from tests.cli.conftest import Call, Called, in_a_process, one_message
 from tests.cli.test_interruption import limited_disk
-from tests.ledger.chain_trials import RUNS, piece
+from tests.ledger.crash_trials import RUNS, piece
 from tests.ledger.samples import ORIGIN
 
 READER = """
@@ -97,7 +96,7 @@ def test_every_relation_reads_elsewhere_as_here(ledger: Path, tmp_path: Path, *,
 
 def in_pieces(path: Path) -> Path:
     """Make a ledger of two segments, and of rows that are in no segment yet."""
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         for run in RUNS[:2]:
             writer.add([run])
             writer.seal()
@@ -120,7 +119,7 @@ def test_rows_of_a_journal_stay_in_the_file_until_segments_are_compacted(tmp_pat
     assert [sorted_rows(rows) for rows in found[:2]] == [sorted_rows(here["events"]), sorted_rows(here["run_numbers"])]
     assert sorted_rows(found[3]) == sorted_rows(here["runs"])
     assert found[2][0]["events"] == len(found[0]) == 100
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.add([piece(2, 20, 40)])
         writer.seal()
     assert read_elsewhere(file, tmp_path / "read", *calls) == found

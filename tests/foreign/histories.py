@@ -6,10 +6,10 @@ from pathlib import Path
 
 from fsar_ledger.events import CONCERN_OF, CONCERNS, Event
 from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, STANDS_ALONE, Field
-from fsar_ledger.ledger.store.append import stage
-from fsar_ledger.ledger.writing import open_writer
+from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.samples import ORIGIN
 
 RUN_US = 60_000_000
@@ -64,9 +64,9 @@ def foreign_run(run_id: str, size: int, draw: random.Random, observes: Sequence[
     return LedgerRun(run_id, times, [None, *(_cause(seq, draw) for seq in range(1, len(events)))], events)
 
 
-def append(ledger: Path, runs: Sequence[LedgerRun], version: int) -> None:
+def append(ledger: Path, runs: Sequence[LedgerRun]) -> None:
     """Append the runs to a new ledger of this format, as every writer does."""
-    with open_writer(ledger, ORIGIN, version=version) as writer:
+    with Writer(ledger, ORIGIN) as writer:
         writer.append(stage(ledger, runs))
 
 

@@ -32,7 +32,7 @@ def main(events: int) -> int:
             draw = random.Random(number)
             runs = [foreign_run(f"night-{number}-{one}", SIZE, draw) for one in range(RUNS)]
             ledger = Path(folder) / f"ledger-{number}"
-            append(ledger, runs, version=1 + number % 2)
+            append(ledger, runs)
             told += sum(len(run.events) for run in runs)
             for verb, (expected, _) in VERBS.items():
                 if verb in SLOW and number % SLOW_EVERY:

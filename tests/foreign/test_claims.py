@@ -95,7 +95,7 @@ def ledgers(tmp_path_factory: pytest.TempPathFactory, runs: list[LedgerRun]) -> 
     folder = tmp_path_factory.mktemp("ledgers")
     run = next(one for one in runs if "cfc" in one.run_id)
     for concern in CONCERNS:
-        append(folder / concern, [recorded_without(run, concern)], version=2)
+        append(folder / concern, [recorded_without(run, concern)])
     return {concern: folder / concern for concern in CONCERNS}
 
 

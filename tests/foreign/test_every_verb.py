@@ -26,7 +26,7 @@ def ledgers(tmp_path_factory: pytest.TempPathFactory) -> dict[int, tuple[Path, l
     for seed in SEEDS:
         draw = random.Random(seed)
         runs = [foreign_run(f"night-{seed}-{number}", 150, draw) for number in range(4)]
-        append(folder / f"ledger-{seed}", runs, version=1 + seed % 2)
+        append(folder / f"ledger-{seed}", runs)
         found[seed] = folder / f"ledger-{seed}", runs
     return found
 

@@ -1,4 +1,4 @@
-"""Ledgers of format 2 for both verifiers: random histories, and what a forger who knows the format can do to one."""
+"""Ledgers for both verifiers: random histories, and what a forger who knows the format can do to one."""
 
 import base64
 import json
@@ -11,19 +11,18 @@ from typing import Any
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.index import line_of
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.hashing import leaves_of
+from fsar_ledger.ledger.log.hashing import leaves_of, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Signer, checkpoint_of
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.record import sha256_hex
 from tests.ledger.agreement import KEY, note_of, odd_run
 from tests.ledger.hostile import stage_anything
 from tests.ledger.samples import ORIGIN, made_up_run
@@ -32,7 +31,7 @@ Record = dict[str, Any]
 Frame = tuple[Record, list[bytes]]
 
 
-def hand_over(writer: ChainWriter) -> None:
+def hand_over(writer: Writer) -> None:
     """Hand over the journal, though it is not full."""
     with writer._turn:
         writer._hand_over()
@@ -49,7 +48,7 @@ class History:
     def go_on(self, sessions: int) -> None:
         """Open the ledger so often, take a few steps each time, and close it."""
         for _ in range(sessions):
-            with ChainWriter(self.path, ORIGIN, self._draw.choice(self._signers), adopts=True) as writer:
+            with Writer(self.path, ORIGIN, self._draw.choice(self._signers), adopts=True) as writer:
                 for _ in range(self._draw.randrange(1, 6)):
                     self._step(writer)
 
@@ -57,7 +56,7 @@ class History:
         """Leave the ledger as a writer does that is killed while a journal is sealed, or the one before it was."""
         other = self.path.with_name(f"{self.path.name}-open")
         self.path.rename(other)
-        with ChainWriter(other, ORIGIN, self._signers[0], adopts=True) as writer:
+        with Writer(other, ORIGIN, self._signers[0], adopts=True) as writer:
             writer.add(self._parts())
             hand_over(writer)
             writer.add(self._parts())
@@ -68,7 +67,7 @@ class History:
                 writer.add(self._parts())
             shutil.copytree(other, self.path)
 
-    def _step(self, writer: ChainWriter) -> None:
+    def _step(self, writer: Writer) -> None:
         how = self._draw.choices(("append", "odd", "add", "seal", "compact"), (3, 1, 6, 1, 1))[0]
         if how == "append":
             writer.append(stage_anything(self.path, self._parts()))
@@ -107,9 +106,9 @@ def part_of(run: LedgerRun, first: int, end: int) -> LedgerRun:
     return LedgerRun(run.run_id, *parts, run.first + first)
 
 
-def view_of(path: Path) -> ChainView:
+def view_of(path: Path) -> View:
     view = open_ledger(path)
-    assert isinstance(view, ChainView)
+    assert isinstance(view, View)
     return view
 
 
@@ -225,7 +224,7 @@ def bases(folder: Path, count: int = 12) -> list[Path]:
     """Write ledgers of so many histories: of no commit, of few and of many, signed, half signed, and not."""
     found = [folder / "base-empty"]
     folder.mkdir(exist_ok=True)
-    ChainWriter(found[0], ORIGIN).close()
+    Writer(found[0], ORIGIN).close()
     for seed in range(count):
         found.append(folder / f"base-{seed}")
         signers: Sequence[Signer | None] = ([None], [KEY], [KEY, None])[seed % 3]

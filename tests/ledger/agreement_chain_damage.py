@@ -1,18 +1,18 @@
-"""Variants of good ledgers of format 2, and damage to them; functions as in `agreement_damage`.
+"""Variants of good ledgers, and damage to them.
 
-A damage to the end of the chain or of the journal may pass for one that a crash leaves; then only agreement is asked.
+Each function makes one change, and tells what a verifier must find. It takes a ledger that it may change, a source of
+draws, and a folder for files beside the ledger. It returns None if it does not apply. A damage to the end of the chain
+or of the journal may pass for one that a crash leaves; then only agreement is asked.
 """
 
 import random
 import shutil
 from pathlib import Path
 
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS
-from fsar_ledger.ledger.rows.segment import to_parquet
-from fsar_ledger.ledger.store.record import sha256_hex
-from tests.ledger.agreement import KEY, OTHER_VERSION, STRANGER, VERSION, Case, Make, files_of, note_of, with_value
+from tests.ledger.agreement import KEY, STRANGER, Case, Make, files_of, note_of, with_value
 from tests.ledger.agreement_chain import (
     anchor_at,
     records_of,
@@ -22,8 +22,6 @@ from tests.ledger.agreement_chain import (
     tree_at,
     view_of,
 )
-from tests.ledger.parquet_damage import DAMAGED as STRUCTURES
-from tests.ledger.parts import two_faced
 from tests.ledger.samples import ORIGIN
 
 HASH = "ab" * 32
@@ -112,7 +110,7 @@ def a_sealed_journal(path: Path, draw: random.Random, beside: Path) -> Case | No
         return None
     kept = {name: (path / name).read_bytes() for name in (JOURNAL, NODES, INDEX) if (path / name).exists()}
     is_compacted = draw.random() < 0.5
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.seal()
         if is_compacted:
             writer.compact()
@@ -126,7 +124,7 @@ def a_journal_handed_over_and_sealed(path: Path, draw: random.Random, beside: Pa
     if not (count := view_of(path).journal.sealing):
         return None
     kept = {name: (path / name).read_bytes() for name in (SEALING, NODES, INDEX) if (path / name).exists()}
-    with ChainWriter(path, ORIGIN) as writer, writer._turn:
+    with Writer(path, ORIGIN) as writer, writer._turn:
         writer._seal(count)
     for name, data in kept.items():
         if name == SEALING or draw.random() < 0.5:
@@ -137,7 +135,7 @@ def a_journal_handed_over_and_sealed(path: Path, draw: random.Random, beside: Pa
 def superseded_segments(path: Path, draw: random.Random, beside: Path) -> Case | None:
     for file in (path / "segments").iterdir():
         shutil.copy(file, beside)
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         if not writer.compact():
             return None
     for file in beside.iterdir():
@@ -313,34 +311,6 @@ def a_broken_rule(path: Path, draw: random.Random, beside: Path) -> Case | None:
     return Case(f"{value!r} in {column}, segment {number}, row {row}", path, None if is_name else False)
 
 
-def a_forged_segment(path: Path, draw: random.Random, beside: Path) -> Case | None:
-    """Put other bytes in the place of a segment, and make its placement fit: another row, or a structure that
-    disagrees."""
-    records, frames = records_of(path)
-    placed = view_of(path).chain.placed
-    if not placed:
-        return None
-    number = draw.randrange(len(placed))
-    table, file = tables_of(path)[number], path / segment_of(placed[number])
-    how, row = draw.choice(["row", "two faces", "structure", "structure"]), draw.randrange(table.num_rows)
-    if how == "row":
-        data, name = bytes(to_parquet(with_value(table, "time_us", row, 4242))), "another row"
-    elif how == "two faces":
-        honest, other = bytes(to_parquet(table)), bytes(to_parquet(with_value(table, "type", row, "Forged.v1")))
-        data, name = two_faced(*draw.choice([(honest, other), (other, honest)]), "type"), "two faces"
-    else:
-        name = draw.choice(sorted(STRUCTURES))
-        data = STRUCTURES[name](file.read_bytes().replace(VERSION, draw.choice([VERSION, OTHER_VERSION])))
-    file.write_bytes(data)
-    for record in records:
-        if record["kind"] == "placement" and record["number"] == placed[number].number:
-            record |= {"segment_sha256": sha256_hex(data), "segment_bytes": len(data)}
-    relink(path, records, frames)
-    return Case(
-        f"a segment with {name}", path, None if how == "structure" else False
-    )  # of few rows it may say the same
-
-
 def a_run_again(path: Path, draw: random.Random, beside: Path) -> Case | None:
     """Say that a run that has ended begins again: rename the runs of one commit."""
     tables = tables_of(path)
@@ -357,7 +327,7 @@ def a_run_again(path: Path, draw: random.Random, beside: Path) -> Case | None:
     return Case(f"{old} as {new}", path, False)
 
 
-CHAIN_GOOD: tuple[Make, ...] = (
+GOOD: tuple[Make, ...] = (
     as_it_is,
     with_its_key,
     with_an_anchor,
@@ -370,7 +340,7 @@ CHAIN_GOOD: tuple[Make, ...] = (
     superseded_segments,
     another_history,
 )
-CHAIN_DAMAGED: tuple[Make, ...] = (
+DAMAGED: tuple[Make, ...] = (
     a_flipped_bit,
     a_cut_or_longer_file,
     a_file_gone_or_swapped,
@@ -382,6 +352,5 @@ CHAIN_DAMAGED: tuple[Make, ...] = (
     wrong_derived_files,
     a_broken_rule,
     a_broken_rule,
-    a_forged_segment,
     a_run_again,
 )

@@ -9,17 +9,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, NODES, segment_name
+from fsar_ledger.ledger.log import pack
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, MAX_INTEGER
-from fsar_ledger.ledger.store.paths import commit_path, segment_path
-from fsar_ledger.ledger.store.record import sha256_hex
-from tests.ledger.forgery import record_of
+from tests.ledger.forgery import records_in
 from tests.ledger.hostile import documents, written
 from tests.ledger.samples import ORIGIN, append_all
 from tests.metrics.conftest import record
@@ -122,30 +122,26 @@ def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> No
     """Commit this segment this many times after what is there; only hashing its rows would reveal it."""
     data = data if isinstance(data, bytes) else bytes(segment.to_parquet(data))
     for _ in range(times):
-        number = len(list((path / "commits").iterdir()))
-        before = record_of(path, number - 1)
-        size = before.tree_size + count
+        before, placed = records_in(path, "commit")[-1], records_in(path, "placement")[-1]
+        number, first = before["number"] + 1, before["tree_size"]
+        size = first + count
         tree = Frontier(size, bytes(32) * size.bit_count())
-        segment_path(path, number).write_bytes(data)
-        changes: Values = {
-            "number": number,
-            "previous_sha256": sha256_hex(commit_path(path, number - 1).read_bytes()),
-            "rows": count,
-            "tree_size": size,
-        }
-        changes |= {
-            "segment_bytes": len(data),
-            "segment_sha256": sha256_hex(data),
-            "note": str(Note(checkpoint_of(ORIGIN, tree))),
-        }
-        changes |= {
-            "tree_root": tree.root().hex(),
-            "frontier": tuple(map(bytes.hex, tree.subtrees)),
-            "first_run": f"r{number}",
-            "last_run": f"r{number}",
-        }
-        commit_path(path, number).write_bytes(canonical.document(msgspec.structs.replace(before, **changes)))
-        (path / "checkpoint").write_text(str(changes["note"]))
+        last = (path / CHAIN).read_bytes().splitlines()[-1]
+        block = {"run": f"r{number}", "first": 0, "rows": count, "first_us": 0, "last_us": count - 1}
+        line = canonical.document({"first": first, "blocks": [block]}) + b"\n"
+        own = before | {"number": number, "previous_sha256": sha256_hex(last), "rows": count}
+        own |= {"tree_size": size, "tree_root": tree.root().hex()}
+        there = placed | {"number": placed["number"] + 1, "previous_sha256": sha256_hex(canonical.document(own))}
+        there |= {"first": first, "rows": count, "frontier": list(map(bytes.hex, tree.subtrees))}
+        there |= {"segment_bytes": len(data), "segment_sha256": sha256_hex(data)}
+        there |= {"index_bytes": len(line), "index_sha256": sha256_hex(line)}
+        (path / segment_name(first, size)).write_bytes(data)
+        for name, more in ((CHAIN, b"".join(canonical.document(one) + b"\n" for one in (own, there))), (INDEX, line)):
+            with (path / name).open("ab") as file:
+                file.write(more)
+        (path / NODES).touch()
+        os.truncate(path / NODES, pack.count(size) * HASH_BYTES)
+        (path / "checkpoint").write_text(str(Note(checkpoint_of(ORIGIN, tree))))
 
 
 def committed(make: Callable[[], pa.Table], times: int = 1) -> Callable[[Path], None]:
@@ -245,7 +241,7 @@ def beside(name: str, make: Callable[[Path], object]) -> Callable[[Path], None]:
 
 def document(what: str) -> bytes:
     """Return one of the malformed documents."""
-    return dict(documents(b'{"format":"fsar-ledger","origin":"example.org/x","version":1}'))[what]
+    return dict(documents(b'{"format":"fsar-ledger","origin":"example.org/x","version":2}'))[what]
 
 
 def unpacking(size: int) -> bytes:
@@ -295,23 +291,17 @@ BOMBS: dict[str, Bomb] = {
     "a page that unpacks to 600 MB": Bomb(lambda path: commit(path, unpacking(600 * MIB), 1), SOME),
     "a segment of 256 MB of nothing": Bomb(lambda path: commit(path, bytes((1 << 28) - 1), 1), SOME),
     # things that are not files
-    "a pipe for a segment": Bomb(instead("segments/000000000000.parquet", os.mkfifo), SOME),
-    "a terabyte of nothing for a segment": Bomb(instead("segments/000000000000.parquet", sparse(1 << 40))),
-    "a link to itself for a record": Bomb(
-        instead("commits/000000000000.json", lambda file: file.symlink_to(file.name)), SOME
-    ),
+    "a pipe for a segment": Bomb(instead("segments/000000000000-000000000006.parquet", os.mkfifo), SOME),
+    "a terabyte of nothing for a segment": Bomb(instead("segments/000000000000-000000000006.parquet", sparse(1 << 40))),
+    "a link to itself for the chain": Bomb(instead(CHAIN, lambda file: file.symlink_to(file.name)), SOME),
     "a device for the description": Bomb(instead("ledger.json", lambda file: file.symlink_to("/dev/zero")), SOME),
-    "a terabyte of nothing for a tile": Bomb(
-        instead("tile/0/000.p/6", sparse(1 << 40)), (("verify", LEDGER, "--workers", "1"), ("prove", LEDGER, "1"))
+    "a terabyte of nothing for the hashes": Bomb(
+        instead(NODES, sparse(1 << 40)), (("verify", LEDGER, "--workers", "1"), ("prove", LEDGER, "1"))
     ),
     # documents
-    "a record that nests": Bomb(
-        replaced("commits/000000000000.json", document("100,000 objects in each other")), QUICK
-    ),
+    "a record that nests": Bomb(replaced(CHAIN, document("100,000 objects in each other")), QUICK),
     "a description of a million names": Bomb(replaced("ledger.json", document("a million names")), QUICK),
-    "a number of 100,000 digits for a record": Bomb(
-        replaced("commits/000000000000.json", document("a number of 100,000 digits")), QUICK
-    ),
+    "a number of 100,000 digits for a record": Bomb(replaced(CHAIN, document("a number of 100,000 digits")), QUICK),
     "a checkpoint of a megabyte of lines": Bomb(replaced("checkpoint", b"\n" * MIB), QUICK),
     # proofs, anchors and keys
     "a proof of a terabyte": Bomb(beside("beside", sparse(1 << 40)), PROOF),

@@ -8,7 +8,7 @@ import pytest
 
 from tests.ledger.crash_writer import Nursery
 from tests.ledger.damage import write_ledger
-from tests.ledger.forgery import examined_once
+from tests.ledger.once import decoded_once
 
 
 @pytest.fixture(scope="session")
@@ -31,5 +31,5 @@ def snapshots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathF
 def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
     """Copy the ledger, to be damaged. Only damaged segments are decoded again."""
     path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
-    with examined_once(path):
+    with decoded_once():
         yield path

@@ -1,11 +1,10 @@
-"""Try everything of which test_crash.py, test_chain_crash.py and test_concurrency.py try a part: `python -m
-tests.ledger.crash_soak [KILLS [PAIRS [FORMAT]]]`, by default of both formats.
+"""Try everything of which test_crash.py tries a part: `python -m tests.ledger.crash_soak [KILLS [PAIRS]]`.
 
-Tries every kind of fault at every call of two appends (format 2: appends, the journal, sealing, compaction), each
-followed by power failures; a fault at every call of the recovery from each state that a kill leaves; pairs of faults,
-the second during the recovery from the first; processes killed at every call; KILLS processes (2,000) killed at random
-moments, two to eight at a time on one ledger. Prints counts after each part, and the first complaints as they come;
-exits with 1 if anything was lost or torn.
+Tries every kind of fault at every call of appends, the journal, sealing and compaction, each followed by power
+failures; a fault at every call of the recovery from each state that a kill leaves; pairs of faults, the second during
+the recovery from the first; processes killed at every call; KILLS processes (2,000) killed at random moments, two to
+eight at a time on one ledger. Prints counts after each part, and the first complaints as they come; exits with 1 if
+anything was lost or torn.
 """
 
 import random
@@ -15,22 +14,18 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.ledger import chain_crowd, crowd
 from tests.ledger.agreement import Case, judged
-from tests.ledger.chain_trials import ChainLaboratory
 from tests.ledger.crash_trials import Laboratory, Tally
 from tests.ledger.crash_writer import Nursery, Order
-from tests.ledger.crowd import NAMES
+from tests.ledger.crowd import NAMES, judge
 from tests.ledger.faults import WRITES, Fault, FaultyOs, calls_of, faults_at
 from tests.ledger.power import choices
 
 ROUNDS = 6
 """How often the writers of one ledger are killed before a new ledger is begun."""
 MAX_COMPLAINTS = 20
-DEFAULTS = ("2000", "2000", "12")
-LABORATORY = {1: Laboratory, 2: ChainLaboratory}
-JUDGE = {1: crowd.judge, 2: chain_crowd.judge}
-BATCHES_A_ROUND = {1: 1, 2: 3}
+STEPS_A_ROUND = 3
+DEFAULTS = ("2000", "2000")
 
 
 def single_faults(laboratory: Laboratory, calls: list[str]) -> None:
@@ -61,7 +56,7 @@ def pairs_of_faults(laboratory: Laboratory, calls: list[str], pairs: int) -> Non
             )
 
 
-def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str], version: int) -> None:
+def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -> None:
     """Kill a process at every call, and in the middle of every write."""
     kills = [Fault(at, "killed") for at in range(len(calls))] + [
         Fault(at, "killed-in-write") for at, name in enumerate(calls) if name in WRITES
@@ -70,7 +65,7 @@ def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str], v
         root = laboratory.folder / f"{fault.kind}-{fault.at}"
         path = root / "out" / "ledger"
         root.mkdir()
-        outcome = nursery(Order(str(path), fault_at=fault.at, fault_kind=fault.kind, version=version))
+        outcome = nursery(Order(str(path), fault_at=fault.at, fault_kind=fault.kind))
         laboratory.tally.kills += outcome.killed
         for complaint in outcome.wrong:
             laboratory.tally.note(complaint, fault)
@@ -78,13 +73,12 @@ def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str], v
         shutil.rmtree(root)
 
 
-def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, version: int, seed: int = 13) -> int:
+def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, seed: int = 13) -> int:
     """Kill this many processes at random moments while they open, recover and append.
 
-    Returns how many batches were acknowledged. Both verifiers judge what is there when nobody is killed any more.
+    Returns how many steps were acknowledged. Both verifiers judge what is there when nobody is killed any more.
     """
     draw = random.Random(seed)
-    judge, batches = JUDGE[version], BATCHES_A_ROUND[version]
     acknowledged = ledgers = 0
     until = tally.kills + kills
     while tally.kills < until:
@@ -95,28 +89,28 @@ def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, v
         for again in range(1, ROUNDS + 1):
             moments = tuple(draw.randrange(1, 60_000 + 25_000 * len(writers)) for _ in writers)
             readers = int(again == ROUNDS)
-            outcome = nursery(Order(str(path), writers, again * batches, readers, moments, version=version))
+            outcome = nursery(Order(str(path), writers, again * STEPS_A_ROUND, readers, moments))
             known = {name: max(count, outcome.acknowledged.get(name, 0)) for name, count in known.items()}
             tally.kills += outcome.killed
             for complaint in (*outcome.wrong, *judge(path, known)):
                 tally.note(complaint, (path.name, again))
         # Nobody is killed, so that everything begun is finished.
-        outcome = nursery(Order(str(path), writers, ROUNDS * batches, version=version))
+        outcome = nursery(Order(str(path), writers, ROUNDS * STEPS_A_ROUND))
         difference = judged(Case("the end", path, True)).difference
-        everything = dict.fromkeys(writers, ROUNDS * batches)
+        everything = dict.fromkeys(writers, ROUNDS * STEPS_A_ROUND)
         for complaint in (*outcome.wrong, *judge(path, everything), *filter(None, [difference])):
             tally.note(complaint, (path.name, "the end"))
-        acknowledged += ROUNDS * batches * len(writers)
+        acknowledged += ROUNDS * STEPS_A_ROUND * len(writers)
         shutil.rmtree(path)
     return acknowledged
 
 
-def soak(folder: Path, kills: int, pairs: int, version: int) -> Tally:
-    """Run all parts on ledgers of this format, and print a line on each."""
+def soak(folder: Path, kills: int, pairs: int) -> Tally:
+    """Run all parts, and print a line on each."""
     start = time.monotonic()
 
     def tell(text: str) -> None:
-        print(f"{time.monotonic() - start:6.0f} s  format {version}: {text}", flush=True)
+        print(f"{time.monotonic() - start:6.0f} s  {text}", flush=True)
 
     def tell_complaint(complaint: str) -> None:
         if len(tally.complaints) <= MAX_COMPLAINTS:
@@ -126,7 +120,7 @@ def soak(folder: Path, kills: int, pairs: int, version: int) -> Tally:
         tell(f"{text}; lost {tally.lost}, torn {tally.torn}, complaints in all {len(tally.complaints)}")
 
     folder.mkdir()
-    laboratory = LABORATORY[version](folder)
+    laboratory = Laboratory(folder)
     tally, root = laboratory.tally, folder / "calls"
     tally.tells = tell_complaint
     root.mkdir()
@@ -141,11 +135,11 @@ def soak(folder: Path, kills: int, pairs: int, version: int) -> Tally:
         f"{tally.power_failures:,} power failures in all"
     )
     with Nursery() as nursery:
-        kills_at_calls(laboratory, nursery, calls, version)
+        kills_at_calls(laboratory, nursery, calls)
         say(f"{tally.kills:,} processes killed, one at each call")
-        acknowledged = kills_at_moments(folder, tally, nursery, kills, version)
+        acknowledged = kills_at_moments(folder, tally, nursery, kills)
         say(
-            f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} batches "
+            f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} steps "
             "acknowledged beside them"
         )
     return tally
@@ -153,20 +147,17 @@ def soak(folder: Path, kills: int, pairs: int, version: int) -> Tally:
 
 def main(arguments: list[str]) -> int:
     """Print the counts. Return 0 if nothing was lost or torn, else 1."""
-    kills, pairs, formats = [*arguments, *DEFAULTS[len(arguments) :]]
-    is_clean = True
-    for version in map(int, formats):
-        with tempfile.TemporaryDirectory() as folder:
-            tally = soak(Path(folder) / "soak", int(kills), int(pairs), version)
-        print(
-            f"format {version}: injected faults {tally.faults:,}, during recovery {tally.faults_in_recovery:,}, power "
-            f"failures {tally.power_failures:,}, SIGKILLs {tally.kills:,}\n"
-            f"acknowledged events lost: {tally.lost}, torn: {tally.torn}, other complaints: "
-            f"{len(tally.complaints) - tally.lost - tally.torn}",
-            flush=True,
-        )
-        is_clean = is_clean and tally.is_clean
-    return 0 if is_clean else 1
+    kills, pairs = [*arguments, *DEFAULTS[len(arguments) :]]
+    with tempfile.TemporaryDirectory() as folder:
+        tally = soak(Path(folder) / "soak", int(kills), int(pairs))
+    print(
+        f"injected faults {tally.faults:,}, during recovery {tally.faults_in_recovery:,}, power failures "
+        f"{tally.power_failures:,}, SIGKILLs {tally.kills:,}\n"
+        f"acknowledged events lost: {tally.lost}, torn: {tally.torn}, other complaints: "
+        f"{len(tally.complaints) - tally.lost - tally.torn}",
+        flush=True,
+    )
+    return 0 if tally.is_clean else 1
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""One trial: appends that a fault interrupts, perhaps a recovery that another fault interrupts, perhaps a power
-failure, and then the verdict."""
+"""One trial: a writer that a fault interrupts, perhaps a recovery that another fault interrupts, perhaps a power
+failure, and then the verdict. It appends, writes to the journal, seals and compacts."""
 
 import hashlib
 import re
@@ -7,34 +7,78 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
-
-import pyarrow as pa
-import pytest
+from unittest.mock import patch
 
 from fsar_ledger.errors import FsarLedgerError
-from fsar_ledger.ledger.rows import segment
-from fsar_ledger.ledger.rows.codec import encode, encode_hashed
-from fsar_ledger.ledger.store import append
-from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.paths import MANIFEST, commit_path
-from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.ledger.chain import append
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.chain.journal import ALLOTTED
+from fsar_ledger.ledger.chain.sealing import Sealing
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.rows import pieces
+from fsar_ledger.ledger.rows.codec import encode_lines
+from fsar_ledger.ledger.rows.runs import LedgerRun
+from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store.paths import MANIFEST
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, in_place_of_os
-from tests.ledger.forgery import Examined, examined_once
 from tests.ledger.power import Choice, Disk, choices
-from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
+from tests.ledger.samples import ORIGIN, contents, made_up_run
 
-COMMITS = 3
-BATCHES = made_up_batches(COMMITS, size=70)
-"""140 events per commit, so that the tree passes 256 leaves, a full tile, within the interrupted appends."""
-INTERRUPTED = 2
-"""How many commits are appended while things fail; one more shows that the ledger goes on."""
-READ_TABLE = segment.read_table
 TOKEN = re.compile(r"[0-9a-f]{16}(?=\.tmp$)")
+RUNS = [made_up_run(f"run-{number}", 40, number) for number in range(5)]
+MOST_ROWS = 30
+"""Of a journal here; one that would hold more is handed over."""
+
+
+def piece(run: int, first: int, end: int) -> LedgerRun:
+    """Return these events of a run; it goes on unless they are its last."""
+    return pieces.piece(RUNS[run], first, end)
+
+
+Step = tuple[str, Sequence[LedgerRun]]
+STEPS: list[Step] = [
+    ("append", [RUNS[0]]),
+    ("add", [piece(1, 0, 20)]),
+    ("add", [piece(1, 20, 30), piece(2, 0, 5)]),  # hands over
+    ("settle", []),
+    ("add", [piece(1, 30, 40), piece(2, 5, 10)]),
+    ("add", [piece(2, 10, 20)]),  # hands over
+    ("append", [RUNS[3]]),
+    ("compact", []),
+    ("add", [piece(2, 20, 30)]),
+    ("add", [piece(2, 30, 40), piece(4, 0, 15)]),  # hands over, and closes
+]
+"""What a writer does. The journal is sealed when it is full, on request, and by an append; segments are compacted."""
+
+ROWS = [row for _, runs in STEPS for row in encode_lines(runs) if runs]
+"""The canonical bytes of all events, in the order of the ledger."""
+
+
+def sizes() -> list[int]:
+    """Return the number of events after each step."""
+    found: list[int] = []
+    for _, runs in STEPS:
+        found.append((found[-1] if found else 0) + sum(len(run.events) for run in runs))
+    return found
+
+
+def take(writer: Writer, path: Path, step: Step) -> int:
+    """Take one step, and return the number of events then."""
+    what, runs = step
+    if what == "append":
+        writer.append(stage(path, runs))
+    elif what == "add":
+        writer.add(runs)
+    elif what == "seal":
+        writer.seal()
+    elif what == "settle":
+        writer.settle()
+    else:
+        writer.compact()
+    return writer.head.size
 
 
 @dataclass
@@ -73,81 +117,50 @@ def _state(path: Path) -> str:
     return hashlib.sha256(repr((path.exists(), folders, files)).encode()).hexdigest()
 
 
-@cache
-def _encoded(first_run: str) -> tuple[pa.Table, bytes]:
-    return encode_hashed(next(batch for batch in BATCHES if batch[0].run_id == first_run))
-
-
-@cache
-def _parquet(first_run: str) -> pa.Buffer:
-    return segment.to_parquet(_encoded(first_run)[0])
-
-
-def _written(table: pa.Table) -> pa.Buffer:
-    return _parquet(table.column("run_id")[0].as_py())
-
-
-def encode_all() -> None:
-    """Encode and decode every batch once, for this process and those that it forks."""
-    for batch in BATCHES:
-        _parquet(batch[0].run_id)
-    _decoded()
-
-
-@cache
-def _decoded() -> dict[str, pa.Table]:
-    """Return the rows of each batch by the SHA-256 of its segment."""
-    return {sha256_hex(_parquet(batch[0].run_id)): encode(batch) for batch in BATCHES}
-
-
-def _read(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """As `segment.read_table`."""
-    try:
-        table = _decoded().get(sha256_hex(path.read_bytes()))
-    except OSError:
-        table = None
-    return READ_TABLE(path, columns) if table is None else table.select(columns or table.column_names)
-
-
-@contextmanager
-def encoded_once() -> Iterator[None]:
-    """Encode each batch and decode its segment only once.
-
-    Both write nothing, and would take most of the time of a trial.
-    """
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(segment, "read_table", _read)
-        patch.setattr(append, "encode_hashed", lambda runs: _encoded(runs[0].run_id))
-        patch.setattr(append, "segment", SimpleNamespace(to_parquet=_written))
-        yield
-
-
 @dataclass
 class Session:
-    """How far one process came. `acknowledged` is the number of commits that the ledger reported as safe."""
+    """How far one process came. `acknowledged` is the number of events that the ledger reported as safe."""
 
     acknowledged: int = 0
     error: FsarLedgerError | None = None
     was_killed: bool = False
 
 
-def append_with(
-    faulty: FaultyOs, path: Path, commits: int = INTERRUPTED, acknowledge: Callable[[int], None] | None = None
+@contextmanager
+def one_way() -> Iterator[None]:
+    """Let a small journal be full, and what is made of it be there when it is waited for, not at any time before.
+
+    Room for a journal is made in two pieces, because a fault in any other is like one in these.
+    """
+    never = property(lambda _: False)
+    with (
+        patch.object(append, "SEAL_ROWS", MOST_ROWS),
+        patch.object(Sealing, "is_done", never),
+        patch.object(growing, "_ZEROS_AT_ONCE", ALLOTTED // 2),
+    ):
+        yield
+
+
+def write_with(
+    faulty: FaultyOs, path: Path, commits: int = len(STEPS), acknowledge: Callable[[int], None] | None = None
 ) -> Session:
-    """Open the ledger in a process and append what it lacks, and the newest batch again, which may not have been
-    acknowledged."""
+    """Open the ledger in a process and take those of the first `commits` steps that it lacks.
+
+    `acknowledged` counts events.
+    """
     session = Session()
 
-    def acknowledged(count: int) -> None:
-        session.acknowledged = count
+    def acknowledged(size: int) -> None:
+        session.acknowledged = size
         if acknowledge is not None:
-            acknowledge(count)
+            acknowledge(size)
 
     try:
-        with encoded_once(), in_place_of_os(faulty), Writer(path, ORIGIN) as writer:
-            acknowledged(writer.head.commits)
-            for batch in BATCHES[max(0, session.acknowledged - 1) : commits]:
-                acknowledged(writer.append(stage(path, batch)).commits)
+        with one_way(), in_place_of_os(faulty), Writer(path, ORIGIN) as writer:
+            acknowledged(writer.head.size)
+            for step, size in list(zip(STEPS, sizes(), strict=True))[:commits]:
+                if size > writer.head.size or (not step[1] and size == writer.head.size):
+                    acknowledged(take(writer, path, step))
     except Killed:
         session.was_killed = True
     except FsarLedgerError as error:
@@ -156,9 +169,9 @@ def append_with(
 
 
 class Laboratory:
-    """Runs trials in a folder of its own and keeps the tally."""
+    """Runs trials in a folder of its own and keeps the tally; `acknowledged` counts events."""
 
-    append = staticmethod(append_with)
+    append = staticmethod(write_with)
 
     def __init__(self, folder: Path):
         self.folder = folder
@@ -167,13 +180,6 @@ class Laboratory:
         self._judged: dict[str, tuple[int, list[str]]] = {}
         self._finished: dict[str, str | None] = {}
         self._recovered: set[str] = set()
-        self._prepare()
-
-    def _prepare(self) -> None:
-        """Write what later ledgers are compared with."""
-        append_all(self.folder / "reference", BATCHES)
-        self.reference = contents(self.folder / "reference")
-        self._examined = Examined(self.folder / "reference")
 
     def _fresh(self) -> Path:
         """Return an unused path, two folders deep in an empty root."""
@@ -183,42 +189,38 @@ class Laboratory:
         return root / "out" / "ledger"
 
     def judge(self, path: Path, acknowledged: int, where: object) -> str:
-        """Check that readers find every acknowledged commit whole, and no part of another.
+        """Check that readers find every acknowledged event, in whole commits.
 
         Returns the name of the state that the ledger is in.
         """
         state = _state(path)
-        commits, complaints = self._judged.get(state) or self._judged.setdefault(state, self._read(path))
-        if commits < acknowledged:
-            self.tally.note(f"lost: {commits} of {acknowledged} acknowledged commits are there", where)
+        size, complaints = self._judged.get(state) or self._judged.setdefault(state, self._read(path))
+        if size < acknowledged:
+            self.tally.note(f"lost: {size} of {acknowledged} acknowledged events are there", where)
         for complaint in complaints:
             self.tally.note(complaint, where)
         return state
 
     def _read(self, path: Path) -> tuple[int, list[str]]:
-        """Return how many commits readers see, and what is wrong with them. The same files give the same answer."""
+        """Return how many events readers see, and what is wrong with them. The same files give the same answer."""
         if not (path / MANIFEST).exists():
             return 0, []
         complaints = []
         try:
             view = open_ledger(path)
-            for number in range(view.head.commits):
-                names = commit_path(path, number), view.segment(number)
-                expected = (
-                    self.reference[f"commits/{number:012d}.json"],
-                    self.reference[f"segments/{number:012d}.parquet"],
-                )
-                if tuple(name.read_bytes() for name in names) != expected:
-                    complaints.append(f"torn: commit {number} has other bytes")
-            with encoded_once(), examined_once(self._examined):
-                if list(view.runs()) != [run for batch in BATCHES[: view.head.commits] for run in batch]:
-                    complaints.append("torn: other runs are read than were committed")
-                report = verify(path)
+            size = view.head.size
+            if size not in (0, *sizes()):
+                complaints.append(f"torn: {size} events are read, which no commit ends with")
+            if [view.event(index) for index in range(0, size, 7)] != ROWS[:size:7]:
+                complaints.append("torn: other events are read than were committed")
+            if sum(len(run.events) for run in view.runs()) != size:
+                complaints.append("torn: events are read twice, or not at all")
+            report = verify(path)
         except FsarLedgerError as error:
             return 0, [f"torn: a reader is told {error}"]
         if not report.ok:
             complaints.append(f"torn: verify found {'; '.join(map(str, report.problems))}")
-        return view.head.commits, complaints
+        return size, complaints
 
     def finish(self, path: Path, state: str, where: object) -> None:
         """Continue without faults, and check that the ledger ends up as if nothing had happened.
@@ -231,14 +233,17 @@ class Laboratory:
             self.tally.note(f"torn: {self._finished[state]}", where)
 
     def _go_on(self, path: Path) -> str | None:
-        session = append_with(FaultyOs(path.parent.parent), path, COMMITS)
+        copy = path.with_name("going-on")
+        shutil.copytree(path, copy) if path.exists() else None
+        session = write_with(FaultyOs(path.parent.parent), copy)
         if session.error is not None:
             return f"the next writer is told {session.error}"
-        found = contents(path)
-        names = sorted(
-            name for name in found.keys() | self.reference.keys() if found.get(name) != self.reference.get(name)
-        )
-        return f"after going on other bytes are in {', '.join(names)}" if names else None
+        size, complaints = self._read(copy)
+        report = verify(copy)
+        shutil.rmtree(copy)
+        if complaints or report.remarks or size != len(ROWS):
+            return f"after going on {size} events are there; {complaints} {report.remarks}"
+        return None
 
     def trial(self, faults: Sequence[Fault], choices: Sequence[Choice] = ()) -> list[Session]:
         """Let each fault interrupt one process, each recovering from the one before; then let the power fail in each of

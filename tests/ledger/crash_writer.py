@@ -20,25 +20,19 @@ from types import TracebackType
 
 import msgspec
 
-from tests.ledger import chain_crowd, crowd
-from tests.ledger.chain_trials import STEPS, write_with
-from tests.ledger.crash_trials import INTERRUPTED, append_with, encode_all
+from tests.ledger import crowd
+from tests.ledger.crash_trials import STEPS, write_with
 from tests.ledger.faults import Fault, FaultyOs
 
 STUCK_AFTER_S = 120
-
-WRITE = {1: crowd.write, 2: chain_crowd.write}
-WATCH = {1: crowd.watch, 2: chain_crowd.watch}
-TRIAL = {1: (append_with, INTERRUPTED), 2: (write_with, len(STEPS))}
-"""What a writer, a reader, and the process of a trial do, by format version."""
 
 
 class Order(msgspec.Struct, frozen=True):
     """What the nursery does at a path: these writers append this many batches each, while this many readers watch.
 
     `kill_after_us` has a moment for each writer that is killed, counted from its start. With a fault, one process
-    appends the batches of the trials and is killed at that call. In format 2, a batch is a step of `chain_crowd`, and
-    the disk refuses each writer something so many times.
+    takes the steps of the trials and is killed at that call. A batch is a step of `crowd`. The disk refuses each writer
+    something so many times.
     """
 
     path: str
@@ -48,14 +42,13 @@ class Order(msgspec.Struct, frozen=True):
     kill_after_us: tuple[int, ...] = ()
     fault_at: int | None = None
     fault_kind: str = "killed"
-    version: int = 1
     refusals: int = 0
 
 
 class Outcome(msgspec.Struct, frozen=True):
     """The result: batches acknowledged by writer, processes killed, heads that readers saw, and what was wrong.
 
-    Of format 2 also how often something was refused, and each head that a reader saw, as its size and root.
+    Also how often something was refused, and each head that a reader saw, as its size and root.
     """
 
     acknowledged: dict[str, int]
@@ -91,15 +84,14 @@ def obey(order: Order) -> Outcome:
     listen, pipe = os.pipe()
     stop, stopper = os.pipe()
     readers = [
-        _child(partial(_watch_until, order.version, stopper, path, stop), f"reader {number}", pipe)
-        for number in range(order.readers)
+        _child(partial(_watch_until, stopper, path, stop), f"reader {number}", pipe) for number in range(order.readers)
     ]
     start = time.monotonic_ns()
     if order.fault_at is not None:
         fault = Fault(order.fault_at, order.fault_kind)
-        writers = [_child(partial(_fail, order.version, path, fault), "trial", pipe)]
+        writers = [_child(partial(_fail, path, fault), "trial", pipe)]
     else:
-        write = partial(chain_crowd.write_refused, order.refusals) if order.refusals else WRITE[order.version]
+        write = partial(crowd.write_refused, order.refusals) if order.refusals else crowd.write
         writers = [_child(partial(write, path, name, order.batches), name, pipe) for name in order.writers]
     os.close(pipe)
     os.close(stop)
@@ -124,15 +116,14 @@ def obey(order: Order) -> Outcome:
     )
 
 
-def _watch_until(version: int, stopper: int, path: Path, stop: int, say: Callable[[str, object], None]) -> None:
+def _watch_until(stopper: int, path: Path, stop: int, say: Callable[[str, object], None]) -> None:
     os.close(stopper)
-    WATCH[version](path, stop, say)
+    crowd.watch(path, stop, say)
 
 
-def _fail(version: int, path: Path, fault: Fault, say: Callable[[str, object], None]) -> None:
-    work, steps = TRIAL[version]
+def _fail(path: Path, fault: Fault, say: Callable[[str, object], None]) -> None:
     faulty = FaultyOs(path.parent.parent, fault, really_kills=True)
-    work(faulty, path, steps, lambda count: say("acknowledged", count))
+    write_with(faulty, path, len(STEPS), lambda count: say("acknowledged", count))
 
 
 def _gather(listen: int, writers: list[int], stopper: int, readers: list[int]) -> tuple[bytes, list[int]]:
@@ -191,7 +182,6 @@ class Nursery:
 
 
 if __name__ == "__main__":
-    encode_all()  # once here, not again in each child
     for line in sys.stdin.buffer:
         sys.stdout.buffer.write(msgspec.json.encode(obey(msgspec.json.decode(line, type=Order))) + b"\n")
         sys.stdout.buffer.flush()

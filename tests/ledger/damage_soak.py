@@ -1,9 +1,9 @@
 """Try every single-bit flip and every length of every file of a ledger, and files in each other's place: `python -m
-tests.ledger.damage_soak [FORMAT [STEP]]`, by default of both formats.
+tests.ledger.damage_soak [STEP]`.
 
-Each damage is made alone. `verify` looks at the whole ledger, and must find it and name the file. Of ledgers of format
-2, one was closed, one left open, one left open with a journal that was handed over, and one cut short within an append:
-in all but the first, a damage may pass for one that a crash leaves, by the rule in `chain_damage`. With a STEP, only
+Each damage is made alone. `verify` looks at the whole ledger, and must find it and name the file. One ledger was
+closed, one left open, one left open with a journal that was handed over, and one cut short within an append: in all but
+the first, a damage may pass for one that a crash leaves, by the rule in `damage`. With a STEP, only
 every so many bytes of segments are tried. Unchanged segments are decoded only once. Prints counts by kind of file;
 exits with 1 if a damage is not found or not placed.
 """
@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from itertools import combinations
 from multiprocessing import get_context
@@ -25,13 +25,21 @@ from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.chain_damage import LEDGERS, Allowance, chain_cases, look, write_closed
-from tests.ledger.damage import SIGNER, Case, cases, files_of, flips, is_placed, kind_of, write_ledger
-from tests.ledger.forgery import examined_once
+from tests.ledger.damage import (
+    LEDGERS,
+    SIGNER,
+    Allowance,
+    Case,
+    cases,
+    files_of,
+    flips,
+    is_placed,
+    kind_of,
+    look,
+    write_closed,
+)
 from tests.ledger.once import decoded_once
 
-SIZES = (280, 20)
-SWAPPED_SIZES = (130, 130, 20, 20)
 CHUNK = 512
 """Bytes of a file that one task flips."""
 
@@ -71,13 +79,12 @@ def try_all(place: tuple[str, str], part: Sequence[Task]) -> list[Tally]:
     folder, ledger = place
     with tempfile.TemporaryDirectory(dir=folder) as mine:
         path = Path(shutil.copytree(ledger, Path(mine) / "ledger"))
-        is_chained = (path / "chain.jsonl").exists()
-        with decoded_once() if is_chained else examined_once(path):
-            allowance = Allowance(path) if is_chained else None
-            return [_try(path, task, Path(ledger).name if is_chained else "", allowance) for task in part]
+        with decoded_once():
+            allowance = Allowance(path)
+            return [_try(path, task, Path(ledger).name, allowance) for task in part]
 
 
-def _try(path: Path, task: Task, label: str, allowance: Allowance | None) -> Tally:
+def _try(path: Path, task: Task, label: str, allowance: Allowance) -> Tally:
     file = path / task.name
     good = file.read_bytes()
     counts = Counter[str]()
@@ -85,16 +92,12 @@ def _try(path: Path, task: Task, label: str, allowance: Allowance | None) -> Tal
     for at in task.at:
         for data in [good[:at]] if task.is_cut else flips(good, at, at + 1):
             file.write_bytes(data)
-            if allowance is not None:
-                found = look(path, allowance, task.name, at, is_cut=task.is_cut)
-            else:
-                report = verify(path)
-                found = "placed" if is_placed(report, {task.name}) else "missed" if report.ok else "found"
+            found = look(path, allowance, task.name, at, is_cut=task.is_cut)
             counts[found] += 1
             if found in ("missed", "found") and not missed:
                 missed = f"{task}, byte {at}: {verify(path).problems[:3]}"
     file.write_bytes(good)
-    kind = f"{label}{': ' * bool(label)}{kind_of(task.name)}: {'lengths' if task.is_cut else 'bits'}"
+    kind = f"{label}: {kind_of(task.name)}: {'lengths' if task.is_cut else 'bits'}"
     return Tally(kind, counts.total(), counts["found"] + counts["placed"], counts["placed"], counts["left"], missed)
 
 
@@ -109,23 +112,13 @@ def _tried(kind: str, case: Case, path: Path, asked: Asked | None = None, expect
 def try_places(folder: Path) -> Iterator[Tally]:
     """Remove, replace, exchange, replay and add every file; drop every tail, with each later checkpoint as anchor."""
     path = folder / "swapped" / "ledger"
-    write_ledger(path, SWAPPED_SIZES, folder / "snapshots")
-    with examined_once(path):
-        yield from _places(folder, path, cases, range(1, len(SWAPPED_SIZES) + 1))
-
-
-def try_chain_places(folder: Path) -> Iterator[Tally]:
-    """Do the same to a ledger of format 2."""
-    path = folder / "swapped" / "ledger"
     write_closed(path, folder / "snapshots")
     with decoded_once():
-        yield from _places(folder, path, chain_cases, range(len(os.listdir(folder / "snapshots"))))
+        yield from _places(folder, path, range(len(os.listdir(folder / "snapshots"))))
 
 
-def _places(
-    folder: Path, path: Path, damages: Callable[[Path], Iterator[Case]], snapshots: Sequence[int]
-) -> Iterator[Tally]:
-    for case in list(damages(path)):
+def _places(folder: Path, path: Path, snapshots: Sequence[int]) -> Iterator[Tally]:
+    for case in list(cases(path)):
         yield _tried("files removed, replaced, exchanged, replayed, added", case, path)
         shutil.rmtree(folder / "swapped")
         shutil.copytree(folder / "snapshots" / str(snapshots[-1]), path)
@@ -140,16 +133,13 @@ def _places(
             yield _tried("tails dropped from all files, with an anchor", case, ledger, asked, "the newest were removed")
 
 
-def tallies_of(place: str, version: int, step: int) -> Iterator[Tally]:
-    """Try every damage to ledgers of this format."""
-    folder = Path(place) / str(version)
-    folder.mkdir()
-    yield from (try_places, try_chain_places)[version - 1](folder)
-    ledgers = ["ledger"] if version == 1 else list(LEDGERS)
-    for name in ledgers:
+def tallies_of(folder: Path, step: int) -> Iterator[Tally]:
+    """Try every damage."""
+    yield from try_places(folder)
+    for name, write in LEDGERS.items():
         path = folder / "whole" / name
         path.parent.mkdir(exist_ok=True)
-        write_ledger(path, SIZES) if version == 1 else LEDGERS[name](path)
+        write(path)
         assert verify(path).ok
         every = list(tasks(path, step))
         parts = [every[at::64] for at in range(64)]
@@ -163,29 +153,26 @@ def tallies_of(place: str, version: int, step: int) -> Iterator[Tally]:
 
 def main(arguments: list[str]) -> int:
     """Try and count every damage; return 0 if each was found and placed."""
-    formats, step = [*arguments, *("12", "1")[len(arguments) :]]
-    is_right = True
-    for version in map(int, formats):
-        began = time.monotonic()
-        with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as place:
-            tallies = list(tallies_of(place, version, int(step)))
-        counts: dict[str, Counter[str]] = {}
-        for tally in tallies:
-            counts.setdefault(tally.kind, Counter()).update(
-                tried=tally.tried, found=tally.found, placed=tally.placed, left=tally.left
-            )
-        print(f"{f'format {version}: damage':58}{'tried':>9}{'found':>9}{'placed':>9}{'left':>9}")
-        for kind, count in sorted(counts.items()):
-            print(f"{kind:58}{count['tried']:9,}{count['found']:9,}{count['placed']:9,}{count['left']:9,}")
-        print("\n".join([tally.missed for tally in tallies if tally.missed][:10]))
-        total = sum((count for count in counts.values()), Counter())
-        print(
-            f"format {version}: {total['tried']:,} damages, {total['found']:,} found, {total['placed']:,} placed, "
-            f"{total['left']:,} left as a crash leaves them; {time.monotonic() - began:.0f} s",
-            flush=True,
+    step = int(arguments[0]) if arguments else 1
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as place:
+        tallies = list(tallies_of(Path(place), step))
+    counts: dict[str, Counter[str]] = {}
+    for tally in tallies:
+        counts.setdefault(tally.kind, Counter()).update(
+            tried=tally.tried, found=tally.found, placed=tally.placed, left=tally.left
         )
-        is_right = is_right and total["tried"] - total["left"] == total["found"] == total["placed"] > 0
-    return 0 if is_right else 1
+    print(f"{'damage':58}{'tried':>9}{'found':>9}{'placed':>9}{'left':>9}")
+    for kind, count in sorted(counts.items()):
+        print(f"{kind:58}{count['tried']:9,}{count['found']:9,}{count['placed']:9,}{count['left']:9,}")
+    print("\n".join([tally.missed for tally in tallies if tally.missed][:10]))
+    total = sum((count for count in counts.values()), Counter())
+    print(
+        f"{total['tried']:,} damages, {total['found']:,} found, {total['placed']:,} placed, {total['left']:,} left as "
+        f"a crash leaves them; {time.monotonic() - began:.0f} s",
+        flush=True,
+    )
+    return 0 if total["tried"] - total["left"] == total["found"] == total["placed"] > 0 else 1
 
 
 if __name__ == "__main__":

@@ -52,8 +52,8 @@ NEED_ROOM = (*WRITES, "link", "rename", "replace", "mkdir", *SYNCS)
 """What a full disk refuses, apart from creating a file."""
 
 ONLY_READS = (
-    "fsar_ledger.ledger.store.walk",
-    *(f"fsar_ledger.ledger.verify.{name}" for name in ("verify", "walk", "derived", "notes", "segment", "chain")),
+    "fsar_ledger.ledger.store.segments",
+    *(f"fsar_ledger.ledger.verify.{name}" for name in ("verify", "notes", "segment", "chain")),
 )
 
 REFUSED = {"no-space": errno.ENOSPC, "io-error": errno.EIO, "quota": errno.EDQUOT}

@@ -10,9 +10,8 @@ from typing import NamedTuple
 from fsar_ledger.cli import app
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.envelope import Scenario
-from fsar_ledger.ledger.chain.append import ChainWriter
-from fsar_ledger.ledger.store.append import stage
-from fsar_ledger.ledger.writing import open_writer
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.ledger.damage import files_of, kind_of
 
@@ -36,11 +35,9 @@ VERBS: dict[str, tuple[str, ...]] = {
 
 SCENARIOS: tuple[Scenario, ...] = ("door-relay", "failure-recovery-chain", "fleet-contention")
 
-KINDS = {"segments": 75, "records": 12, "ledger.json": 5, "checkpoint": 5, "full tiles": 1, "partial tiles": 2}
-CHAIN_KINDS = {"segments": 50, "chain.jsonl": 15, "journal.jsonl": 20, "ledger.json": 4, "checkpoint": 4}
-CHAIN_KINDS |= {"index.jsonl": 5, "nodes": 2}
-"""Of a hundred flips, how many are in files of each kind, in ledgers of format 1 and of format 2. Most bytes that an
-answer depends on are in segments."""
+KINDS = {"segments": 50, "chain.jsonl": 15, "journal.jsonl": 20, "ledger.json": 4, "checkpoint": 4}
+KINDS |= {"index.jsonl": 5, "nodes": 2}
+"""Of a hundred flips, how many are in files of each kind. Most bytes that an answer depends on are in segments."""
 
 
 class Flip(NamedTuple):
@@ -59,22 +56,21 @@ class Answer(NamedTuple):
     file: bytes | None
 
 
-def write_runs(path: Path, version: int = 1) -> None:
-    """Write a ledger of three runs of each architecture, each in its own commit: mostly data, as in a large one.
+def write_runs(path: Path) -> None:
+    """Write a ledger of three runs of each architecture: mostly data, as in a large one.
 
-    In format 2, those of the last architecture are in the journal, and two segments were made one.
+    Those of the last architecture are in the journal, and two segments were made one.
     """
     batches = [
         [simulate_run(RunSpec(7, architecture, "full", scenario, 4, 0), Constants()) for scenario in SCENARIOS]
         for architecture in ARCHITECTURES
     ]
-    with open_writer(path, "example.org/flips", version=version) as writer:
-        for batch in batches[: -1 if version == 2 else None]:
+    with Writer(path, "example.org/flips") as writer:
+        for batch in batches[:-1]:
             writer.append(stage(path, batch))
-        if isinstance(writer, ChainWriter):
-            writer.compact()
-            for run in batches[-1]:
-                writer.add([run])
+        writer.compact()
+        for run in batches[-1]:
+            writer.add([run])
 
 
 def chosen(path: Path, count: int, seed: int, kinds: dict[str, int] = KINDS) -> Iterator[Flip]:

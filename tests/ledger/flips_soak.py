@@ -1,5 +1,5 @@
 """Flip single bits in all files of a ledger and run every command that answers from it: `python -m
-tests.ledger.flips_soak [COUNT [FORMAT]]`, by default of both formats.
+tests.ledger.flips_soak [COUNT]` (2,000).
 
 A command must refuse to answer, or give the answer of the undamaged ledger. Prints counts by kind of file and by
 command; exits with 1 if any answer is wrong.
@@ -21,10 +21,8 @@ from unittest.mock import patch
 import typer
 
 from tests.ledger.damage import kind_of
-from tests.ledger.flips import CHAIN_KINDS, KINDS, VERBS, Flip, chosen, outcomes, undamaged, write_runs
+from tests.ledger.flips import KINDS, VERBS, Flip, chosen, outcomes, undamaged, write_runs
 
-DEFAULTS = ("2000", "12")
-BY_FORMAT = {1: KINDS, 2: CHAIN_KINDS}
 PARTS = 4
 """Each part is tried on its own copy of the ledger."""
 
@@ -51,34 +49,32 @@ def try_part(ledger: Path, flips: list[Flip]) -> tuple[Tally, list[str]]:
     return tally, wrong
 
 
-def soak(count: int, version: int) -> bool:
-    """Try this many flips in a ledger of this format, and print the counts; return whether no answer was wrong."""
+def soak(count: int) -> bool:
+    """Try this many flips, and print the counts; return whether no answer was wrong."""
     began = time.monotonic()
     tally: Tally = Counter()
     wrong: list[str] = []
-    kinds = BY_FORMAT[version]
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_CACHE_HOME"] = f"{folder}/cache"
         ledger = Path(folder) / "ledger"
-        write_runs(ledger, version)
-        flips = list(chosen(ledger, count, 1, kinds))
+        write_runs(ledger)
+        flips = list(chosen(ledger, count, 1))
         parts = [flips[part::PARTS] for part in range(PARTS)]
         with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
             for counted, named in pool.map(try_part, repeat(ledger), parts):
                 tally += counted
                 wrong += named
                 print(
-                    f"{sum(tally[kind, outcome] for kind in kinds for outcome in OUTCOMES):,} answers, "
+                    f"{sum(tally[kind, outcome] for kind in KINDS for outcome in OUTCOMES):,} answers, "
                     f"{len(wrong):,} wrong",
                     flush=True,
                 )
-    for name in (*kinds, *VERBS):
+    for name in (*KINDS, *VERBS):
         print(f"{name:20}" + "".join(f"{tally[name, outcome]:9,} {outcome}" for outcome in OUTCOMES))
     print(*wrong, sep="\n", end="\n" if wrong else "")
     answers = sum(tally[verb, outcome] for verb in VERBS for outcome in OUTCOMES)
     print(
-        f"format {version}: {len(flips):,} flips, {answers:,} answers, {len(wrong):,} wrong, "
-        f"{time.monotonic() - began:.0f} s",
+        f"{len(flips):,} flips, {answers:,} answers, {len(wrong):,} wrong, {time.monotonic() - began:.0f} s",
         flush=True,
     )
     return not wrong and answers > 0
@@ -86,9 +82,7 @@ def soak(count: int, version: int) -> bool:
 
 def main(arguments: list[str]) -> int:
     """Return 0 if no answer was wrong, else 1."""
-    count, formats = [*arguments, *DEFAULTS[len(arguments) :]]
-    are_right = [soak(int(count), int(version)) for version in formats]
-    return 0 if all(are_right) else 1
+    return 0 if soak(int(arguments[0]) if arguments else 2000) else 1
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Keep a ledger of a release for ever: `python -m tests.ledger.keep_release 0.1.0`, once, when the release is made.
 
-This adds `tests/ledgers/VERSION/`: `ledger/`, and `chain/` with the same events in format 2, which later versions must
-open; `events.jsonl`, the event types as they are; `kept.json`, what the ledger is known to hold. If event types changed
-since the release before, it also adds the columns to the package. It never overwrites anything.
+This adds `tests/ledgers/VERSION/`: `ledger/`, which later versions must open; `events.jsonl`, the event types as they
+are; `kept.json`, what the ledger is known to hold. If event types changed since the release before, it also adds the
+columns to the package. It never overwrites anything.
 """
 
 import sys
@@ -13,13 +13,13 @@ import msgspec
 
 import fsar_ledger
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA, Field, StoredType, described
-from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import RunSpec, plan_record, simulate_run
 from tests.ledger.samples import run_of_every_type
@@ -64,20 +64,10 @@ def kept_runs() -> list[LedgerRun]:
 
 
 def write_ledger(path: Path) -> Kept:
-    """Write a small signed ledger."""
-    signer, runs = Signer(ORIGIN, SECRET), kept_runs()
-    with Writer(path, ORIGIN, signer) as writer:
-        for run in runs:
-            writer.append(stage(path, [run]))
-        head = writer.head
-    return Kept(head.commits, head.size, tuple(run.run_id for run in runs[1:]), head.root, str(signer.verifier))
-
-
-def write_chain(path: Path) -> None:
-    """Write the same events, signed, in format 2: a run that spans commits, compacted segments and a journal."""
+    """Write a small signed ledger: a run that spans commits, compacted segments and a journal."""
     *whole, cut, last = kept_runs()
-    half = len(cut.events) // 2
-    with ChainWriter(path, ORIGIN, Signer(ORIGIN, SECRET)) as writer:
+    half, signer = len(cut.events) // 2, Signer(ORIGIN, SECRET)
+    with Writer(path, ORIGIN, signer) as writer:
         for run in (*whole, piece(cut, 0, half)):
             writer.append(stage(path, [run]))
         writer.compact()
@@ -86,6 +76,9 @@ def write_chain(path: Path) -> None:
         writer.seal()
         for at in range(0, len(last.events), 50):
             writer.add([piece(last, at, at + 50)])
+        head = writer.head
+    names = tuple(run.run_id for run in (*whole[1:], cut, last))
+    return Kept(head.commits, head.size, names, head.root, str(signer.verifier))
 
 
 def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None:
@@ -107,7 +100,6 @@ def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None
             f"RELEASE to {version}"
         )
     kept = write_ledger(folder / "ledger")
-    write_chain(folder / "chain")
     lines = [msgspec.json.encode({tag: fields}) + b"\n" for tag, fields in stored_types(LAYOUTS.values()).items()]
     (folder / "events.jsonl").write_bytes(b"".join(lines))
     (folder / "kept.json").write_bytes(msgspec.json.format(msgspec.json.encode(kept)) + b"\n")

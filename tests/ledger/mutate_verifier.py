@@ -34,34 +34,24 @@ TESTS = tuple(
         "test_proof",
         "test_note",
         "test_weak_keys",
-        "test_agreement_structure",
+        "test_agreement_segments",
         "test_append",
         "test_append_refused",
         "test_evolution",
         "test_read",
         "test_recover",
         "test_recover_again",
-        "test_recover_beside",
-        "test_recover_damage",
-        "test_recover_refused",
         "test_refused_runs",
         "test_refused_commits",
         "test_unprintable",
+        "test_chain_torn",
+        "test_agreement_chain",
+        "test_agreement_soak",
+        "test_chain",
+        "test_chain_links",
+        "test_upgrade",
     )
 )
-CHAIN_TESTS = tuple(
-    f"tests/ledger/test_{name}.py"
-    for name in (
-        "chain_torn",
-        "agreement_chain",
-        "chain_damage",
-        "agreement_soak",
-        "chain",
-        "chain_links",
-        "recover_beside",
-    )
-)
-"""The tests of ledgers of format 2; no others are run without a check of format 2 alone."""
 SLOW = (
     "every_byte or even_where_a_forger or anything_in_a_field or workers_find or any_json or bomb or readers_would "
     "or killed or of_two_writers or however_runs_are_cut or of_each_release or eight_processes"
@@ -138,11 +128,6 @@ def _sources() -> dict[str, tuple[Path, ast.Module]]:
     return found
 
 
-def is_chain(path: Path) -> bool:
-    """Return whether this file has checks of format 2 alone."""
-    return f"{path.parent.name}/{path.name}".startswith(("chain/", "verify/chain", "rows/blocks.py"))
-
-
 def _survives(mutant: tuple[Path, ast.Module] | None) -> bool:
     """Return whether no test fails with this module in place of the package's own; None: with the package as it is."""
     return _passes(mutant, "-k", f"not ({SLOW})") and _passes(mutant, "-k", SLOW) and _passes(mutant, "-m", "slow")
@@ -194,8 +179,7 @@ def _run_tests(folder: str, mutant: tuple[Path, ast.Module] | None, which: Seque
             return code if loader.path == str(path) else own(loader, fullname)
 
         SourceFileLoader.get_code = get_code  # type: ignore[method-assign, assignment]
-    is_of_chain = mutant is not None and is_chain(mutant[0])
-    files = [test for test in (CHAIN_TESTS if is_of_chain else TESTS + CHAIN_TESTS) if Path(test).exists()]
+    files = [test for test in TESTS if Path(test).exists()]
     os._exit(
         int(
             pytest.main(

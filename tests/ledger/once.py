@@ -1,4 +1,4 @@
-"""A quick way to verify many damaged copies of one ledger of format 2: what is the same is decoded only once."""
+"""A quick way to verify many damaged copies of one ledger: what is the same is decoded only once."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,10 +9,10 @@ from unittest.mock import patch
 import msgspec
 
 from fsar_ledger.ledger.chain import read
+from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.record import sha256_hex
-from fsar_ledger.ledger.store.walk import find_segment
+from fsar_ledger.ledger.store.segments import find_segment
 from fsar_ledger.ledger.verify import chain
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify.segment import SegmentFacts
@@ -45,7 +45,7 @@ def _file(path: Path) -> str:
         return f"{path}: {error}"
 
 
-def _examined(ledger: str, number: int, record: Any, second_reader: object = None, names: Any = None) -> object:
+def _examined(ledger: str, number: int, record: Any, names: Any, second_reader: object = None) -> object:
     file = find_segment(Path(ledger), number, record, names).file
     return number, record, names, second_reader, _file(Path(ledger, file))
 
@@ -59,9 +59,9 @@ def decoded_once() -> Iterator[None]:
     """Make `verify` decode each segment, and the rows of each frame of a journal, only once, inside the block."""
     examine = once(verify_segment.examine, _examined)
 
-    def placed(ledger: str, number: int, record: Any, *rest: Any) -> SegmentFacts:
-        file = find_segment(Path(ledger), number, record, rest[-1]).file
-        facts: SegmentFacts = examine(ledger, number, record, *rest)
+    def placed(ledger: str, number: int, record: Any, names: Any, *rest: Any) -> SegmentFacts:
+        file = find_segment(Path(ledger), number, record, names).file
+        facts: SegmentFacts = examine(ledger, number, record, names, *rest)
         return msgspec.structs.replace(facts, file=file)
 
     def of_file(path: Path, columns: list[str] | None = None) -> object:

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fsar_ledger.ledger.opening import open_for_answers
-from tests.ledger.chain_crowd import judge
 from tests.ledger.crash_writer import Nursery, Order
-from tests.ledger.crowd import NAMES
+from tests.ledger.crowd import NAMES, judge
 
 ROUNDS, STEPS, REFUSALS = 8, 3, 4
 """How often the writers of one ledger begin, how many steps further each time, and what the disk refuses each."""
@@ -51,12 +50,12 @@ def trial(nursery: Nursery, path: Path, draw: random.Random) -> Tally:
     for again in range(1, ROUNDS + 2):
         refusals = REFUSALS if again % 4 == 2 else 0
         moments = tuple(draw.randrange(1, 250_000) for _ in writers) if again <= ROUNDS and not refusals else ()
-        order = Order(str(path), writers, again * STEPS, 2, moments, version=2, refusals=refusals)
+        order = Order(str(path), writers, again * STEPS, 2, moments, refusals=refusals)
         outcome = nursery(order)
         known = {name: max(count, outcome.acknowledged.get(name, 0)) for name, count in known.items()}
         seen |= set(outcome.seen)
         tally = tally.plus(Tally(outcome.killed, outcome.refused, 0, 0, (*outcome.wrong, *judge(path, known))))
-    held = {f"{commit.tree_size} {commit.tree_root}" for commit in open_for_answers(path).commits}  # type: ignore[attr-defined]
+    held = {f"{commit.tree_size} {commit.tree_root}" for commit in open_for_answers(path).commits}
     gone = seen - held - {f"0 {'e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855'}"}
     wrong = (f"{len(gone)} heads that readers saw are not in the ledger",) if gone else ()
     missing = tuple(f"{name} finished {count} steps" for name, count in known.items() if count != (ROUNDS + 1) * STEPS)

@@ -1,4 +1,4 @@
-"""Two verifiers that share no code agree on ledgers of format 2, good and damaged, and name the same first file."""
+"""Two verifiers that share no code agree on ledgers, good and damaged, and name the same first file."""
 
 import json
 import random
@@ -10,18 +10,19 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.held import HeldRuns
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.append import stage
-from fsar_ledger.ledger.upgrading import upgrade
+from fsar_ledger.ledger.store.staging import stage
+from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import ROOT
+from tests.ledger.keep_release import LEDGERS
 from tests.ledger.samples import ORIGIN, contents, made_up_run
-from tests.ledger.test_chain import KEPT, RUNS
+from tests.ledger.test_chain import RUNS
 from tests.quick import few
 
 SIGNER = Signer(ORIGIN, b"k" * 32)
@@ -42,7 +43,7 @@ def independent() -> Iterator[Any]:
 
 def write(path: Path) -> Path:
     """Write a ledger with two segments, of which the second ends within a run, and two commits in its journal."""
-    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+    with Writer(path, ORIGIN, SIGNER) as writer:
         writer.append(stage(path, RUNS[:1]))
         writer.append(stage(path, [piece(RUNS[1], 0, 20)]))
         writer.add([piece(RUNS[1], 20, 25), piece(RUNS[2], 0, 5)])
@@ -54,19 +55,19 @@ def judged(independent: Any, path: Path) -> tuple[str | None, str | None]:
     """Return the first file that each verifier doubts, None where it doubts none."""
     problems = verify(path).problems
     try:
-        independent.verifier_of(path, None, None, TYPES).verify()
+        independent.Verifier(path, None, None, TYPES).verify()
     except independent.ProblemError as error:
         return (problems[0].where if problems else None), error.where
     return (problems[0].where if problems else None), None
 
 
 def _sealed(path: Path) -> None:
-    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+    with Writer(path, ORIGIN, SIGNER) as writer:
         writer.seal()
 
 
 def _compacted(path: Path) -> None:
-    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+    with Writer(path, ORIGIN, SIGNER) as writer:
         writer.compact()
         writer.add([piece(RUNS[1], 25, 30)])
 
@@ -82,14 +83,14 @@ def test_both_find_nothing_wrong_with_a_good_ledger(
     path = write(tmp_path / "ledger")
     change(path)
     assert judged(independent, path) == (None, None)
-    size, root, signature, _ = independent.verifier_of(path, None, None, TYPES).verify()
+    size, root, signature, _ = independent.Verifier(path, None, None, TYPES).verify()
     report = verify(path)
     assert (size, root, signature) == (report.events, report.root, report.signature)
 
 
 def test_both_find_nothing_wrong_with_an_empty_and_with_an_upgraded_ledger(independent: Any, tmp_path: Path) -> None:
-    ChainWriter(tmp_path / "empty", ORIGIN).close()
-    upgrade(KEPT[-1], tmp_path / "upgraded")
+    Writer(tmp_path / "empty", ORIGIN).close()
+    upgrade(LEDGERS / "0.8.1" / "ledger", tmp_path / "upgraded")
     for name in ("empty", "upgraded"):
         assert judged(independent, tmp_path / name) == (None, None)
 
@@ -119,12 +120,12 @@ def test_both_name_the_event_that_breaks_a_rule_across_commits(
 ) -> None:
     monkeypatch.setattr(HeldRuns, "refused", lambda *_: None)
     path, (pieces, event) = tmp_path / "ledger", FORGED[what]
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         for one in pieces:
             writer.append(stage(path, [one])) if how == "append" else writer.add([one])
     problem = verify(path).problems[0]
     with pytest.raises(independent.ProblemError) as caught:
-        independent.verifier_of(path, None, None, TYPES).verify()
+        independent.Verifier(path, None, None, TYPES).verify()
     theirs = caught.value
     assert problem.where == theirs.where
     assert (problem.commit, problem.run, problem.seq) == (theirs.commit, theirs.run, theirs.seq)

@@ -1,8 +1,6 @@
-import errno
-import fcntl
 import os
 import pickle
-import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
@@ -10,20 +8,19 @@ import pytest
 
 from fsar_ledger.errors import (
     LedgerCorrupted,
-    SequenceConflict,
     WriteFailed,
 )
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import encode_hashed
-from fsar_ledger.ledger.store import append
-from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.paths import segment_path
-from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store import paths, prepare
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.forgery import changed, forge_segment, table_of
+from tests.ledger.forgery import changed, forge_segment, segment_at, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
 BATCHES = made_up_batches(4)
@@ -34,12 +31,21 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "out" / "ledger"
 
 
+def test_a_batch_staged_again_after_its_commit_is_cleaned_up(path: Path) -> None:
+    append_all(path, BATCHES)
+    before = contents(path)
+    stage(path, BATCHES[1])
+    assert contents(path) != before
+    Writer(path, ORIGIN).close()
+    assert contents(path) == before
+
+
 def test_a_new_ledger_is_empty(path: Path) -> None:
     with Writer(path, ORIGIN) as writer:
         assert writer.head == EMPTY_HEAD
     assert open_ledger(path).head == EMPTY_HEAD
     assert EMPTY_HEAD.root == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
-    assert contents(path) == {"ledger.json": b'{"format":"fsar-ledger","origin":"example.org/fsar-test","version":1}'}
+    assert contents(path) == {"ledger.json": b'{"format":"fsar-ledger","origin":"example.org/fsar-test","version":2}'}
     assert verify(path).ok
 
 
@@ -48,9 +54,9 @@ def test_what_was_appended_is_read_back_in_order(path: Path) -> None:
     view = open_ledger(path)
     assert list(view.runs()) == [run for batch in BATCHES for run in batch]
     assert view.head == head
-    assert (head.commits, head.size, head.last_run) == (4, 4 * 2 * 12, BATCHES[-1][-1].run_id)
+    assert (head.commits, head.size) == (4, 4 * 2 * 12)
     assert [table.num_rows for table in view.tables(["seq"])] == [24] * 4
-    assert [file.name for file in view.segments()] == [f"{number:012d}.parquet" for number in range(4)]
+    assert [file.name for file in view.segments()] == [f"{at:012d}-{at + 24:012d}.parquet" for at in range(0, 96, 24)]
 
 
 def test_the_root_is_that_of_all_leaves(path: Path) -> None:
@@ -61,15 +67,13 @@ def test_the_root_is_that_of_all_leaves(path: Path) -> None:
 
 def test_a_record_says_what_was_committed(path: Path) -> None:
     append_all(path, BATCHES)
-    record = open_ledger(path).records[2]
-    files = contents(path)
-    assert (record.number, record.rows, record.first_run, record.last_run) == (2, 24, "run-0004", "run-0005")
-    assert record.segment_bytes == len(files["segments/000000000002.parquet"])
-    assert files["commits/000000000002.json"] == canonical.document(record)
-    origin, size, root, empty, rest = record.note.split("\n")
-    assert (origin, size, empty, rest) == (ORIGIN, "72", "", "")
-    assert record.note == str(Note(checkpoint_of(ORIGIN, record.tree())))
-    assert len(root) == 44
+    view, files = open_ledger(path), contents(path)
+    commit, placement = view.commits[2], view.chain.placements[2]
+    assert (commit.number, commit.rows, commit.tree_size) == (2, 24, 72)
+    assert (placement.number, placement.rows, placement.first) == (2, 24, 48)
+    assert placement.segment_bytes == len(files["segments/000000000048-000000000072.parquet"])
+    assert files["chain.jsonl"].splitlines()[4:6] == [canonical.document(commit), canonical.document(placement)]
+    assert str(commit.note(ORIGIN)) == str(Note(checkpoint_of(ORIGIN, placement.tree())))
 
 
 def test_a_ledger_written_in_parts_is_the_same_bytes(path: Path, tmp_path: Path) -> None:
@@ -106,61 +110,6 @@ def test_of_two_writers_one_wins_the_number_and_the_other_goes_on_from_it_with_w
     assert verify(path).ok
 
 
-def _without_locks(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(_handle: int, _operation: int) -> None:
-        raise OSError(errno.ENOLCK, "no locks available")
-
-    monkeypatch.setattr(fcntl, "flock", refused)
-
-
-@pytest.mark.parametrize("times", [1, 3])
-def test_without_locks_a_number_that_another_writer_takes_meanwhile_is_left_to_it(
-    path: Path, monkeypatch: pytest.MonkeyPatch, times: int
-) -> None:
-    _without_locks(monkeypatch)
-    link = os.link
-    taken = iter(BATCHES[:times])
-    with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
-
-        def link_late(source: Path, target: Path) -> None:
-            monkeypatch.setattr(os, "link", link)
-            if (batch := next(taken, None)) is not None:
-                two.append(stage(path, batch))
-                monkeypatch.setattr(os, "link", link_late)
-            link(source, target)
-
-        staged = stage(path, BATCHES[3])
-        monkeypatch.setattr(os, "link", link_late)
-        assert one.append(staged).commits == times + 1
-    assert list(open_ledger(path).runs()) == [run for batch in (*BATCHES[:times], BATCHES[3]) for run in batch]
-    assert verify(path).ok
-
-
-def test_without_locks_a_writer_that_is_never_quick_enough_is_told(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _without_locks(monkeypatch)
-    monkeypatch.setattr(append, "_TRIES", 2)
-    link = os.link
-    taken = iter(BATCHES)
-    with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
-        staged = stage(path, BATCHES[3])
-
-        def link_late(source: Path, target: Path) -> None:
-            monkeypatch.setattr(os, "link", link)
-            two.append(stage(path, next(taken)))
-            monkeypatch.setattr(os, "link", link_late)
-            link(source, target)
-
-        monkeypatch.setattr(os, "link", link_late)
-        with pytest.raises(
-            SequenceConflict,
-            match=r"000000000001\.json: found a commit of another writer, expected number 1 to be free",
-        ):
-            one.append(staged)
-        monkeypatch.setattr(os, "link", link)
-        assert one.append(staged).commits == 3
-    assert verify(path).ok
-
-
 def test_two_writers_with_the_same_batch_commit_it_once(path: Path) -> None:
     with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
         staged = stage(path, BATCHES[0])
@@ -184,6 +133,28 @@ def test_a_writer_that_lags_behind_with_the_same_batches_takes_nothing_back(path
     assert verify(path).ok
 
 
+@pytest.mark.parametrize("moment", ["looks whether something else is there", "gives the manifest its name"])
+def test_of_two_processes_that_create_a_ledger_the_slower_one_opens_it(
+    path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    path.mkdir(parents=True)
+
+    def after_the_quicker_one(step: Callable[..., object]) -> Callable[..., object]:
+        def late(*arguments: object) -> object:
+            monkeypatch.undo()
+            append_all(path, BATCHES[:1])
+            return step(*arguments)
+
+        return late
+
+    if moment == "gives the manifest its name":
+        monkeypatch.setattr(os, "link", after_the_quicker_one(os.link))
+    else:
+        monkeypatch.setattr(prepare, "is_unfinished", after_the_quicker_one(paths.is_unfinished))
+    with Writer(path, ORIGIN) as writer:
+        assert writer.head.commits == 1
+
+
 def test_a_second_writer_leaves_the_staging_of_the_first_alone(path: Path) -> None:
     with Writer(path, ORIGIN) as one:
         staged = stage(path, BATCHES[0])
@@ -204,8 +175,8 @@ def test_a_lone_writer_removes_leftovers_from_staging(path: Path) -> None:
 def test_a_committed_segment_still_in_staging_is_read_there_and_moved_by_the_next_writer(path: Path) -> None:
     append_all(path, BATCHES[:2])
     before = contents(path)
-    record = open_ledger(path).records[1]
-    (path / "segments" / "000000000001.parquet").rename(path / "staging" / f"{record.segment_sha256}.parquet")
+    placement = open_ledger(path).chain.placements[1]
+    segment_at(path, 1).rename(path / "staging" / f"{placement.segment_sha256}.parquet")
     view = open_ledger(path)
     assert view.segment(1).parent.name == "staging"
     assert list(view.runs()) == [run for batch in BATCHES[:2] for run in batch]
@@ -217,11 +188,9 @@ def test_a_committed_segment_still_in_staging_is_read_there_and_moved_by_the_nex
 def _one_commit_behind(path: Path) -> None:
     """Leave what a crash leaves between the third commit and its derived files."""
     append_all(path, BATCHES[:2])
-    derived = {name: data for name, data in contents(path).items() if name == "checkpoint" or name.startswith("tile/")}
+    derived = {name: data for name, data in contents(path).items() if name in ("checkpoint", "nodes", "index.jsonl")}
     append_all(path, BATCHES[2:3])
-    shutil.rmtree(path / "tile")
     for name, data in derived.items():
-        (path / name).parent.mkdir(parents=True, exist_ok=True)
         (path / name).write_bytes(data)
 
 
@@ -235,13 +204,13 @@ def test_a_writer_one_commit_behind_goes_on_to_the_same_bytes(path: Path, tmp_pa
 
 def test_a_writer_derives_nothing_from_a_segment_that_was_altered_since_its_commit(path: Path) -> None:
     _one_commit_behind(path)
-    data = bytearray(segment_path(path, 2).read_bytes())
+    data = bytearray(segment_at(path, 2).read_bytes())
     data[len(data) // 2] ^= 1
-    segment_path(path, 2).write_bytes(data)
+    segment_at(path, 2).write_bytes(data)
     before = contents(path)
     with pytest.raises(
         LedgerCorrupted,
-        match=r"000000000002\.parquet: commit 2, field segment_sha256: found SHA-256 .* says; restore the file",
+        match=r"000000000072\.parquet: commit 2, field segment_sha256: found SHA-256 .* says; restore the file",
     ):
         Writer(path, ORIGIN)
     assert contents(path) == before
@@ -253,7 +222,7 @@ def test_a_writer_derives_nothing_from_rows_that_do_not_lead_to_the_root_as_comm
     before = contents(path)
     with pytest.raises(
         LedgerCorrupted,
-        match=r"000000000002\.parquet: commit 2: found rows that lead to root .* run fsar-ledger verify",
+        match=r"000000000072\.parquet: found rows that lead to root .* run fsar-ledger verify",
     ):
         Writer(path, ORIGIN)
     assert contents(path) == before
@@ -263,8 +232,8 @@ def test_a_segment_that_moves_into_place_while_it_is_read_is_found_there(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     append_all(path, BATCHES[:1])
-    placed = path / "segments" / "000000000000.parquet"
-    staged = path / "staging" / f"{open_ledger(path).records[0].segment_sha256}.parquet"
+    placed = segment_at(path, 0)
+    staged = path / "staging" / f"{open_ledger(path).chain.placements[0].segment_sha256}.parquet"
     placed.rename(staged)
     read_table = segment.read_table
 

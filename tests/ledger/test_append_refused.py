@@ -4,7 +4,6 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-import msgspec
 import pyarrow as pa
 import pytest
 
@@ -16,13 +15,14 @@ from fsar_ledger.errors import (
     UsageError,
     WriteFailed,
 )
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import canonical, segment
-from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.paths import commit_path
-from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import Manifest, sha256_hex
+from fsar_ledger.ledger.store.manifest import Manifest
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import EMPTY_HEAD
 from fsar_ledger.ledger.verify.verify import verify
+from tests.ledger.forgery import forge_segment, segment_at
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_append import BATCHES
 
@@ -69,8 +69,8 @@ def test_what_is_not_a_ledger_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "full" / "photo.jpg").write_text("mine")
     (tmp_path / "json").mkdir()
     (tmp_path / "json" / "ledger.json").write_text('{"accounts":[]}')
-    (tmp_path / "almost" / "commits").mkdir(parents=True)
-    (tmp_path / "almost" / "commits" / "000000000000.json").write_text("{}")
+    (tmp_path / "almost" / "segments").mkdir(parents=True)
+    (tmp_path / "almost" / "segments" / "x.parquet").write_text("{}")
     before = contents(tmp_path)
     for name in ("file", "full", "json", "almost"):
         with pytest.raises(NotALedger, match="expected"):
@@ -80,7 +80,7 @@ def test_what_is_not_a_ledger_is_left_alone(tmp_path: Path) -> None:
 
 def test_an_empty_folder_or_a_half_made_ledger_becomes_one(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
-    (tmp_path / "half" / "commits").mkdir(parents=True)
+    (tmp_path / "half" / "segments").mkdir(parents=True)
     (tmp_path / "half" / "staging").mkdir()
     (tmp_path / "half" / "staging" / "ledger.json.17.tmp").write_text("{")
     for name in ("empty", "half"):
@@ -90,13 +90,13 @@ def test_an_empty_folder_or_a_half_made_ledger_becomes_one(tmp_path: Path) -> No
 
 
 def test_what_an_interrupted_creation_left_is_no_damage(tmp_path: Path) -> None:
-    (tmp_path / "half" / "commits").mkdir(parents=True)
+    (tmp_path / "half" / "segments").mkdir(parents=True)
     for look in (verify, open_ledger):
         with pytest.raises(NotALedger, match="creation was interrupted before anything was in it"):
             look(tmp_path / "half")
 
 
-@pytest.mark.parametrize("place", ["another", "commits/another", "tile/0/another"])
+@pytest.mark.parametrize("place", ["another", "segments/another", "tile/0/another"])
 def test_no_ledger_is_created_inside_another(path: Path, place: str) -> None:
     append_all(path, BATCHES[:1])
     before = contents(path)
@@ -113,9 +113,9 @@ def test_a_ledger_of_another_origin_is_not_appended_to(path: Path) -> None:
 
 def test_a_ledger_of_another_format_version_is_not_read(path: Path) -> None:
     append_all(path, BATCHES[:1])
-    (path / "ledger.json").write_bytes(canonical.document(Manifest("fsar-ledger", ORIGIN, 2)))
+    (path / "ledger.json").write_bytes(canonical.document(Manifest("fsar-ledger", ORIGIN, 3)))
     for opens in (lambda: Writer(path, ORIGIN), lambda: open_ledger(path)):
-        with pytest.raises(FormatVersionMismatch, match="found format version 2, expected 1"):
+        with pytest.raises(FormatVersionMismatch, match="found format version 3, expected 2"):
             opens()
 
 
@@ -128,59 +128,45 @@ def test_a_path_without_a_ledger_is_not_opened(tmp_path: Path) -> None:
 
 def test_a_missing_or_shortened_segment_is_named(path: Path) -> None:
     append_all(path, BATCHES)
-    file = path / "segments" / "000000000001.parquet"
+    file = segment_at(path, 1)
     data = file.read_bytes()
     file.write_bytes(data[:-1])
     with pytest.raises(
-        LedgerCorrupted, match=r"000000000001\.parquet: commit 1, field segment_bytes: found \d+ bytes, expected"
+        LedgerCorrupted, match=r"000000000048\.parquet: commit 1, field segment_bytes: found \d+ bytes, expected"
     ):
         open_ledger(path).segments()
     file.unlink()
     for opens in (lambda: list(open_ledger(path).runs()), lambda: Writer(path, ORIGIN)):
         with pytest.raises(
-            LedgerCorrupted, match=r"000000000001\.parquet: commit 1, field segment_sha256: found no segment"
+            LedgerCorrupted, match=r"000000000048\.parquet: commit 1, field segment_sha256: found no segment"
         ):
             opens()
 
 
 def test_a_row_that_cannot_be_read_is_named_with_its_file(path: Path) -> None:
     append_all(path, BATCHES[:2])
-    file = path / "segments" / "000000000001.parquet"
+    file = segment_at(path, 1)
     table = segment.read_table(file)
     changed = table.set_column(4, table.schema.field(4), pa.array(["RobotFlew.v1"] * table.num_rows))
-    data = bytes(segment.to_parquet(changed))
-    file.write_bytes(data)
-    record = msgspec.structs.replace(
-        open_ledger(path).records[1], segment_sha256=sha256_hex(data), segment_bytes=len(data)
-    )
-    commit_path(path, 1).write_bytes(canonical.document(record))
+    forge_segment(path, 1, changed)
     with pytest.raises(
         UnknownEventTag,
-        match=r"000000000001\.parquet: commit 1: run run-0002, seq 0, field type: found 'RobotFlew\.v1'",
+        match=r"000000000048\.parquet: run run-0002, seq 0, field type: found 'RobotFlew\.v1'",
     ):
         list(open_ledger(path).runs())
 
 
-def test_a_missing_record_or_a_stray_file_among_them_is_named(path: Path) -> None:
-    append_all(path, BATCHES)
-    record = path / "commits" / "000000000001.json"
-    record.rename(path / "aside")
-    with pytest.raises(
-        LedgerCorrupted,
-        match=r"found number 3, expected numbers below 3, without gaps: commits/000000000001\.json is missing",
-    ):
-        open_ledger(path)
-    (path / "aside").rename(record)
-    (path / "commits" / "notes.txt").write_text("x")
-    with pytest.raises(LedgerCorrupted, match=r"commits/notes\.txt: found a stray file"):
-        open_ledger(path)
-
-
 def test_a_record_that_contradicts_the_chain_is_named(path: Path) -> None:
     append_all(path, BATCHES)
-    record = path / "commits" / "000000000001.json"
-    record.write_bytes(record.read_bytes().replace(b"run-0003", b"run-0009"))
-    with pytest.raises(LedgerCorrupted, match=r"000000000002\.json: commit 2, field previous_sha256"):
+    data = (path / "chain.jsonl").read_bytes()
+    (path / "chain.jsonl").write_bytes(data.replace(b'"release":"0', b'"release":"1', 1))
+    with pytest.raises(
+        FormatVersionMismatch, match=r"chain\.jsonl: commit 0, field release.*read it with fsar-ledger 1"
+    ):
+        open_ledger(path)
+    lines = data.splitlines(keepends=True)
+    (path / "chain.jsonl").write_bytes(b"".join([*lines[2:4], *lines[:2], *lines[4:]]))
+    with pytest.raises(LedgerCorrupted, match=r"chain\.jsonl: commit 0, field previous_sha256"):
         open_ledger(path)
 
 

@@ -120,7 +120,7 @@ def test_pages_have_bounds(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_page_and_the_independent_reader_name_the_bounds_of_the_package() -> None:
-    reader = independent().independent_parquet
+    reader = independent("independent_parquet")
     own = {name: value for name, value in vars(bounds).items() if name.startswith("MAX_")}
     own["MAX_FILE_BYTES"] = own.pop("MAX_SEGMENT_BYTES")
     shared = sorted(own.keys() & vars(reader).keys())

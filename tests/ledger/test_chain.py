@@ -1,4 +1,4 @@
-"""A ledger of format 2: the same events as in format 1, however they are cut, sealed, compacted or upgraded."""
+"""The same events, however they are cut, sealed, compacted or upgraded."""
 
 import multiprocessing
 import shutil
@@ -12,10 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.api.ledger import Ledger
-from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UsageError
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.errors import InvalidRun, LedgerCorrupted
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.places import place_of
+from fsar_ledger.ledger.chain.proof import check_proof, prove
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.log import pack
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, root_of_inclusion
@@ -24,21 +26,16 @@ from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.pieces import joined, piece
 from fsar_ledger.ledger.rows.runs import LedgerRun
-from fsar_ledger.ledger.store.append import stage
-from fsar_ledger.ledger.store.places import place_of
-from fsar_ledger.ledger.store.proof import check_proof, prove
-from fsar_ledger.ledger.store.view import RunNames, View
-from fsar_ledger.ledger.upgrading import upgrade
+from fsar_ledger.ledger.store.staging import stage
+from fsar_ledger.ledger.store.view import RunNames
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
-from fsar_ledger.ledger.writing import open_writer
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_run
 from tests.ledger.test_plan_rows import PLAN, of
 
 RUNS = [made_up_run(f"run-{number}", 30, number) for number in range(4)]
-KEPT = sorted((Path(__file__).parent.parent / "ledgers").glob("*/ledger"))
 SIGNER = Signer(ORIGIN, b"k" * 32)
 
 
@@ -53,7 +50,7 @@ def events_of(view: View) -> list[bytes]:
 def path(tmp_path: Path) -> Path:
     """Return a ledger with two segments and a journal."""
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+    with Writer(path, ORIGIN, SIGNER) as writer:
         writer.append(stage(path, RUNS[:1]))
         writer.append(stage(path, [piece(RUNS[1], 0, 20)]))
         writer.add([piece(RUNS[1], 20, 25), piece(RUNS[2], 0, 5)])
@@ -71,7 +68,7 @@ def test_however_runs_are_cut_sealed_and_compacted_rows_root_and_runs_are_the_sa
 ) -> None:
     path = tmp_path_factory.mktemp("cut") / "ledger"
     rows: list[LedgerRun] = []
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         for run in RUNS[:2]:
             at = 0
             while at < len(run.events):
@@ -85,8 +82,8 @@ def test_however_runs_are_cut_sealed_and_compacted_rows_root_and_runs_are_the_sa
                     writer.seal()
                 elif how == "compact":
                     writer.compact()
-    append_all(path.with_name("first-format"), [RUNS[:2]])
-    found, expected = open_for_answers(path), open_for_answers(path.with_name("first-format"))
+    append_all(path.with_name("whole"), [RUNS[:2]])
+    found, expected = open_for_answers(path), open_for_answers(path.with_name("whole"))
     assert (found.head.size, found.head.root) == (expected.head.size, expected.head.root)
     assert events_of(found) == events_of(expected)
     assert list(found.runs()) == list(expected.runs()) == RUNS[:2]
@@ -95,7 +92,7 @@ def test_however_runs_are_cut_sealed_and_compacted_rows_root_and_runs_are_the_sa
     events = [msgspec.json.decode(event) for event in events_of(found)]
     for index in range(0, len(events), 11):
         assert place_of(found, events[index]["run_id"], events[index]["seq"]) == index
-    assert isinstance(found, ChainView)
+    assert isinstance(found, View)
     assert all(found.chain.index_lines((path / INDEX).read_bytes() if found.chain.placed else b""))
     report = verify(path)
     assert (report.ok, report.problems, report.remarks, report.runs) == (True, (), (), 2)
@@ -121,48 +118,11 @@ def test_the_pack_gives_every_proof_of_every_tree_that_it_grew_through(sizes: li
         assert root_of_inclusion(leaves[index], index, tree.size, proof) == tree.root()
 
 
-def test_a_ledger_of_each_release_is_upgraded_with_its_root_rows_and_signatures(tmp_path: Path) -> None:
-    for number, old in enumerate(KEPT):
-        new = tmp_path / str(number)
-        head = upgrade(old, new)
-        before, after = open_for_answers(old), open_for_answers(new)
-        assert (head.root, head.commits) == (before.head.root, before.head.commits)
-        assert str(after.note()) == str(before.note())
-        assert [*after.tables()] == [*before.tables()]
-        report = verify(new, asked=Asked(anchor=read_anchor(old / "checkpoint")))
-        assert (report.ok, report.signed) == (True, before.head.commits)
-    assert len(KEPT) >= 7
-
-
-def test_an_interrupted_upgrade_goes_on_and_other_events_are_left_alone(tmp_path: Path) -> None:
-    append_all(tmp_path / "old", [[run] for run in RUNS])
-    done = 0
-
-    def stop(now: int, _: int) -> None:
-        nonlocal done
-        done = now
-        if now == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        upgrade(tmp_path / "old", tmp_path / "new", stop)
-    assert done == 2
-    assert upgrade(tmp_path / "old", tmp_path / "new").root == open_ledger(tmp_path / "old").head.root
-    before = contents(tmp_path / "new")
-    append_all(tmp_path / "other", [[RUNS[3]]])
-    with pytest.raises(UsageError, match="found a ledger of other events, expected a free path"):
-        upgrade(tmp_path / "other", tmp_path / "new")
-    with pytest.raises(UsageError, match="found a ledger of format 2, expected one of format 1"):
-        upgrade(tmp_path / "new", tmp_path / "newer")
-    assert contents(tmp_path / "new") == before
-    assert not (tmp_path / "newer").exists()
-
-
 def test_proofs_and_anchors_that_were_given_still_hold_after_sealing_and_compaction(path: Path) -> None:
     view = open_for_answers(path)
     proofs = [prove(view, index) for index in range(0, view.head.size, 7)]
     shutil.copy(path / "checkpoint", path.with_name("anchor"))
-    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+    with Writer(path, ORIGIN, SIGNER) as writer:
         assert writer.compact() == 3
         writer.add([piece(RUNS[1], 25, 30)])
     assert [file.name for file in (path / "segments").iterdir()] == ["000000000000-000000000085.parquet"]
@@ -219,7 +179,7 @@ def test_a_run_has_its_number_among_runs_and_a_plan_has_none(tmp_path: Path) -> 
     runs = [made_up_run(name, 12, number) for number, name in enumerate(names)]
     plan = of("a plan", PLAN)
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.append(stage(path, [piece(runs[0], 0, 6), piece(runs[1], 0, 6)]))
         writer.append(stage(path, [plan, piece(runs[0], 6, 12), runs[2]]))
         writer.add([piece(runs[1], 6, 12), runs[3]])
@@ -231,7 +191,7 @@ def test_a_run_has_its_number_among_runs_and_a_plan_has_none(tmp_path: Path) -> 
 
 def test_a_placement_with_another_line_of_the_index_than_the_rows_have_is_found(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         staged = stage(path, RUNS[:2])
         first, second = staged.blocks
         writer.append(msgspec.structs.replace(staged, blocks=(first, msgspec.structs.replace(second, rows=29))))
@@ -255,7 +215,7 @@ def test_a_question_about_one_run_reads_only_the_segments_that_hold_it(path: Pat
 
 def test_writers_take_turns_and_each_goes_on_from_what_the_other_added(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as one, ChainWriter(path, ORIGIN) as other:
+    with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as other:
         for at in range(0, 30, 10):
             one.add([piece(RUNS[0], at, at + 10)])
             other.append(stage(path, [piece(RUNS[1], at, at + 10)]))
@@ -267,7 +227,7 @@ def test_writers_take_turns_and_each_goes_on_from_what_the_other_added(tmp_path:
 
 
 def _add_runs(path: str, name: str, count: int) -> None:
-    with ChainWriter(Path(path), ORIGIN) as writer:
+    with Writer(Path(path), ORIGIN) as writer:
         for number in range(count):
             run = msgspec.structs.replace(RUNS[number % len(RUNS)], run_id=f"{name}-{number}")
             if number % 3:
@@ -280,7 +240,7 @@ def _add_runs(path: str, name: str, count: int) -> None:
 def test_eight_processes_that_append_at_once_all_finish_and_lose_nothing(tmp_path: Path) -> None:
     context = multiprocessing.get_context("fork")
     path = str(tmp_path / "ledger")
-    ChainWriter(Path(path), ORIGIN).close()
+    Writer(Path(path), ORIGIN).close()
     writers = [context.Process(target=_add_runs, args=(path, f"writer-{number}", 3)) for number in range(8)]
     for writer in writers:
         writer.start()
@@ -314,7 +274,7 @@ def test_events_that_do_not_continue_their_run_are_refused_and_nothing_changes(
     path: Path, pieces: Sequence[LedgerRun], found: str
 ) -> None:
     before = contents(path)
-    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+    with Writer(path, ORIGIN, SIGNER) as writer:
         with pytest.raises(InvalidRun) as refused:
             writer.add(pieces)
         assert found in str(refused.value)
@@ -329,16 +289,8 @@ def test_a_run_that_has_ended_is_never_continued(path: Path) -> None:
     longer = made_up_run("run-2", 40, 2)
     more = LedgerRun("run-2", longer.times_us[30:], longer.caused_by[30:], longer.events[30:], 30)
     later = msgspec.structs.replace(more, times_us=[60_000_000] * 10)
-    with ChainWriter(path, ORIGIN, SIGNER) as writer, pytest.raises(InvalidRun, match="a run that has ended"):
+    with Writer(path, ORIGIN, SIGNER) as writer, pytest.raises(InvalidRun, match="a run that has ended"):
         writer.add([later])
-
-
-def test_a_ledger_is_continued_in_its_own_format(tmp_path: Path, path: Path) -> None:
-    append_all(tmp_path / "first", [RUNS[:1]])
-    with pytest.raises(UsageError, match="found a ledger of format 1, expected 2; a ledger is continued"):
-        open_writer(tmp_path / "first", ORIGIN, version=2)
-    with open_writer(path, ORIGIN, SIGNER) as writer:
-        assert isinstance(writer, ChainWriter)
 
 
 # --- torn ends and damage ---
@@ -347,13 +299,13 @@ def test_a_ledger_is_continued_in_its_own_format(tmp_path: Path, path: Path) -> 
 def test_a_torn_end_of_the_journal_is_no_commit_and_the_next_writer_removes_it(path: Path) -> None:
     whole = open_for_answers(path)
     data = (path / JOURNAL).read_bytes()
-    (path / "checkpoint").write_text(str(whole.commits[2].note(ORIGIN)))  # type: ignore[attr-defined]
+    (path / "checkpoint").write_text(str(whole.commits[2].note(ORIGIN)))
     for cut in range(len(data) - 1, len(data) - 600, -97):
         (path / JOURNAL).write_bytes(data[:cut])
         view = open_for_answers(path)
         assert (view.head.commits, view.head.size) == (3, 60)
         assert verify(path).ok
-    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+    with Writer(path, ORIGIN, SIGNER) as writer:
         assert writer.head.size == 60
         writer.add([piece(RUNS[2], 5, 30)])
     assert open_for_answers(path).head.root == whole.head.root
@@ -372,7 +324,7 @@ def test_a_changed_byte_anywhere_is_found(path: Path, name: str) -> None:
 
 
 def test_a_reader_proves_every_event_while_the_pack_lacks_what_an_interrupted_append_leaves_out(path: Path) -> None:
-    with ChainWriter(path, ORIGIN, SIGNER) as writer:
+    with Writer(path, ORIGIN, SIGNER) as writer:
         writer.seal()
         before = (path / NODES).read_bytes()
         writer.append(stage(path, RUNS[3:]))

@@ -1,18 +1,18 @@
-"""A quick look at a ledger of format 2 believes an anchor only if the stored hashes prove that it just grew."""
+"""A quick look at a ledger believes an anchor only if the stored hashes prove that it just grew."""
 
 import shutil
 from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.paths import CHAIN, NODES
 from fsar_ledger.ledger.rows.pieces import piece
-from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
-from fsar_ledger.ledger.verify.trusted_prefix import FITS, NO_SEGMENT
+from fsar_ledger.ledger.verify.trusted import FITS, NO_SEGMENT
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import with_value
 from tests.ledger.agreement_chain import anchor_at, records_of, relink, rewrite, tables_of
@@ -25,7 +25,7 @@ THEN = 40
 
 def grown(path: Path, size: int) -> Path:
     """Make a ledger of three commits of so many events, each in its segment."""
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         for first in range(0, 3 * size, size):
             writer.append(stage(path, [piece(RUN, first, first + size)]))
     return path
@@ -35,7 +35,7 @@ def grown(path: Path, size: int) -> Path:
 def path(tmp_path: Path) -> Path:
     """A ledger of three commits, in one segment."""
     path = grown(tmp_path / "ledger", 40)
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         assert writer.compact() == 3
     return path
 
@@ -76,7 +76,7 @@ def test_hashes_that_are_missing_are_said_to_be_missing(path: Path, anchor: Anch
     (path / NODES).write_bytes(b"")
     report = looked(path, anchor)
     assert {problem.where for problem in report.problems} == {NODES}
-    assert "fsar-ledger recover" in report.problems[-1].expected
+    assert "fsar-ledger maintain recover" in report.problems[-1].expected
 
 
 # --- what recover says of an anchor ---
@@ -110,7 +110,7 @@ def test_recover_says_how_far_an_anchor_vouches_for_what_can_be_trusted(
 
 
 def test_recover_says_what_each_later_commit_shows_alone(damaged: Path) -> None:
-    with ChainWriter(damaged, ORIGIN) as writer:
+    with Writer(damaged, ORIGIN) as writer:
         writer.add([piece(made_up_run("run-1", 3, 2), 0, 3)])
     name = max(file.name for file in (damaged / "segments").iterdir())
     (of_segment, of_journal) = recover(damaged).later
@@ -121,7 +121,7 @@ def test_recover_says_what_each_later_commit_shows_alone(damaged: Path) -> None:
 
 def test_recover_says_that_another_history_vouches_for_nothing(damaged: Path, tmp_path: Path) -> None:
     other = tmp_path / "other"
-    with ChainWriter(other, ORIGIN) as writer:
+    with Writer(other, ORIGIN) as writer:
         writer.append(stage(other, [piece(made_up_run("run-1", 60, 2), 0, 60)]))
     for size in (50, 60):
         file = anchor_at(other, size, None, tmp_path / f"other-{size}")

@@ -1,4 +1,4 @@
-"""Whatever is in the files of a ledger of format 2, they are read in time and memory that grow with their size only."""
+"""Whatever is in the files of a ledger, they are read in time and memory that grow with their size only."""
 
 import random
 import tracemalloc
@@ -13,7 +13,7 @@ from fsar_ledger.ledger.chain import torn
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING
 from fsar_ledger.ledger.chain.record import Commit, parse_line
 from fsar_ledger.ledger.opening import open_for_answers
-from tests.ledger.chain_damage import write_handed_over
+from tests.ledger.damage import write_handed_over
 from tests.quick import few
 
 MIB = 1 << 20

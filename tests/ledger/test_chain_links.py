@@ -7,13 +7,13 @@ from unittest.mock import patch
 import msgspec
 import pytest
 
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.links import Chain, Followed, follow
 from fsar_ledger.ledger.chain.paths import CHAIN
+from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.pieces import piece
-from fsar_ledger.ledger.store.append import stage
-from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.ledger.store.staging import stage
 from tests.ledger.samples import ORIGIN, made_up_run
 
 START = "0" * 64
@@ -25,7 +25,7 @@ def lines(tmp_path_factory: pytest.TempPathFactory) -> list[Line]:
     """The records of five appends, of which the middle ones continue runs; none says what comes before."""
     runs = [made_up_run(f"run-{number}", 12, number) for number in range(3)]
     path = tmp_path_factory.mktemp("chain") / "ledger"
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         for parts in (
             [runs[0]],
             [piece(runs[1], 0, 5)],

@@ -1,4 +1,4 @@
-"""What no crash leaves of a ledger of format 2, what one may leave, and what a compaction takes from under a reader."""
+"""What no crash leaves of a ledger, what one may leave, and what a compaction takes from under a reader."""
 
 import shutil
 from pathlib import Path
@@ -6,17 +6,17 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.chain import SEALED
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.agreement_chain import records_of, relink
-from tests.ledger.chain_damage import RUNS, piece, write_open
-from tests.ledger.chain_trials import ChainLaboratory, write_with
+from tests.ledger.crash_trials import Laboratory, write_with
+from tests.ledger.damage import RUNS, piece, write_open
 from tests.ledger.faults import Fault, FaultyOs, calls_of, in_place_of_os
 from tests.ledger.power import choices
 from tests.ledger.samples import ORIGIN, contents
@@ -38,17 +38,17 @@ def flip(path: Path, name: str, after: bytes, bit: int = 1) -> None:
 
 @pytest.mark.parametrize("member", [b'"number":', b'"previous_sha256":"', b'"release":"0.', b'"rows":'])
 def test_a_record_of_the_journal_that_can_be_read_and_contradicts_was_not_torn(path: Path, member: bytes) -> None:
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.seal()
         writer.add([piece(1, 6, 8)])
-    (path / "checkpoint").write_text(str(open_for_answers(path).commits[-2].note(ORIGIN)))  # type: ignore[attr-defined]
+    (path / "checkpoint").write_text(str(open_for_answers(path).commits[-2].note(ORIGIN)))
     assert verify(path).ok
     flip(path, JOURNAL, member)
     before = contents(path)
     assert [problem.where for problem in verify(path).problems] == [JOURNAL]
     assert judged(Case("flipped", path, False)).difference == ""
     with pytest.raises(LedgerCorrupted, match=JOURNAL):
-        ChainWriter(path, ORIGIN)
+        Writer(path, ORIGIN)
     assert contents(path) == before
 
 
@@ -59,7 +59,7 @@ def test_a_flipped_number_does_not_make_a_journal_pass_for_sealed(path: Path) ->
 
 
 def test_a_line_of_the_chain_that_can_be_read_and_contradicts_was_not_torn(path: Path) -> None:
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.seal()
     lines = (path / CHAIN).read_bytes().splitlines(keepends=True)
     (path / CHAIN).write_bytes(b"".join([*lines[:-2], lines[-1]]))
@@ -75,7 +75,7 @@ def test_a_sealed_journal_that_cannot_be_removed_leaves_nothing_in_the_next_one(
     path = root / "ledger"
 
     def work() -> None:
-        with ChainWriter(path, ORIGIN) as writer:
+        with Writer(path, ORIGIN) as writer:
             writer.add([RUNS[1]])
             writer.seal()
             writer.add([piece(3, 0, 1)])
@@ -92,10 +92,10 @@ def test_a_sealed_journal_that_cannot_be_removed_leaves_nothing_in_the_next_one(
 
 @pytest.mark.parametrize("rubbish", [False, True])
 def test_sealing_may_be_interrupted_when_the_checkpoint_covers_the_journal_already(path: Path, rubbish: bool) -> None:
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.add([RUNS[0]])
     before = contents(path)
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.seal()
     sealed = contents(path)
     (path / JOURNAL).write_bytes(before[JOURNAL])
@@ -105,14 +105,14 @@ def test_sealing_may_be_interrupted_when_the_checkpoint_covers_the_journal_alrea
     report = verify(path)
     assert (report.problems, report.remarks) == ((), (SEALED,))
     assert judged(Case("sealed", path, True)).difference == ""
-    ChainWriter(path, ORIGIN).close()
+    Writer(path, ORIGIN).close()
     assert contents(path) == sealed
     assert verify(path).remarks == ()
 
 
 @pytest.mark.slow
 def test_a_checkpoint_outlives_no_power_failure_that_takes_the_files_before_it(tmp_path: Path) -> None:
-    laboratory = ChainLaboratory(tmp_path)
+    laboratory = Laboratory(tmp_path)
     root = tmp_path / "calls"
     root.mkdir()
     calls = calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger", 1))
@@ -122,7 +122,7 @@ def test_a_checkpoint_outlives_no_power_failure_that_takes_the_files_before_it(t
 
 
 def test_the_room_of_a_journal_that_could_not_be_synced_is_given_up(tmp_path: Path) -> None:
-    laboratory = ChainLaboratory(tmp_path)
+    laboratory = Laboratory(tmp_path)
     root = tmp_path / "calls"
     root.mkdir()
     calls = calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger"))
@@ -133,11 +133,11 @@ def test_the_room_of_a_journal_that_could_not_be_synced_is_given_up(tmp_path: Pa
 
 
 def test_a_reader_goes_on_reading_while_the_segments_are_compacted(path: Path) -> None:
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.seal()
         before, checked = open_for_answers(path), open_for_answers(path)
-        assert isinstance(before, ChainView)
-        assert isinstance(checked, ChainView)
+        assert isinstance(before, View)
+        assert isinstance(checked, View)
         there = checked.segments()
         assert writer.compact() == 2
     assert not any(segment.exists() for segment in there)
@@ -149,7 +149,7 @@ def test_a_reader_goes_on_reading_while_the_segments_are_compacted(path: Path) -
 
 
 def test_a_segment_that_no_compaction_took_is_missed(path: Path) -> None:
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.seal()
     view = open_for_answers(path)
     for segment in (path / "segments").iterdir():
@@ -160,7 +160,7 @@ def test_a_segment_that_no_compaction_took_is_missed(path: Path) -> None:
 
 @pytest.mark.parametrize("is_last", [False, True])
 def test_a_forged_frontier_is_found_by_verify_and_by_whoever_would_go_on_from_it(path: Path, is_last: bool) -> None:
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.seal()
         writer.append(stage(path, RUNS[3:]))
     records, frames = records_of(path)
@@ -174,4 +174,4 @@ def test_a_forged_frontier_is_found_by_verify_and_by_whoever_would_go_on_from_it
         with pytest.raises(LedgerCorrupted, match="frontier"):
             open_for_answers(path)
         with pytest.raises(LedgerCorrupted, match="frontier"):
-            ChainWriter(path, ORIGIN)
+            Writer(path, ORIGIN)

@@ -1,5 +1,5 @@
-"""Appends interrupted at any call, in any way, and the recovery from them; `python -m tests.ledger.crash_soak` tries
-all."""
+"""Writers interrupted at any call, in any way, and the recovery from them; several at once, killed and
+not; `python -m tests.ledger.crash_soak` tries all."""
 
 import errno
 import os
@@ -14,13 +14,14 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import FsarLedgerError, WriteFailed
-from fsar_ledger.ledger.store import append
-from fsar_ledger.ledger.store.append import Writer, stage
-from tests.ledger.crash_trials import BATCHES, COMMITS, INTERRUPTED, Laboratory, Session, append_with
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.store.staging import stage
+from tests.ledger.crash_trials import ROWS, RUNS, Laboratory, write_with
 from tests.ledger.crash_writer import Nursery, Order
-from tests.ledger.crowd import NAMES, judge
+from tests.ledger.crowd import NAMES, judge, part
 from tests.ledger.faults import KINDS, REFUSED, Fault, FaultyOs, calls_of, faults_at, one_fault_a_call
 from tests.ledger.power import choices
+from tests.ledger.readers_beside_soak import trial
 from tests.ledger.samples import ORIGIN, append_all, contents
 from tests.quick import few
 
@@ -32,10 +33,27 @@ def laboratory(tmp_path: Path) -> Laboratory:
 
 @pytest.fixture
 def calls(tmp_path: Path) -> list[str]:
-    """Return the calls of two appends to a new ledger."""
     root = tmp_path / "calls"
     root.mkdir()
-    return calls_of(root, lambda: append_with(FaultyOs(root), root / "out" / "ledger"))
+    return calls_of(root, lambda: write_with(FaultyOs(root), root / "out" / "ledger"))
+
+
+def test_without_faults_every_event_is_there(tmp_path: Path) -> None:
+    root = tmp_path / "calm"
+    root.mkdir()
+    assert write_with(FaultyOs(root), root / "out" / "ledger").acknowledged == len(ROWS)
+
+
+@pytest.mark.parametrize("step", few([7, 61], [61]))
+def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(
+    laboratory: Laboratory, calls: list[str], step: int
+) -> None:
+    for number, fault in enumerate(one_fault_a_call(calls)):
+        if number % step == 0:
+            laboratory.trial([fault], choices(number, 1)[number % 3 :: 3])
+    assert laboratory.tally.complaints == []
+    assert laboratory.tally.faults >= len(calls) // step
+    assert laboratory.tally.power_failures > len(calls) // step
 
 
 def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:
@@ -44,38 +62,11 @@ def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:
         errno.ENOSPC if fault.kind in ("disk-full", "short-write-no-space") else errno.EIO
     )
     message = str(error)
-    way_out = ("run it again", "run the same command again", "restore it")
+    way_out = ("run it again", "run the same command again", "restore it", "the next writer writes it")
     return message.startswith(str(path)) and os.strerror(code) in message and message.endswith(way_out)
 
 
-@pytest.mark.slow
-def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(
-    laboratory: Laboratory, calls: list[str]
-) -> None:
-    for number, fault in enumerate(one_fault_a_call(calls)):
-        (session,) = laboratory.trial([fault], choices(number, 1)[number % 3 :: 3])
-        assert session.was_killed == fault.ends_the_process
-    assert laboratory.tally.complaints == []
-    assert laboratory.tally.faults == len(calls)
-    assert laboratory.tally.power_failures > 2 * len(calls)
-
-
-@pytest.mark.slow
-def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory, calls: list[str]) -> None:
-    draw = random.Random(5)
-    faults = list(faults_at(calls))
-    for number in range(40):
-        first, second = (
-            draw.choice(faults),
-            Fault(draw.randrange(50), draw.choice(("killed", "io-error", "disk-full", "io-error-after"))),
-        )
-        laboratory.trial([first, second], choices(number, 1)[-1:])
-        laboratory.trial_after_power_failure(first, draw.choice(choices(number, 2)), second)
-    assert laboratory.tally.complaints == []
-    assert laboratory.tally.faults_in_recovery > 50
-
-
-@pytest.mark.parametrize("step", few([5, 11], [11]))
+@pytest.mark.parametrize("step", few([11, 301], [301]))
 def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[str], step: int) -> None:
     met = Counter[str]()
     for number, fault in enumerate(fault for fault in faults_at(calls) if not fault.ends_the_process):
@@ -83,24 +74,109 @@ def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[st
             continue
         root = tmp_path / str(number)
         root.mkdir()
-        session: Session = append_with(
-            FaultyOs(root, fault), root / "out" / "ledger"
-        )  # anything but our own errors escapes from it
+        session = write_with(FaultyOs(root, fault), root / "out" / "ledger")  # only our own errors may escape from it
         if session.error is not None:
             met[fault.kind] += 1
             assert says_what_to_do(session.error, fault, root), (fault, session.error)
         else:
-            assert session.acknowledged == INTERRUPTED
-    assert met.keys() == set(KINDS) - {"short-write", "killed", "killed-in-write"}
-    assert min(met.values()) >= 1
+            assert session.acknowledged == len(ROWS)
+    assert met
+    assert step > 11 or met.keys() == set(KINDS) - {"short-write", "killed", "killed-in-write"}
+
+
+@pytest.mark.slow
+def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory, calls: list[str]) -> None:
+    draw = random.Random(5)
+    faults = list(faults_at(calls))
+    for number in range(20):
+        first, second = (
+            draw.choice(faults),
+            Fault(draw.randrange(50), draw.choice(("killed", "io-error", "disk-full", "io-error-after"))),
+        )
+        laboratory.trial([first, second], choices(number, 1)[-1:])
+        laboratory.trial_after_power_failure(first, draw.choice(choices(number, 2)), second)
+    assert laboratory.tally.complaints == []
+    assert laboratory.tally.faults_in_recovery > 20
+
+
+@pytest.mark.slow
+def test_a_fault_at_any_call_of_the_recovery_loses_nothing(laboratory: Laboratory, calls: list[str]) -> None:
+    for at in range(0, len(calls), 121):
+        laboratory.trials_of_recovery(Fault(at, "killed"), ("killed", "io-error", "killed-in-write", "disk-full"))
+    assert laboratory.tally.complaints == []
+    assert laboratory.tally.faults_in_recovery > 25
+
+
+@pytest.mark.parametrize("step", few([47, 151], [151]))
+def test_a_process_really_killed_at_a_call_loses_nothing(
+    nursery: Nursery, laboratory: Laboratory, calls: list[str], tmp_path: Path, step: int
+) -> None:
+    for at in range(step // 2, len(calls), step):
+        path = tmp_path / f"killed-{at}" / "out" / "ledger"
+        path.parent.parent.mkdir()
+        outcome = nursery(Order(str(path), fault_at=at))
+        assert (outcome.killed, outcome.wrong) == (1, ())
+        laboratory.finish(path, laboratory.judge(path, outcome.acknowledged.get("trial", 0), at), at)
+    assert laboratory.tally.complaints == []
+
+
+@pytest.mark.parametrize(
+    ("writers", "steps"),
+    [(2, 4), pytest.param(4, 12, marks=pytest.mark.slow), pytest.param(8, 6, marks=pytest.mark.slow)],
+)
+def test_what_several_writers_do_at_once_is_there_once_and_readers_see_whole_commits(
+    nursery: Nursery, tmp_path: Path, writers: int, steps: int
+) -> None:
+    path = tmp_path / "ledger"
+    outcome = nursery(Order(str(path), NAMES[:writers], steps, readers=1))
+    assert outcome.wrong == ()
+    assert outcome.acknowledged == dict.fromkeys(NAMES[:writers], steps)
+    assert judge(path, outcome.acknowledged) == []
+    assert outcome.heads >= 1
+
+
+@pytest.mark.slow
+def test_processes_killed_at_random_moments_lose_nothing_and_stop_nobody(nursery: Nursery, tmp_path: Path) -> None:
+    moments, killed, path = random.Random(7), 0, tmp_path / "ledger"
+    for steps in range(2, 12, 2):  # the ledger is killed again and again while it grows
+        kill_after_us = tuple(moments.randrange(150_000) for _ in range(2))
+        outcome = nursery(Order(str(path), NAMES[:3], steps, kill_after_us=kill_after_us))
+        killed += outcome.killed
+        assert outcome.wrong == ()
+        assert judge(path, outcome.acknowledged) == []
+        assert outcome.acknowledged[NAMES[2]] == steps
+    assert killed > 2, "most processes had ended before they were killed; give them more to do"
+
+
+@pytest.mark.slow
+def test_readers_beside_killed_and_refused_writers_see_what_is_committed_once_and_for_ever(
+    nursery: Nursery, tmp_path: Path
+) -> None:
+    tally = trial(nursery, tmp_path / "ledger", random.Random(3))
+    assert tally.wrong == ()
+    assert min(tally.kills, tally.refusals, tally.seen) > 1
+
+
+def test_the_judge_of_the_crowd_sees_a_lost_step_and_one_out_of_order(tmp_path: Path) -> None:
+    with Writer(tmp_path / "lost", ORIGIN) as writer:
+        writer.add([part("anna", 0)])
+    assert judge(tmp_path / "lost", {"anna": 2}) == ["lost: 1 of 2 acknowledged steps of anna are there"]
+    with Writer(tmp_path / "swapped", ORIGIN) as writer:
+        writer.add([part("anna", 3)])
+        writer.add([part("anna", 0)])
+    assert judge(tmp_path / "swapped", {"anna": 1})[0] == "torn: commit 0 does not hold step 0 of anna"
+    assert judge(tmp_path / "nowhere", {"anna": 1}) == ["lost: the ledger is gone"]
+
+
+BATCHES = [[run] for run in RUNS]
 
 
 def test_a_write_that_the_disk_takes_in_parts_is_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write = os.write
     monkeypatch.setattr(os, "write", lambda handle, data: write(handle, bytes(data)[:1000]))
-    append_all(tmp_path / "parts", BATCHES[:1])
+    append_all(tmp_path / "parts", BATCHES[:2])
     monkeypatch.undo()
-    append_all(tmp_path / "whole", BATCHES[:1])
+    append_all(tmp_path / "whole", BATCHES[:2])
     assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
 
 
@@ -126,41 +202,6 @@ def test_signals_interrupt_no_append(tmp_path: Path) -> None:
     assert contents(tmp_path / "interrupted") == contents(tmp_path / "calm")
 
 
-@pytest.mark.parametrize("step", few([7, 20], [20]))
-def test_a_process_really_killed_at_a_call_loses_nothing(
-    nursery: Nursery, laboratory: Laboratory, calls: list[str], tmp_path: Path, step: int
-) -> None:
-    for at in range(0, len(calls), step):
-        path = tmp_path / f"killed-{at}" / "out" / "ledger"
-        path.parent.parent.mkdir()
-        outcome = nursery(Order(str(path), fault_at=at))
-        assert (outcome.killed, outcome.wrong) == (1, ())
-        state = laboratory.judge(path, outcome.acknowledged.get("trial", 0), at)
-        laboratory.finish(path, state, at)
-    assert laboratory.tally.complaints == []
-
-
-@pytest.mark.slow
-def test_processes_killed_at_random_moments_lose_nothing(tmp_path: Path) -> None:
-    moments = random.Random(7)
-    killed = 0
-    with Nursery() as nursery:
-        for ledger in range(4):
-            path = tmp_path / str(ledger)
-            for batches in range(2, 10, 2):  # the ledger is killed again and again while it grows
-                order = Order(
-                    str(path),
-                    NAMES[:2],
-                    batches,
-                    kill_after_us=(moments.randrange(150_000), moments.randrange(150_000)),
-                )
-                outcome = nursery(order)
-                killed += outcome.killed
-                assert outcome.wrong == ()
-                assert judge(path, outcome.acknowledged) == []
-    assert killed > 5, "most processes had ended before they were killed; give them more to do"
-
-
 @contextmanager
 def files_of_at_most(size_bytes: int) -> Iterator[None]:
     """Make the kernel refuse to write a file beyond this size (EFBIG)."""
@@ -182,25 +223,27 @@ def test_a_segment_that_the_disk_has_no_room_for_leaves_nothing_behind(tmp_path:
         assert contents(path) == before
 
 
-def test_a_record_that_the_disk_has_no_room_for_commits_nothing(laboratory: Laboratory, tmp_path: Path) -> None:
+def test_records_that_the_disk_has_no_room_for_commit_nothing(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     append_all(path, BATCHES[:1])
     before = contents(path)
     with Writer(path, ORIGIN) as writer:
         staged = stage(path, BATCHES[1])
-        with files_of_at_most(100), pytest.raises(WriteFailed, match="writing a commit record failed: File too large"):
+        with files_of_at_most(100), pytest.raises(WriteFailed, match="writing to the chain failed: File too large"):
             writer.append(staged)
         with pytest.raises(WriteFailed, match="broken"):
             writer.append(staged)
     assert {name: data for name, data in contents(path).items() if not name.startswith("staging/")} == before
-    append_all(path, BATCHES[1:COMMITS])
-    assert contents(path) == laboratory.reference
+    append_all(path, BATCHES[1:])
+    append_all(tmp_path / "calm", BATCHES)
+    assert contents(path) == contents(tmp_path / "calm")
 
 
-def test_a_ledger_that_the_disk_has_no_room_for_can_be_created_later(laboratory: Laboratory, tmp_path: Path) -> None:
+def test_a_ledger_that_the_disk_has_no_room_for_can_be_created_later(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     with files_of_at_most(10), pytest.raises(WriteFailed, match="creating a ledger failed: File too large"):
-        append.Writer(path, ORIGIN)
+        Writer(path, ORIGIN)
     assert contents(path) == {}
     append_all(path, BATCHES)
-    assert contents(path) == laboratory.reference
+    append_all(tmp_path / "calm", BATCHES)
+    assert contents(path) == contents(tmp_path / "calm")

@@ -3,8 +3,10 @@
 See `later_release.py`.
 """
 
+import atexit
 import re
 import shutil
+import tempfile
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -13,9 +15,10 @@ import pytest
 
 from fsar_ledger.cli import app
 from fsar_ledger.errors import FormatVersionMismatch, UnknownEventTag
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE
-from fsar_ledger.ledger.store.append import Writer
-from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger import later_release
 from tests.ledger.forgery import changed, forge_segment, table_of
@@ -24,14 +27,16 @@ from tests.ledger.later_release import LaterRelease
 from tests.ledger.samples import append_all, made_up_batches
 
 KEPT = "0.1.0"
-OLD = LEDGERS / KEPT / "ledger"
+OLD = Path(tempfile.mkdtemp(prefix="fsar-ledger-")) / "ledger"
+atexit.register(shutil.rmtree, OLD.parent)
+upgrade(LEDGERS / KEPT / "ledger", OLD)
 
 DECODE = """
 import json, sys
 from pathlib import Path
 import fsar_ledger
 from fsar_ledger.events.envelope import flat
-from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.opening import open_ledger
 events = [event for run in open_ledger(Path(sys.argv[1])).runs() for event in run.events]
 events = [event for event in events if type(event).__name__.startswith("StepBegan")]
 found = [{**flat(event), "type": type(event).__struct_config__.tag} for event in events]
@@ -153,9 +158,10 @@ def test_a_ledger_of_this_release_is_exported_as_it_is_stored(later: LaterReleas
 
 
 def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed: Path) -> None:
-    code = "import json, sys; from pathlib import Path; from fsar_ledger.ledger.store.read import open_ledger\n"
+    code = "import json, sys; from pathlib import Path; from fsar_ledger.ledger.opening import open_ledger\n"
     records = later.run(
-        code + "print(json.dumps([[r.release, r.schema_sha256] for r in open_ledger(Path(sys.argv[1])).records]))",
+        code
+        + "print(json.dumps([[r.release, r.schema_sha256] for r in open_ledger(Path(sys.argv[1])).chain.placements]))",
         mixed,
     )
     assert [release for release, _ in records] == [KEPT] * 3 + [later_release.RELEASE]
@@ -168,7 +174,7 @@ def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed:
 def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None:
     found = re.escape(later_release.RELEASE)
     message = (
-        rf"000000000003\.json: commit 3, field release: found '{found}', expected at most {RELEASE}; read it with "
+        rf"chain\.jsonl: commit 3, field release: found '{found}', expected at most {RELEASE}; read it with "
         rf"fsar-ledger {found} or later"
     )
     with pytest.raises(FormatVersionMismatch, match=message):
@@ -177,10 +183,10 @@ def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None
         Writer(mixed, ORIGIN)
 
 
-def test_verify_names_the_release_that_it_cannot_judge_and_nothing_else(mixed: Path) -> None:
-    [problem] = verify(mixed).problems
+def test_verify_names_the_release_that_it_cannot_judge_first(mixed: Path) -> None:
+    problem = verify(mixed).problems[0]
     assert (problem.where, problem.field, problem.found) == (
-        "commits/000000000003.json",
+        "chain.jsonl",
         "release",
         f"'{later_release.RELEASE}'",
     )
@@ -220,7 +226,7 @@ def test_an_unknown_event_type_is_refused_with_its_place_and_what_to_do(
     )
     with pytest.raises(
         UnknownEventTag,
-        match=rf"000000000001\.parquet: commit 1: {place}; read it with the version that wrote it, or restore the "
+        match=rf"000000000048\.parquet: {place}; read it with the version that wrote it, or restore the "
         r"segment",
     ):
         list(open_ledger(tmp_path / "ledger").runs())
@@ -234,8 +240,8 @@ def test_an_unknown_event_type_is_refused_with_its_place_and_what_to_do(
 def test_a_newer_format_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], code: int, command: str) -> None:
     path = shutil.copytree(OLD, tmp_path / "ledger")
     manifest = path / "ledger.json"
-    manifest.write_bytes(manifest.read_bytes().replace(b'"version":1', b'"version":3'))
+    manifest.write_bytes(manifest.read_bytes().replace(b'"version":2', b'"version":3'))
     assert app.run([command, str(path)]) == code
     printed = "".join(capsys.readouterr())
-    assert "found format version 3, expected 1 or 2; read it with the version that wrote it" in printed
+    assert "found format version 3, expected 2; read it with the version that wrote it" in printed
     assert "Traceback" not in printed

@@ -1,3 +1,4 @@
+import json
 import os
 import resource
 import shutil
@@ -14,12 +15,14 @@ from hypothesis import strategies as st
 
 from fsar_ledger.cli import app
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, NODES
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.paths import commit_path, segment_path
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.forgery import examined_once, forge, forge_segment, record_of, table_of
+from tests.ledger.forgery import forge_segment, segment_at, table_of
 from tests.ledger.hostile import documents, lying_pages, parquets, records
+from tests.ledger.once import decoded_once
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches, made_up_run
 from tests.quick import few
 
@@ -37,7 +40,7 @@ def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def examined(intact: Path) -> Iterator[Path]:
-    with examined_once(intact):
+    with decoded_once():
         yield intact
 
 
@@ -82,8 +85,8 @@ def within_limits(command: tuple[str, ...], path: Path) -> tuple[int, str]:
 @pytest.mark.parametrize(
     "name",
     few(
-        ["ledger.json", "commits/000000000000.json", "commits/000000000001.json", "checkpoint"],
-        ["commits/000000000001.json", "checkpoint"],
+        ["ledger.json", "checkpoint"],
+        ["checkpoint"],
     ),
 )
 def test_a_malformed_document_is_refused_by_every_command(
@@ -106,21 +109,21 @@ def test_a_malformed_document_is_refused_by_every_command(
 
 
 def test_a_record_of_what_cannot_be_is_refused_by_every_command(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    good = record_of(path, 1)
-    for what, data in records(good):
-        commit_path(path, 1).write_bytes(data)
-        report = verify(path)
-        assert not report.ok, what
-        assert any(problem.commit == 1 for problem in report.problems), (what, report.problems)
-        refused(capsys, ("verify", "--workers", "1", "--json"), path)
-        if not what.startswith(("first_run", "last_run", "segment_sha256")):  # only the rows contradict these
-            refused(capsys, ("info",), path)
+    lines = (path / CHAIN).read_bytes().splitlines(keepends=True)
+    for at, line in enumerate(lines[:2]):  # a commit and a placement, with more behind them
+        for what, data in records(json.loads(line)):
+            (path / CHAIN).write_bytes(b"".join([*lines[:at], data + b"\n", *lines[at + 1 :]]))
+            report = verify(path)
+            assert not report.ok, what
+            assert at or CHAIN in str(report.problems[0]), (what, report.problems)
+            refused(capsys, ("verify", "--workers", "1", "--json"), path)
+            refused(capsys, ("metrics",), path)
 
 
 @pytest.mark.slow
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
-    name=st.sampled_from(["ledger.json", "commits/000000000001.json", "checkpoint"]),
+    name=st.sampled_from(["ledger.json", "checkpoint"]),
     at=st.floats(0, 1),
     length=st.integers(0, 40),
     piece=st.sampled_from(
@@ -163,17 +166,14 @@ def test_any_json_with_a_piece_replaced_is_found_and_never_raises(
 
 @pytest.mark.slow
 def test_a_hostile_segment_is_never_passed_and_never_unpacked(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    table, good, record = table_of(path, 0), segment_path(path, 0).read_bytes(), record_of(path, 0)
+    table, good = table_of(path, 0), segment_at(path, 0).read_bytes()
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for what, data in [*parquets(table, good), *lying_pages(table)]:
         assert len(data) < 1 << 22, what
         forge_segment(path, 0, data)
-        if what.startswith(("more rows", "a string in", "pages that unpack")):
-            forge(path, 0, rows={"m": (1 << 20), "a": 1000, "p": 600}[what[0]])
         report = verify(path)
         assert not report.ok, what
         assert (report.problems[0].commit, report.problems[0].run) == (0, None), (what, report.problems)
-        forge(path, 0, rows=record.rows)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 20, (
         "KiB more than before: something was unpacked"
     )
@@ -185,11 +185,11 @@ def test_a_hostile_segment_is_never_passed_and_never_unpacked(path: Path, capsys
     ["a string in 1000 rows that together are a gigabyte", "pages that unpack to 600 MB", "more rows than any batch"],
 )
 def test_a_bomb_is_refused_in_little_memory_and_time(path: Path, what: str) -> None:
-    bombs = dict(parquets(table_of(path, 0), segment_path(path, 0).read_bytes()))
+    bombs = dict(parquets(table_of(path, 0), segment_at(path, 0).read_bytes()))
     forge_segment(path, 0, bombs[what])
     code, message = within_limits(("verify", "--workers", "1"), path)
     assert code == 3
-    assert "segments/000000000000.parquet" in message
+    assert segment_at(path, 0).name in message
     for command in READERS:
         code, message = within_limits(command, path)
         assert code in (0, 2, 3), (command, message)
@@ -235,16 +235,16 @@ def in_place_of(file: Path) -> dict[str, Callable[[], object]]:
     [
         "ledger.json",
         "checkpoint",
-        "commits/000000000001.json",
-        "segments/000000000001.parquet",
-        "tile/0/000.p/133",
-        "tile/0/000.p/130",
+        CHAIN,
+        "segments/000000000130-000000000133.parquet",
+        NODES,
+        INDEX,
     ],
 )
 def test_what_is_no_file_is_refused_by_every_command(
     path: Path, intact: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    is_derived = name.startswith(("checkpoint", "tile"))
+    is_derived = name in ("checkpoint", NODES, INDEX)
     for what in in_place_of(path / name):
         (path / name).unlink()
         try:
@@ -255,13 +255,10 @@ def test_what_is_no_file_is_refused_by_every_command(
             pytest.skip(f"this file system has no {what}: {error}")
         report = verify(path)
         assert not report.ok, what
-        is_gone = what == "nothing" and name.startswith(
-            "commits"
-        )  # only its segment shows that the newest record is gone
-        place = "segments/000000000001.parquet" if is_gone else name
-        assert any(place in problem.where for problem in report.problems), (what, report.problems)
+        is_gone = what == "nothing" and name == CHAIN  # only the other files show that there was one
+        assert is_gone or any(name in str(problem) for problem in report.problems), (what, report.problems)
         refused(capsys, ("verify", "--workers", "1"), path)
-        if not is_derived and not (what == "nothing" and name.startswith("commits")):
+        if not is_derived:
             for command in READERS[:-1]:
                 refused(capsys, command, path)
         shutil.rmtree(path)
@@ -273,7 +270,7 @@ def _make_sparse(file: Path, data: bytes) -> None:
     os.truncate(file, 1 << 40)
 
 
-@pytest.mark.parametrize("folder", ["", "commits", "segments", "tile", "tile/0", "tile/0/000.p"])
+@pytest.mark.parametrize("folder", ["", "segments"])
 @pytest.mark.parametrize("name", [b"\xff\xfe", b"a\nb", b"\x1b[2J", b"..." + b"x" * 200, "\u202e".encode()])
 def test_a_stray_file_of_any_name_is_named_in_printable_text(
     path: Path, capsys: pytest.CaptureFixture[str], folder: str, name: bytes
@@ -290,12 +287,10 @@ def test_a_folder_with_more_names_than_any_ledger_has_is_refused(
 ) -> None:
     monkeypatch.setattr(disk, "MAX_NAMES", 20)
     assert verify(path).ok
-    for folder in ("", "commits", "segments", "tile", "tile/0/000.p"):
+    for folder in ("", "segments"):
         for number in range(30):
             (path / folder / f"stray-{number}").write_bytes(b"")
         assert "more than 20 names" in refused(capsys, ("verify", "--workers", "1"), path)
-        if folder == "commits":
-            assert "more than 20 names" in refused(capsys, ("info",), path)
         for number in range(30):
             (path / folder / f"stray-{number}").unlink()
     assert verify(path).ok
@@ -304,7 +299,7 @@ def test_a_folder_with_more_names_than_any_ledger_has_is_refused(
 # --- links that lead out of the ledger ---
 
 
-@pytest.mark.parametrize("folder", ["commits", "segments", "staging", "tile"])
+@pytest.mark.parametrize("folder", ["segments", "staging"])
 def test_a_folder_that_is_a_link_is_refused_and_what_it_leads_to_stays(
     path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str
 ) -> None:
@@ -318,28 +313,6 @@ def test_a_folder_that_is_a_link_is_refused_and_what_it_leads_to_stays(
     with pytest.raises(LedgerCorrupted, match="link"):
         Writer(path, ORIGIN)
     assert (elsewhere / "letter.txt").read_text() == "dear"
-
-
-@pytest.mark.parametrize("folder", ["tile/0", "tile/0/000.p", "tile/1"])
-def test_a_writer_neither_writes_nor_removes_through_a_link_among_the_tiles(
-    path: Path, tmp_path: Path, folder: str
-) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    if (path / folder).exists():
-        (path / folder).rename(elsewhere)
-    else:
-        elsewhere.mkdir()
-    (path / folder).symlink_to(elsewhere)
-    (elsewhere / "letter.txt").write_text("dear")
-    before = sorted(elsewhere.rglob("*"))
-    with Writer(path, ORIGIN) as writer:
-        staged = stage(path, [made_up_run("run-9", 200, 9)])  # enough to make tile/0/000 full, and its partial ones go
-        if folder != "tile/0/000.p":
-            with pytest.raises(LedgerCorrupted, match="link"):
-                writer.append(staged)
-        else:
-            writer.append(staged)
-    assert sorted(elsewhere.rglob("*")) == before
 
 
 # --- what a writer refuses to make ---

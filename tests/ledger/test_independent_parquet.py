@@ -26,7 +26,7 @@ DATA = bytes(segment.to_parquet(TABLE))
 
 
 def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, list[Any]]]:
-    found: tuple[int, list[tuple[str, str]], dict[str, list[Any]]] = independent().independent_parquet.read(data)
+    found: tuple[int, list[tuple[str, str]], dict[str, list[Any]]] = independent("independent_parquet").read(data)
     return found
 
 

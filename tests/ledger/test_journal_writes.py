@@ -7,12 +7,12 @@ import pytest
 
 from fsar_ledger.errors import WriteFailed
 from fsar_ledger.ledger.chain import journal
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.paths import JOURNAL
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.append import stage
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, made_up_run
 
@@ -34,7 +34,7 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 def test_the_sync_of_few_bytes_begins_early_and_that_of_many_does_not(tmp_path: Path, begun: list[int]) -> None:
-    with ChainWriter(tmp_path / "ledger", ORIGIN) as writer:
+    with Writer(tmp_path / "ledger", ORIGIN) as writer:
         writer.add([piece(RUN, 0, 1)])
         assert len(begun) == 1
         writer.add([piece(RUN, 1, 190)])
@@ -47,7 +47,7 @@ def test_the_sync_of_few_bytes_begins_early_and_that_of_many_does_not(tmp_path: 
 
 def test_a_system_that_cannot_begin_early_writes_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("with", "without"):
-        with ChainWriter(tmp_path / name, ORIGIN) as writer:
+        with Writer(tmp_path / name, ORIGIN) as writer:
             writer.add([piece(RUN, 0, 3)])
             writer.add([piece(RUN, 3, 4)])
         monkeypatch.setattr(growing, "_TAKES_ADVICE", False)
@@ -65,7 +65,7 @@ def test_a_file_system_that_refuses_the_advice_makes_no_difference(
         raise OSError(22, "Invalid argument")
 
     monkeypatch.setattr(os, "posix_fadvise", refused)
-    with ChainWriter(tmp_path / "ledger", ORIGIN) as writer:
+    with Writer(tmp_path / "ledger", ORIGIN) as writer:
         assert writer.add([piece(RUN, 0, 3)]).size == 3
     assert len(asked) == 1
     assert verify(tmp_path / "ledger").remarks == ()
@@ -73,7 +73,7 @@ def test_a_file_system_that_refuses_the_advice_makes_no_difference(
 
 def test_a_commit_that_could_not_be_synced_does_not_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         before = writer.add([piece(RUN, 0, 3)])
 
         def refused(_: int) -> None:
@@ -87,7 +87,7 @@ def test_a_commit_that_could_not_be_synced_does_not_count(tmp_path: Path, monkey
         with pytest.raises(WriteFailed, match="this writer is broken"):
             writer.add([piece(RUN, 3, 5)])
     assert open_for_answers(path).head == before
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         assert writer.add([piece(RUN, 3, 5)]).size == 5
     assert verify(path).remarks == ()
 
@@ -101,7 +101,7 @@ def test_room_is_made_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
         return pwrite(handle, data, place)
 
     monkeypatch.setattr(os, "pwrite", noted)
-    with ChainWriter(tmp_path / "ledger", ORIGIN) as writer:
+    with Writer(tmp_path / "ledger", ORIGIN) as writer:
         writer.add([piece(RUN, 0, 3)])
         assert (tmp_path / "ledger" / JOURNAL).stat().st_size == journal.ALLOTTED
         written = len((tmp_path / "ledger" / JOURNAL).read_bytes().rstrip(b"\0"))
@@ -111,7 +111,7 @@ def test_room_is_made_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_a_writer_sees_what_another_appends_whether_or_not_the_chain_was_there(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as one, ChainWriter(path, ORIGIN) as other:
+    with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as other:
         one.add([piece(RUN, 0, 3)])
         assert other.append(stage(path, [piece(RUN, 3, 9)])).size == 9  # now there is a chain
         assert one.add([piece(RUN, 9, 10)]).size == 10

@@ -7,14 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.log.merkle import leaf_hash
-from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
-from fsar_ledger.ledger.log.tiles import node_of
-from fsar_ledger.ledger.rows import canonical, codec
-from fsar_ledger.ledger.store.derived import tile_reader
-from fsar_ledger.ledger.store.paths import segment_path
-from fsar_ledger.ledger.store.places import place_of
-from fsar_ledger.ledger.store.proof import (
+from fsar_ledger.ledger.chain.places import place_of
+from fsar_ledger.ledger.chain.proof import (
     Proof,
     Value,
     check_proof,
@@ -23,11 +17,14 @@ from fsar_ledger.ledger.store.proof import (
     prove_inclusion,
     read_proof,
 )
-from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.ledger.log.hashing import sha256_hex
+from fsar_ledger.ledger.log.merkle import leaf_hash
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.rows import canonical, codec
 from fsar_ledger.ledger.store.view import RunNames
-from tests.ledger.forgery import changed, forge_segment, table_of
-from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
+from tests.ledger.forgery import changed, forge_segment, segment_at, table_of
+from tests.ledger.samples import ORIGIN, append_all, made_up_batches
 
 BATCHES = made_up_batches(3, runs=2, size=60)  # 360 events: a full tile, and a level above it
 SIGNER = Signer(ORIGIN, b"s" * 32)
@@ -115,15 +112,6 @@ def test_what_is_not_there_has_no_proof(intact: Path, tmp_path: Path) -> None:
     append_all(tmp_path / "empty", [])
     with pytest.raises(ValueError, match="one of 0"):
         prove(open_ledger(tmp_path / "empty"), 0)
-
-
-def test_the_proof_of_inclusion_needs_the_tiles_and_nothing_else(path: Path, proof: Proof) -> None:
-    for name in contents(path):
-        if not name.startswith("tile/"):
-            (path / name).unlink()
-    size = proof.note.checkpoint.size
-    leaf, hashes = prove_inclusion(path, node_of(tile_reader(path), size), proof.note.checkpoint, 200)
-    assert (leaf, hashes) == (leaf_hash(proof.event), proof.hashes)
 
 
 def test_a_proof_of_an_older_checkpoint_still_holds(path: Path, tmp_path: Path) -> None:
@@ -291,32 +279,17 @@ def test_a_damaged_ledger_gives_no_proof(path: Path) -> None:
             prove(open_ledger(path), index)
         return str(caught.value)
 
-    tile = path / "tile" / "0" / "001.p" / "104"
-    data = tile.read_bytes()
-    tile.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    nodes = path / "nodes"
+    data = nodes.read_bytes()
+    nodes.write_bytes(bytes(len(data)))
     assert "the stored hashes lead from event 300 to the root" in why(300)
-    tile.unlink()
-    assert "run fsar-ledger recover" in why(300)
-    tile.write_bytes(data)
-    segment = segment_path(path, 2).read_bytes()
+    nodes.write_bytes(data)
+    segment = segment_at(path, 2).read_bytes()
     forge_segment(path, 2, changed(table_of(path, 2), "time_us", 5, 1))
-    assert "event 245 has leaf hash" in why(245)
-    assert sha256_hex(segment) != sha256_hex(segment_path(path, 2).read_bytes())
+    assert "the stored hashes lead from event 245" in why(245)
+    assert sha256_hex(segment) != sha256_hex(segment_at(path, 2).read_bytes())
     forge_segment(path, 2, table_of(path, 2).slice(0, 50))
     assert "found 50 rows, expected 120" in why(350)
-    segment_path(path, 2).unlink()
+    segment_at(path, 2).unlink()
     assert "found no segment" in why(300)
     prove(open_ledger(path), 20)
-
-
-def test_while_the_newest_tiles_are_not_written_yet_older_events_are_proven_by_the_checkpoint_before(
-    path: Path, tmp_path: Path
-) -> None:
-    append_all(tmp_path / "older", BATCHES[:2], signer=SIGNER)
-    for name in ("tile", "checkpoint"):  # as they are between a commit and what is derived from it
-        shutil.rmtree(path / name) if name == "tile" else (path / name).unlink()
-        (tmp_path / "older" / name).rename(path / name)
-    view = open_ledger(path)
-    assert check_proof("a proof", prove(view, 239), KEY).size == 240
-    with pytest.raises(LedgerCorrupted, match="run fsar-ledger recover"):
-        prove(view, 240)

@@ -1,7 +1,5 @@
-"""Ledgers of every released version open for ever, and event types change only as stored events allow.
-
-See `keep_release.py`.
-"""
+"""Ledgers of every released version are read for ever, those of format 1 once they are upgraded, and event types change
+only as stored events allow. See `keep_release.py`."""
 
 import shutil
 from collections.abc import Mapping
@@ -16,27 +14,26 @@ from fsar_ledger.cli.app import run
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.compacting import compact
-from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode, encode_hashed
 from fsar_ledger.ledger.rows.releases import RELEASE, parse_columns
 from fsar_ledger.ledger.rows.schema import LAYOUTS, RETIRED, SCHEMA, described
-from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.keys import read_verifier
-from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.upgrading import upgrade
+from fsar_ledger.ledger.store.manifest import Manifest
+from fsar_ledger.ledger.store.staging import stage
+from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
-from fsar_ledger.ledger.writing import open_writer
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.library import staging_sql, view_name
 from tests.ledger.agreement import Case, judged
 from tests.ledger.bomb_trial import cost_of
 from tests.ledger.bombs import base_ledger, commit, runs
 from tests.ledger.keep_release import COLUMNS, LEDGERS, Kept, keep, stored_types
-from tests.ledger.samples import append_all, made_up_batches
+from tests.ledger.samples import made_up_batches
 from tests.quick import few
 from tests.untrusted import run_untrusted
 
@@ -53,6 +50,10 @@ def number(release: str) -> tuple[int, ...]:
 VERSIONS = sorted((folder.name for folder in LEDGERS.iterdir() if folder.is_dir()), key=number)
 
 
+def version_of(path: Path) -> int:
+    return msgspec.json.decode((path / "ledger.json").read_bytes(), type=Manifest).version
+
+
 def kept_types(version: str) -> dict[str, dict[str, str]]:
     lines = (LEDGERS / version / "events.jsonl").read_bytes().splitlines()
     return {
@@ -67,9 +68,20 @@ def version(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 
 
+@pytest.fixture(scope="module")
+def upgraded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Upgrade the ledgers of format 1."""
+    folder = tmp_path_factory.mktemp("upgraded")
+    for version in VERSIONS:
+        if version_of(LEDGERS / version / "ledger") == 1:
+            upgrade(LEDGERS / version / "ledger", folder / version)
+    return folder
+
+
 @pytest.fixture
-def path(version: str) -> Path:
-    return LEDGERS / version / "ledger"
+def path(version: str, upgraded: Path) -> Path:
+    """Return the kept ledger, in today's format."""
+    return upgraded / version if (upgraded / version).exists() else LEDGERS / version / "ledger"
 
 
 @pytest.fixture
@@ -204,59 +216,59 @@ def test_rows_of_a_retired_type_are_not_made_anew_for_an_answer(tmp_path: Path) 
     assert cost.memory_mib < 400, cost  # made anew they took 700 MiB
 
 
-def test_a_writer_of_today_continues_a_kept_ledger(path: Path, kept: Kept, tmp_path: Path) -> None:
-    copy = shutil.copytree(path, tmp_path / "ledger")
-    head = append_all(copy, made_up_batches(1), origin=open_ledger(path).manifest.origin)
-    assert (head.size, verify(copy).root) == (kept.events + 24, head.root)
-
-
-@pytest.mark.parametrize("version", few(VERSIONS, [VERSIONS[0]]))
-def test_a_kept_ledger_is_continued_in_each_format_and_both_verifiers_agree(
-    version: str, path: Path, kept: Kept, tmp_path: Path
+def test_an_upgraded_ledger_has_the_commits_segments_and_signatures_that_it_had(
+    version: str, path: Path, kept: Kept
 ) -> None:
-    key, origin = read_verifier(kept.key), open_ledger(path).manifest.origin
-    old, new = Path(shutil.copytree(path, tmp_path / "old")), tmp_path / "new"
-    assert upgrade(path, new).root == kept.root
-    assert judged(Case("upgraded", new, True, key)).difference == ""
+    old = LEDGERS / version / "ledger"
+    if version_of(old) == 1:
+        records = [msgspec.json.decode(file.read_bytes()) for file in sorted((old / "commits").iterdir())]
+        view = open_ledger(path)
+        assert [(one.rows, one.tree_root) for one in view.commits] == [
+            (one["rows"], one["tree_root"]) for one in records
+        ]
+        assert [str(one.note(view.manifest.origin)) for one in view.commits] == [one["note"] for one in records]
+        assert [one.segment_sha256 for one in view.chain.placed] == [one["segment_sha256"] for one in records]
+        assert (path / "checkpoint").read_bytes() == (old / "checkpoint").read_bytes()
+    assert judged(Case("kept", path, True, read_verifier(kept.key))).difference == ""
+
+
+def continued(path: Path, kept: Kept, copy: Path) -> None:
+    """Continue a copy of the ledger, and compact it."""
+    shutil.copytree(path, copy)
     [runs] = made_up_batches(1)
-    for ledger in (old, new):
-        with open_writer(ledger, origin) as writer:
-            writer.append(stage(ledger, runs[:1]))
-            if isinstance(writer, ChainWriter):
-                writer.add(runs[1:])
-            else:
-                writer.append(stage(ledger, runs[1:]))
-            root = writer.head.root
-        report = verify(ledger, asked=Asked(anchor=read_anchor(path / "checkpoint")))
-        assert (report.problems, report.events, report.anchored) == ((), kept.events + 24, kept.events)
-        assert report.root == root == open_for_answers(old).head.root
-        assert judged(Case("continued", ledger, True, anchor=path / "checkpoint")).difference == ""
-        if isinstance(writer, ChainWriter):
-            compact(ledger)
-            assert judged(Case("compacted", ledger, True, anchor=path / "checkpoint")).difference == ""
+    with Writer(copy, open_ledger(path).manifest.origin) as writer:
+        writer.append(stage(copy, runs[:1]))
+        root = writer.add(runs[1:]).root
+    report = verify(copy, asked=Asked(anchor=read_anchor(path / "checkpoint")))
+    assert (report.problems, report.events, report.anchored) == ((), kept.events + 24, kept.events)
+    assert report.root == root
+    compact(copy)
+    assert judged(Case("compacted", copy, True, anchor=path / "checkpoint")).difference == ""
 
 
-@pytest.mark.parametrize("version", [version for version in VERSIONS if (LEDGERS / version / "chain").exists()])
-def test_a_kept_ledger_of_format_2_has_the_root_of_its_twin_and_is_continued_sealed_and_compacted(
+def test_a_kept_ledger_is_continued_and_compacted_and_both_verifiers_agree(
     path: Path, kept: Kept, tmp_path: Path
 ) -> None:
-    key, twin = read_verifier(kept.key), path.with_name("chain")
+    continued(path, kept, tmp_path / "copy")
+
+
+@pytest.mark.parametrize("version", ["0.8.0", "0.8.1"])
+def test_a_kept_ledger_that_needs_no_upgrade_has_the_root_of_its_twin_and_is_continued(
+    version: str, path: Path, kept: Kept, tmp_path: Path
+) -> None:
+    key, twin = read_verifier(kept.key), LEDGERS / version / "chain"
     assert judged(Case("kept", twin, True, key)).difference == ""
     report = verify(twin, asked=Asked(trusted=key))
     assert (report.problems, report.root, report.events) == ((), kept.root, kept.events)
     assert list(open_for_answers(twin).runs()) == list(open_ledger(path).runs())
-    copy = Path(shutil.copytree(twin, tmp_path / "copy"))
-    [runs] = made_up_batches(1)
-    with ChainWriter(copy, open_ledger(path).manifest.origin) as writer:
-        writer.add(runs)
-    compact(copy)
-    report = verify(copy, asked=Asked(anchor=read_anchor(twin / "checkpoint")))
-    assert (report.problems, report.events, report.anchored) == ((), kept.events + 24, kept.events)
+    continued(twin, kept, tmp_path / "copy")
 
 
-def test_there_is_a_kept_ledger_of_format_2_of_each_release_since_it_was_one() -> None:
-    of_format_2 = [version for version in VERSIONS if (LEDGERS / version / "chain").exists()]
-    assert of_format_2 == [version for version in VERSIONS if number(version) >= (0, 8, 0)]
+def test_of_each_release_since_0_8_0_a_ledger_is_kept_that_needs_no_upgrade() -> None:
+    for version in VERSIONS:
+        names = [name for name in ("ledger", "chain") if (LEDGERS / version / name).exists()]
+        has_one = any(version_of(LEDGERS / version / name) == 2 for name in names)
+        assert has_one == (number(version) >= (0, 8, 0)), version
 
 
 def test_a_kept_release_is_never_written_again(tmp_path: Path) -> None:

@@ -11,20 +11,20 @@ import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain import append, sealing
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.rows import pieces
 from fsar_ledger.ledger.rows.codec import encode_lines
 from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.paths import SEGMENTS
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.agreement_chain import hand_over
-from tests.ledger.chain_damage import piece, write_handed_over
+from tests.ledger.damage import piece, write_handed_over
 from tests.ledger.faults import is_free
 from tests.ledger.samples import ORIGIN, contents, made_up_run
 from tests.quick import few
@@ -33,9 +33,9 @@ PARTS = [piece(1, 2 * number, 2 * number + 2) for number in range(6)]
 ROWS = [row for part in PARTS for row in encode_lines([part])]
 
 
-def view_of(path: Path) -> ChainView:
+def view_of(path: Path) -> View:
     view = open_ledger(path)
-    assert isinstance(view, ChainView)
+    assert isinstance(view, View)
     return view
 
 
@@ -68,7 +68,7 @@ def chained(tmp_path: Path) -> Path:
 
 def test_commits_go_on_while_the_journal_before_is_sealed(tmp_path: Path, held_back: Event) -> None:
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.add([PARTS[0]])
         writer.add([PARTS[1]])
         before = view_of(path)
@@ -87,14 +87,14 @@ def test_commits_go_on_while_the_journal_before_is_sealed(tmp_path: Path, held_b
         writer.add([PARTS[3]])
         assert verify(path).ok
     assert (rows_in(path), verify(path).remarks) == (ROWS[:8], ())
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.seal()
     assert [(one.first, one.end) for one in view_of(path).chain.placed] == [(0, 4), (4, 8)]
 
 
 def test_another_writer_fills_the_next_journal_before_the_first_is_sealed(tmp_path: Path, held_back: Event) -> None:
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as writer, ChainWriter(path, ORIGIN) as other:
+    with Writer(path, ORIGIN) as writer, Writer(path, ORIGIN) as other:
         for part in PARTS[:3]:
             writer.add([part])
         held_back.set()
@@ -107,7 +107,7 @@ def test_another_writer_fills_the_next_journal_before_the_first_is_sealed(tmp_pa
 
 def test_a_writer_that_has_the_journal_open_sees_that_another_handed_it_over(tmp_path: Path, held_back: Event) -> None:
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as writer, ChainWriter(path, ORIGIN) as other:
+    with Writer(path, ORIGIN) as writer, Writer(path, ORIGIN) as other:
         other.add([PARTS[0]])
         other.add([PARTS[1]])
         handed_over = (path / JOURNAL).stat().st_ino
@@ -125,7 +125,7 @@ def test_what_a_writer_left_is_read_verified_continued_and_sealed(chained: Path)
     assert rows_in(chained) == ROWS[:8]
     assert [bytes(view.event(index)) for index in range(8)] == ROWS[:8]
     assert judged(Case("as it is", chained, True)).difference == ""
-    with ChainWriter(chained, ORIGIN) as writer:
+    with Writer(chained, ORIGIN) as writer:
         writer.add([PARTS[4]])
         writer.seal()
     assert (rows_in(chained), verify(chained).remarks) == (ROWS[:10], ())
@@ -162,7 +162,7 @@ def test_what_is_being_sealed_was_whole_when_it_got_its_name(chained: Path, step
 @pytest.mark.parametrize("name", [SEALING, JOURNAL])
 def test_commits_of_the_chain_without_rows_are_damage(tmp_path: Path, chained: Path, name: str) -> None:
     if name == JOURNAL:  # whose frame the chain has
-        with ChainWriter(chained, ORIGIN) as writer:
+        with Writer(chained, ORIGIN) as writer:
             writer.settle()
             shutil.copytree(chained, tmp_path / "settled")
         chained = tmp_path / "settled"
@@ -171,12 +171,12 @@ def test_commits_of_the_chain_without_rows_are_damage(tmp_path: Path, chained: P
     assert [problem.where for problem in verify(chained).problems] == [JOURNAL]
     assert judged(Case("gone", chained, False)).difference == ""
     with pytest.raises(LedgerCorrupted, match=JOURNAL):
-        ChainWriter(chained, ORIGIN)
+        Writer(chained, ORIGIN)
 
 
 @pytest.mark.parametrize("step", few([43, 97], [97]))
 def test_a_frame_that_the_chain_has_cannot_be_torn(tmp_path: Path, chained: Path, step: int) -> None:
-    with ChainWriter(chained, ORIGIN) as writer:
+    with Writer(chained, ORIGIN) as writer:
         writer.settle()
         shutil.copytree(chained, tmp_path / "settled")
     data = (tmp_path / "settled" / JOURNAL).read_bytes().rstrip(b"\0")
@@ -188,7 +188,7 @@ def test_a_frame_that_the_chain_has_cannot_be_torn(tmp_path: Path, chained: Path
 
 def test_a_journal_that_is_renamed_between_two_looks_is_read_once(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.add([PARTS[0]])
         real = growing.read_whole
 
@@ -210,7 +210,7 @@ def test_a_reader_beside_a_writer_that_never_rests_gets_an_answer(tmp_path: Path
     path = tmp_path / "ledger"
     run = made_up_run("never-rests", 40, 3)
     parts = iter([pieces.piece(run, at, at + 1) for at in range(40)])
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.add([next(parts)])
         real = growing.read_whole
         reads = 0

@@ -1,14 +1,10 @@
-from pathlib import Path
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.hashing import HASH_BYTES, parents
 from fsar_ledger.ledger.log.merkle import Frontier, inclusion_proof, leaf_hash, root_of_inclusion, tree_root
 from fsar_ledger.ledger.log.tiles import HEIGHT, WIDTH, Edge, Tile, node_of, partial_tiles
-from fsar_ledger.ledger.store.derived import edge_at, tile_reader
 
 LEAVES = b"".join(leaf_hash(b"%d" % number) for number in range(1000))
 
@@ -30,12 +26,6 @@ def tiles_of(leaves: bytes) -> dict[str, bytes]:
             found[Tile(level, number, len(data) // HASH_BYTES).name] = data
         level += 1
     return found
-
-
-def write(ledger: Path, files: dict[str, bytes]) -> None:
-    for name, data in files.items():
-        (ledger / name).parent.mkdir(parents=True, exist_ok=True)
-        (ledger / name).write_bytes(data)
 
 
 @pytest.mark.parametrize(
@@ -100,46 +90,12 @@ def test_batches_of_any_sizes_give_the_same_files_as_all_at_once(sizes: list[int
 
 
 @pytest.mark.parametrize("size", [1, 255, 256, 257, 700, 1000])
-def test_roots_and_proofs_come_out_of_tiles(tmp_path: Path, size: int) -> None:
-    write(tmp_path, tiles_of(LEAVES[: size * HASH_BYTES]))
-    node = node_of(tile_reader(tmp_path), size)
+def test_roots_and_proofs_come_out_of_tiles(size: int) -> None:
+    tiles = tiles_of(LEAVES[: size * HASH_BYTES])
+    node = node_of(lambda tile: tiles[tile.name], size)
     root = Frontier().extend(LEAVES[: size * HASH_BYTES]).root()
     assert tree_root(node, size) == root
     for index in {0, size // 2, size - 1}:
         leaf = LEAVES[index * HASH_BYTES : (index + 1) * HASH_BYTES]
         assert node(0, index) == leaf
         assert root_of_inclusion(leaf, index, size, inclusion_proof(node, index, size)) == root
-
-
-def test_a_tile_that_became_full_since_is_read_as_far_as_it_was(tmp_path: Path) -> None:
-    write(tmp_path, tiles_of(LEAVES[: 256 * HASH_BYTES]))
-    node = node_of(tile_reader(tmp_path), 100)
-    assert tree_root(node, 100) == Frontier().extend(LEAVES[: 100 * HASH_BYTES]).root()
-
-
-@pytest.mark.parametrize("data", [None, b"", b"x" * 31, LEAVES[: 99 * HASH_BYTES]])
-def test_a_tile_that_is_missing_or_cut_is_named(tmp_path: Path, data: bytes | None) -> None:
-    if data is not None:
-        write(tmp_path, {"tile/0/000.p/100": data})
-    with pytest.raises(
-        LedgerCorrupted, match=r"tile/0/000\.p/100: found .*, expected 100 hashes of 32 bytes; run fsar-ledger recover"
-    ):
-        tree_root(node_of(tile_reader(tmp_path), 100), 100)
-
-
-def test_a_tile_that_is_a_link_is_not_followed(tmp_path: Path) -> None:
-    write(tmp_path, {"elsewhere": LEAVES[: 100 * HASH_BYTES]})
-    (tmp_path / "tile" / "0" / "000.p").mkdir(parents=True)
-    (tmp_path / "tile" / "0" / "000.p" / "100").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(LedgerCorrupted, match=r"000\.p/100: the tile cannot be read"):
-        tree_root(node_of(tile_reader(tmp_path), 100), 100)
-
-
-def test_the_edge_is_found_again_in_the_tiles_and_only_there(tmp_path: Path) -> None:
-    edge, made = Edge().extend(LEAVES[: 700 * HASH_BYTES])
-    write(tmp_path, {tile.name: data for tile, data in made.items()})
-    assert edge_at(tmp_path, edge.frontier()) == edge
-    tile = tmp_path / Tile(0, 2, 188).name
-    tile.write_bytes(bytes(HASH_BYTES) + tile.read_bytes()[HASH_BYTES:])
-    with pytest.raises(LedgerCorrupted, match="700 events do not agree with its commit record"):
-        edge_at(tmp_path, edge.frontier())

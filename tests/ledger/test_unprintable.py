@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.events.envelope import flat, with_columns
+from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.hostile import relabelled, stage_anything
 from tests.ledger.samples import ORIGIN, contents, run_of_every_type
@@ -53,4 +54,4 @@ def test_what_an_earlier_release_stored_verifies(tmp_path: Path) -> None:
     with Writer(tmp_path / "ledger", ORIGIN) as writer:
         writer.append(stage_anything(tmp_path / "ledger", [relabelled(RUN, lambda text: text + "\x1b[2J\n")]))
     assert verify(tmp_path / "ledger").ok
-    assert open_ledger(tmp_path / "ledger").head.last_run == "run-1\x1b[2J\n"
+    assert open_ledger(tmp_path / "ledger").run_names.runs == ("run-1\x1b[2J\n",)

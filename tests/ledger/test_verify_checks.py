@@ -15,25 +15,24 @@ from fsar_ledger.errors import LedgerCorrupted, WorkerDied
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
+from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows import layout, releases, segment
 from fsar_ledger.ledger.rows.grammar import Footer
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.paths import segment_path, staged_path
-from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify import verify as verification
-from fsar_ledger.ledger.verify.derived import BEHIND
+from fsar_ledger.ledger.verify.chain import BEHIND
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.damage import SIGNER, only_problem
-from tests.ledger.forgery import forge, forge_segment, record_of, table_of
+from tests.ledger.forgery import forge, forge_segment, segment_at, staged_at, table_of
 from tests.ledger.samples import ORIGIN
 
 SIZES = (270, 20)
 QUICK = Asked(is_quick=True)
-NEWEST = "segments/000000000001.parquet"
+NEWEST = "segments/000000000270-000000000290.parquet"
 
 
 # --- the look as a whole ---
@@ -90,29 +89,15 @@ def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: P
     assert (problem.where, problem.found, problem.field) == (NEWEST, "no segment", "segment_sha256")
 
 
-@pytest.mark.parametrize("name", ["commits", "segments", "staging", "tile"])
-@pytest.mark.parametrize("is_link", [True, False])
-def test_a_folder_that_is_a_link_or_a_file_is_read_by_nobody(
-    path: Path, tmp_path: Path, name: str, is_link: bool
-) -> None:
-    (path / name).rename(tmp_path / "aside")
-    if is_link:
-        (path / name).symlink_to(tmp_path / "aside")
-    else:
-        (path / name).write_text("")
-    with pytest.raises(LedgerCorrupted, match=f"{name}: found a link or something else than a folder"):
-        open_ledger(path)
-
-
 def test_a_right_copy_in_staging_excuses_no_damaged_segment_in_its_place(path: Path) -> None:
-    shutil.copyfile(path / NEWEST, staged_path(path, record_of(path, 1).segment_sha256))
+    shutil.copyfile(path / NEWEST, staged_at(path, 1))
     assert verify(path).ok
     (path / NEWEST).write_bytes((path / NEWEST).read_bytes()[:-1])
     assert only_problem(path).where == NEWEST
 
 
 def test_readers_take_a_segment_in_its_place_whatever_else_is_staged(path: Path) -> None:
-    staged_path(path, record_of(path, 1).segment_sha256).write_bytes(b"half")
+    staged_at(path, 1).write_bytes(b"half")
     assert open_ledger(path).segment(1) == path / NEWEST
 
 
@@ -126,7 +111,7 @@ def test_readers_follow_no_link_to_a_segment(path: Path, tmp_path: Path) -> None
 def test_readers_find_a_segment_that_a_writer_moves_into_its_place_meanwhile(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place, staged, lstat = path / NEWEST, staged_path(path, record_of(path, 1).segment_sha256), os.lstat
+    place, staged, lstat = path / NEWEST, staged_at(path, 1), os.lstat
     place.rename(staged)
 
     def moved_just_before(looked_at: str) -> os.stat_result:
@@ -139,7 +124,7 @@ def test_readers_find_a_segment_that_a_writer_moves_into_its_place_meanwhile(
 
 
 def test_half_a_footer_is_said_to_be_half_of_one(path: Path) -> None:
-    data = segment_path(path, 1).read_bytes()
+    data = segment_at(path, 1).read_bytes()
     length = int.from_bytes(data[-8:-4], "little")
     said = []
     for left in range(
@@ -165,25 +150,6 @@ def test_a_document_is_a_regular_file_and_not_too_long(tmp_path: Path, monkeypat
     assert disk.read_document(tmp_path / "file") == bytes(100)
 
 
-# --- records ---
-
-
-def test_a_note_that_is_none_is_a_problem_of_its_record(path: Path) -> None:
-    forge(path, 1, note="no note")
-    problem = only_problem(path)
-    assert (problem.where, problem.commit, problem.field, problem.found) == (
-        "commits/000000000001.json",
-        1,
-        "note",
-        "'no note'",
-    )
-
-
-def test_a_fingerprint_that_is_not_of_the_release_is_a_problem_of_the_record_too(path: Path) -> None:
-    forge(path, 1, schema_sha256="0" * 64)
-    assert [problem.where for problem in verify(path).problems] == ["commits/000000000001.json", NEWEST]
-
-
 def test_columns_of_another_release_than_the_records_are_found(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     table = table_of(path, 1)
     fewer = table.drop_columns(
@@ -194,7 +160,7 @@ def test_columns_of_another_release_than_the_records_are_found(path: Path, monke
     forge_segment(path, 1, fewer)
     problem = verify(path).problems[0]
     assert (problem.where, problem.field, problem.found) == (NEWEST, "schema_sha256", fingerprint(fewer.schema))
-    forge(path, 1, release="0.0.9", schema_sha256=fingerprint(fewer.schema))
+    forge(path, "placement", 1, release="0.0.9", schema_sha256=fingerprint(fewer.schema))
     assert "schema_sha256" not in {problem.field for problem in verify(path).problems}
 
 
@@ -233,7 +199,7 @@ def test_a_dictionary_that_we_would_not_have_written_is_found(
 @pytest.mark.parametrize(("name", "said"), [("least", 0), ("most", 1)])
 def test_a_bound_that_hides_rows_is_found_whoever_wrote_it(path: Path, name: str, said: int) -> None:
     version = pa.__version__.encode()
-    data = segment_path(path, 1).read_bytes().replace(version, b"9" * len(version))
+    data = segment_at(path, 1).read_bytes().replace(version, b"9" * len(version))
     times = table_of(path, 1)["time_us"].to_pylist()
     bound = (min(times), max(times))[said].to_bytes(8, "little", signed=True)
     first = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
@@ -242,40 +208,17 @@ def test_a_bound_that_hides_rows_is_found_whoever_wrote_it(path: Path, name: str
     assert "of column " in only_problem(path).found
 
 
-# --- tiles ---
-
-
-@pytest.mark.parametrize(
-    "name", ["tile/x/000", "tile/0/x", "tile/00/000", "tile/0/0000", "tile/0/x000/000", "tile/0/001"]
-)
-def test_a_name_that_is_almost_that_of_a_full_tile_is_a_stray_file(path: Path, name: str) -> None:
-    (path / name).parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(path / "tile/0/000", path / name)
-    problem = only_problem(path)
-    assert (problem.where, problem.found) == (name, "a stray file")
-
-
-def test_more_tiles_than_any_ledger_has_are_not_all_looked_at(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for folder in range(4):
-        (path / f"tile/{folder}x").mkdir()
-        for number in range(4):
-            (path / f"tile/{folder}x/{number}").write_bytes(b"")
-    assert len(verify(path).problems) == 16
-    monkeypatch.setattr(disk, "MAX_NAMES", 10)
-    assert "it holds more than 10 names" in only_problem(path).found
-
-
 # --- anchors ---
 
 
-def test_an_anchor_within_the_newest_commit_is_proved_by_the_rows_where_its_tiles_are_not_there_yet(
+def test_an_anchor_within_the_newest_commit_is_proved_by_the_rows_where_its_hashes_are_not_there_yet(
     path: Path, snapshots: Path, tmp_path: Path
 ) -> None:
     view = open_ledger(path)
     tree = checkpoint_of(ORIGIN, Frontier().extend((view.leaves(0) + view.leaves(1))[: 280 * HASH_BYTES]))
     (tmp_path / "anchor").write_text(str(Note(tree, (SIGNER.sign(tree),))))
-    shutil.copyfile(snapshots / "1" / "checkpoint", path / "checkpoint")
-    (path / "tile/0/001.p/34").unlink()
+    for name in ("checkpoint", "nodes", "index.jsonl"):
+        shutil.copyfile(snapshots / "1" / name, path / name)
     report = verify(path, asked=Asked(trusted=SIGNER.verifier, anchor=read_anchor(tmp_path / "anchor")))
     assert (report.ok, report.anchored, report.remarks) == (True, 280, (BEHIND,))
 

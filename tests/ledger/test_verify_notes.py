@@ -1,3 +1,4 @@
+import base64
 import re
 import shutil
 from collections.abc import Iterator
@@ -6,18 +7,16 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, tree_root
-from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, Signer
-from fsar_ledger.ledger.log.tiles import node_of
-from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.derived import tile_reader
-from fsar_ledger.ledger.store.paths import segment_path
-from fsar_ledger.ledger.verify.derived import BEHIND
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
+from fsar_ledger.ledger.opening import open_ledger
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
 from fsar_ledger.ledger.verify.report import Asked, VerifyReport
 from fsar_ledger.ledger.verify.verify import verify
-from tests.ledger.forgery import changed, examined_once, forge, forge_segment, record_of, table_of
+from tests.ledger.forgery import changed, forge, forge_segment, segment_at, table_of
+from tests.ledger.once import decoded_once
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
 BATCHES = made_up_batches(3)  # 24 events each
@@ -31,7 +30,7 @@ def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Write a signed ledger, whose segments are decoded once."""
     path = tmp_path_factory.mktemp("signed") / "ledger"
     append_all(path, BATCHES, signer=SIGNER)
-    with examined_once(path):
+    with decoded_once():
         yield path
 
 
@@ -67,8 +66,7 @@ def test_an_unsigned_ledger_says_so_and_is_refused_where_a_signature_is_required
     report = verify(tmp_path / "unsigned")
     assert (report.ok, report.signature, report.signer, report.signed) == (True, "unsigned", None, 0)
     assert the_problem(trusted(tmp_path / "unsigned")) == (
-        f"commits/000000000002.json: commit 2, field note: found no signature, expected one of {KEY.key}, the "
-        "trusted key"
+        f"chain.jsonl: commit 2, field note: found no signature, expected one of {KEY.key}, the trusted key"
     )
 
 
@@ -113,7 +111,7 @@ def test_a_key_does_not_sign_on_top_of_what_it_did_not_sign_unless_it_adopts_it(
         append_all(path, BATCHES[:2], signer=signer)
         before = contents(path)
         with pytest.raises(
-            UsageError, match=re.escape(f"1.json: found a newest checkpoint with {found}, expected one of {KEY.key}; ")
+            UsageError, match=re.escape(f"{path}: found a newest checkpoint with {found}, expected one of {KEY.key}; ")
         ):
             Writer(path, ORIGIN, SIGNER)
         assert contents(path) == before
@@ -123,11 +121,16 @@ def test_a_key_does_not_sign_on_top_of_what_it_did_not_sign_unless_it_adopts_it(
         assert trusted(path).signed == 1
 
 
+def pretend(path: Path, number: int) -> None:
+    """Put the signature of another key under the name of this one."""
+    forged = NAMESAKE.sign(note_of(path, number).checkpoint)
+    signature = base64.b64encode(KEY.key_id + forged.data).decode()
+    forge(path, "commit", number, signature=signature)
+    (path / "checkpoint").write_text(str(note_of(path, 2)))
+
+
 def test_a_key_does_not_sign_on_top_of_a_note_that_only_names_it(path: Path) -> None:
-    tree = record_of(path, 2).signed_note().checkpoint
-    forged = Signature(KEY.name, KEY.key_id, NAMESAKE.sign(tree).data)
-    forge(path, 2, note=str(Note(tree, (forged,))))
-    (path / "checkpoint").write_text(record_of(path, 2).note)
+    pretend(path, 2)
     with pytest.raises(UsageError, match="found a newest checkpoint with a signature that this key did not make"):
         Writer(path, ORIGIN, SIGNER)
 
@@ -139,11 +142,7 @@ def test_another_key_of_the_same_name_is_told_apart(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_a_note_that_pretends_to_be_of_the_key_is_found_in_any_commit(path: Path, number: int) -> None:
-    tree = record_of(path, number).signed_note().checkpoint
-    forged = NAMESAKE.sign(tree)
-    pretending = str(Note(tree, (type(forged)(KEY.name, KEY.key_id, forged.data),)))
-    forge(path, number, note=pretending)
-    (path / "checkpoint").write_text(record_of(path, 2).note)
+    pretend(path, number)
     assert verify(path).ok  # nothing contradicts itself
     assert f"commit {number}, field note: found a signature that this key did not make" in the_problem(trusted(path))
 
@@ -163,7 +162,7 @@ def anchored(path: Path, note: Note | str | bytes, *, is_quick: bool, key: Signe
 
 
 def note_of(path: Path, number: int) -> Note:
-    return record_of(path, number).signed_note()
+    return open_ledger(path).commits[number].note(ORIGIN)
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
@@ -176,7 +175,7 @@ def test_a_ledger_only_grew_since_each_of_its_checkpoints(path: Path, number: in
 def test_an_anchor_may_end_within_a_commit(path: Path, is_quick: bool) -> None:
     """Another writer may have committed the same events in other batches."""
     for size in (1, 7, 23, 25, 47, 71):
-        root = tree_root(node_of(tile_reader(path), 72), size)
+        root = tree_root(open_ledger(path).node(72), size)
         assert anchored(path, Note(Checkpoint(ORIGIN, size, root)), is_quick=is_quick).anchored == size
         assert not anchored(path, Note(Checkpoint(ORIGIN, size + 1, root)), is_quick=is_quick).ok
 
@@ -193,7 +192,7 @@ def test_newest_commits_that_were_taken_away_are_missed(path: Path, tmp_path: Pa
     append_all(tmp_path / "shorter", BATCHES[:2], signer=SIGNER)
     assert trusted(tmp_path / "shorter").ok  # without an anchor nothing shows
     found = the_problem(anchored(tmp_path / "shorter", note_of(path, 2), is_quick=is_quick, key=SIGNER))
-    assert "commits: found 48 events, expected at least 72" in found
+    assert "chain.jsonl: found 48 events, expected at least 72" in found
     assert found.endswith("the newest were removed")
 
 
@@ -246,65 +245,6 @@ def test_an_anchor_that_is_not_there_is_the_callers_mistake(tmp_path: Path) -> N
         read_anchor(tmp_path / "none")
 
 
-def test_old_tiles_left_in_a_rewritten_ledger_do_not_deceive_a_quick_look(tmp_path: Path) -> None:
-    """The anchor ends within a tile.
-
-    Its root comes from the old leaves there, the new root from the level above them.
-    """
-
-    def batches(seed: int) -> list[list[LedgerRun]]:
-        return [[made_up_run("a", 256, 1)], [made_up_run("b", 44, seed)], [made_up_run("c", 400, 3)]]
-
-    append_all(tmp_path / "before", batches(2))
-    append_all(tmp_path / "after", batches(99))
-    anchor = note_of(tmp_path / "before", 1)
-    shutil.copy(tmp_path / "before" / "tile" / "0" / "001", tmp_path / "after" / "tile" / "0" / "001")
-    assert tree_root(node_of(tile_reader(tmp_path / "after"), 700), 300) == anchor.checkpoint.root  # the deception
-    assert verify(tmp_path / "after", asked=Asked(is_quick=True)).ok
-    assert "history was rewritten" in the_problem(anchored(tmp_path / "after", anchor, is_quick=True))
-    assert anchored(tmp_path / "before", anchor, is_quick=True).ok
-
-
-def test_a_quick_look_with_an_anchor_needs_its_tiles(path: Path) -> None:
-    shutil.rmtree(path / "tile")
-    assert verify(path, asked=Asked(is_quick=True)).ok
-    found = the_problem(anchored(path, note_of(path, 1), is_quick=True))
-    assert found.startswith(
-        "tile: found one that cannot be read (tile/0/000.p/72: found no file), expected those from the 48 events"
-    )
-    assert "history" not in found
-
-
-@pytest.fixture
-def behind(path: Path, tmp_path: Path) -> Path:
-    """Return the ledger as a crash leaves it after its third commit, with the tiles and checkpoint of the second."""
-    append_all(tmp_path / "two", BATCHES[:2], signer=SIGNER)
-    shutil.rmtree(path / "tile")
-    shutil.copytree(tmp_path / "two" / "tile", path / "tile")
-    shutil.copy(tmp_path / "two" / "checkpoint", path / "checkpoint")
-    return path
-
-
-@pytest.mark.parametrize("number", [0, 1])
-def test_a_quick_look_one_commit_behind_proves_the_anchor_up_to_there_and_says_so(behind: Path, number: int) -> None:
-    report = anchored(behind, note_of(behind, number), is_quick=True, key=SIGNER)
-    assert (report.ok, report.anchored, report.remarks[0]) == (True, 24 * (number + 1), BEHIND), report.problems
-    assert (
-        f"the recorded roots only grew from the anchor's {24 * (number + 1)} events to 48, those before the "
-        "newest commit" in report.remarks[1]
-    )
-    newest = anchored(behind, note_of(behind, 2), is_quick=True, key=SIGNER)
-    assert (newest.ok, newest.anchored) == (True, 72), newest.problems
-
-
-def test_a_quick_look_one_commit_behind_finds_a_rewritten_history(behind: Path, tmp_path: Path) -> None:
-    append_all(tmp_path / "other", made_up_batches(3, size=11))
-    elsewhere = note_of(tmp_path / "other", 0)
-    assert "history was rewritten" in the_problem(anchored(behind, elsewhere, is_quick=True))
-    between = Note(Checkpoint(ORIGIN, 60, bytes(32)))  # the tiles of the newest commit alone could tell
-    assert "tile: found one that cannot be read" in the_problem(anchored(behind, between, is_quick=True))
-
-
 def test_a_quick_look_says_what_it_did_not_compare(path: Path) -> None:
     assert verify(path, asked=Asked(is_quick=True)).remarks == ("rows were not compared with the recorded roots",)
     remark = "the recorded roots only grew since the anchor's 24 events; rows were not compared with them"
@@ -316,11 +256,11 @@ def test_a_quick_look_says_what_it_did_not_compare(path: Path) -> None:
 
 
 def test_a_quick_look_finds_any_flipped_byte_of_a_segment_and_says_that_it_was_quick(path: Path) -> None:
-    data = segment_path(path, 1).read_bytes()
+    data = segment_at(path, 1).read_bytes()
     for at in range(0, len(data), 37):
-        segment_path(path, 1).write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        segment_at(path, 1).write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
         report = verify(path, asked=Asked(is_quick=True))
-        assert "segments/000000000001.parquet: commit 1, field segment_sha256" in the_problem(report)
+        assert "segments/000000000024-000000000048.parquet: commit 1, field segment_sha256" in the_problem(report)
         assert report.is_quick
 
 

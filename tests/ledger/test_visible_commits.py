@@ -11,16 +11,16 @@ import pytest
 
 from fsar_ledger.errors import NotALedger, WriteFailed
 from fsar_ledger.ledger.chain import snapshot
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.rows.pieces import piece
 from fsar_ledger.ledger.store import turns
-from fsar_ledger.ledger.store.append import stage
 from fsar_ledger.ledger.store.paths import SEGMENTS
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
-from tests.ledger.chain_trials import write_with
+from tests.ledger.crash_trials import write_with
 from tests.ledger.faults import SYNCS, WRITES, Fault, FaultyOs, calls_of
 from tests.ledger.power import choices
 from tests.ledger.samples import ORIGIN, made_up_run
@@ -135,10 +135,10 @@ def test_what_a_reader_sees_beside_a_disk_that_refuses_stays(tmp_path: Path, cal
 
 def hidden_frame(path: Path) -> None:
     """Leave a ledger as a writer does that ended when its newest commit was on disk and not visible yet."""
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.add([piece(RUN, 0, 10)])
     end, checkpoint = (path / JOURNAL).stat().st_size, (path / "checkpoint").read_bytes()
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.add([piece(RUN, 10, 25)])
     data = bytearray((path / JOURNAL).read_bytes())
     data[end] = 0
@@ -148,7 +148,7 @@ def hidden_frame(path: Path) -> None:
 
 def hidden_append(path: Path) -> None:
     """Leave a ledger as a writer does that ended when its newest segment was on disk and not visible yet."""
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         writer.append(stage(path, [piece(RUN, 0, 10)]))
         checkpoint = (path / "checkpoint").read_bytes()
         writer.append(stage(path, [piece(RUN, 10, 25)]))
@@ -167,7 +167,7 @@ def test_a_commit_that_was_on_disk_and_not_visible_counts_once_its_writer_is_gon
     assert (report.ok, report.events) == (True, 25)
     assert any("made it visible" in remark for remark in report.remarks)
     assert judged(Case("hidden", path, True)).difference == ""
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         assert writer.head.size == 25
         writer.add([piece(RUN, 25, 40)])
     assert (verify(path).events, verify(path).remarks) == (40, ())
@@ -185,7 +185,7 @@ def test_a_commit_that_is_not_visible_does_not_count_while_a_writer_is_at_it(
 
 def test_two_commits_that_are_not_visible_count_where_the_power_failed_between_them(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
-    with ChainWriter(path, ORIGIN) as writer:
+    with Writer(path, ORIGIN) as writer:
         ends = []
         for first in (0, 10, 20):
             writer.add([piece(RUN, first, first + 10)])

@@ -10,12 +10,11 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file, read_layout
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_coded
-from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify.report import Asked
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.duckdb_check import ReadAgain
-from tests.ledger.forgery import changed, forge_segment
+from tests.ledger.forgery import changed, forge_segment, segment_at
 from tests.ledger.parts import two_faced
 from tests.ledger.samples import append_all, made_up_run
 
@@ -91,8 +90,8 @@ def test_two_contents_are_found_even_where_the_layout_is_not_checked(
     append_all(path, [[made_up_run("run-0", 60, 1)], [made_up_run("run-1", 40, 2)]])
     assert verify(path, asked=ASKED).ok
     assert verify(path, workers=2, asked=ASKED).ok
-    honest = segment_path(path, 1).read_bytes()
-    table = segment.read_table(segment_path(path, 1))
+    honest = segment_at(path, 1).read_bytes()
+    table = segment.read_table(segment_at(path, 1))
     at = SCHEMA.get_field_index("robot")
     other = table.set_column(
         at, SCHEMA.field(at), pa.array([None if robot is None else "nobody" for robot in table["robot"].to_pylist()])
@@ -110,7 +109,7 @@ def test_two_contents_are_found_even_where_the_layout_is_not_checked(
     monkeypatch.setattr(verify_segment, "check_layout", unchecked)
     assert verify(path).ok, "pyarrow reads the honest rows"
     [problem] = verify(path, asked=ASKED).problems
-    assert (problem.where, problem.commit) == ("segments/000000000001.parquet", 1)
+    assert (problem.where, problem.commit) == ("segments/000000000060-000000000100.parquet", 1)
     assert re.fullmatch(r"\d+ values of column robot that DuckDB reads otherwise", problem.found)
     assert layout.check_layout is check_layout
 

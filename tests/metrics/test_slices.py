@@ -15,12 +15,12 @@ WHOLE = Experiment(("fsar", "cfc", "dhma"), ("door-relay", "fleet-contention"), 
 EVENTS = "SELECT run_id, seq, type FROM events ORDER BY ALL"
 
 
-@pytest.fixture(scope="module", params=[1, 2], ids=["format 1", "format 2"])
-def ledger(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module")
+def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("slices") / "ledger"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(staging, "COMMIT_EVENTS", 300)  # in format 2 most runs are in several segments
-        run_experiment(path, WHOLE, 1, version=request.param)
+        patch.setattr(staging, "COMMIT_EVENTS", 300)  # most runs are in several segments
+        run_experiment(path, WHOLE, 1)
     return path
 
 

@@ -1,4 +1,4 @@
-"""An experiment is a row of runs in canonical order, committed in batches of 25."""
+"""An experiment is a row of runs in canonical order, committed in batches."""
 
 from math import nan
 from pathlib import Path
@@ -11,8 +11,7 @@ from fsar_ledger.constants import Constants, Outages, Range, Structure, WorldCon
 from fsar_ledger.errors import InvalidExperiment, NotALedger
 from fsar_ledger.ledger.opening import open_for_answers, open_ledger
 from fsar_ledger.ledger.verify.verify import verify
-from fsar_ledger.ledger.writing import VERSIONS
-from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, run_experiment
+from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started
 
 SMALL = Experiment(ARCHITECTURES, SCENARIOS[:2], runs=5, seed=3)
@@ -29,8 +28,21 @@ def test_runs_come_in_canonical_order() -> None:
     assert len(specs) == len(set(specs)) == 30
 
 
-def test_batches_have_25_runs_and_the_last_one_the_rest() -> None:
-    assert [len(batch) for batch in SMALL.batches()] == [BATCH_RUNS, 5]
+def test_batches_have_as_many_runs_as_a_commit_holds_of_such_a_fleet_and_the_last_one_the_rest() -> None:
+    assert [len(batch) for batch in SMALL.batches()] == [22, 8]
+    default = Experiment(ARCHITECTURES, SCENARIOS, runs=20)
+    assert [len(batch) for batch in default.batches()] == [22, 22, *[21] * 12, 4]
+    larger = msgspec.structs.replace(SMALL, fleet_size=16)
+    assert [len(batch) for batch in larger.batches()] == [5] * 6
+    assert {len(batch) for batch in msgspec.structs.replace(SMALL, fleet_size=1024).batches()} == {1}
+
+
+def test_what_is_missing_of_a_batch_is_committed_with_the_rest_of_that_batch() -> None:
+    whole = SMALL.batches()
+    assert SMALL.batches(lambda spec: spec in whole[0]) == whole[1:]
+    assert SMALL.batches(lambda spec: spec.architecture != "dhma") == [
+        tuple(spec for spec in batch if spec.architecture == "dhma") for batch in whole
+    ]
 
 
 @pytest.mark.parametrize(
@@ -106,32 +118,30 @@ def test_an_interrupted_experiment_goes_on_at_the_first_missing_batch(tmp_path: 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("version", VERSIONS)
 def test_an_experiment_that_another_process_finishes_meanwhile_finishes_too_and_nothing_is_there_twice(
-    tmp_path: Path, version: int
+    tmp_path: Path,
 ) -> None:
     path = tmp_path / "ledger"
 
     def finish_elsewhere(done: int, _total: int) -> None:
         if done == 0:
-            run_experiment(path, SMALL, 1, version=version)
+            run_experiment(path, SMALL, 1)
 
-    head = run_experiment(path, SMALL, 1, finish_elsewhere, version=version).head
-    assert head == run_experiment(tmp_path / "alone", SMALL, 1, version=version).head
+    head = run_experiment(path, SMALL, 1, finish_elsewhere).head
+    assert head == run_experiment(tmp_path / "alone", SMALL, 1).head
     assert verify(path).ok
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("version", VERSIONS)
-def test_two_experiments_at_once_in_one_ledger_both_finish(tmp_path: Path, version: int) -> None:
+def test_two_experiments_at_once_in_one_ledger_both_finish(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     other = msgspec.structs.replace(SMALL, seed=SMALL.seed + 1)
 
     def begin_elsewhere(done: int, _total: int) -> None:
         if done == 1:
-            run_experiment(path, other, 1, version=version)
+            run_experiment(path, other, 1)
 
-    run_experiment(path, SMALL, 1, begin_elsewhere, version=version)
+    run_experiment(path, SMALL, 1, begin_elsewhere)
     held = {run.run_id for run in open_for_answers(path).runs()}
     alone = [run_experiment(tmp_path / name, one, 1).head for name, one in (("one", SMALL), ("two", other))]
     assert open_for_answers(path).head.size == sum(head.size for head in alone)

@@ -1,4 +1,4 @@
-"""What grows with the fleet: floors and crowding, load, founding, and what a commit can hold."""
+"""What grows with the fleet: floors and crowding, load and founding."""
 
 from collections import Counter
 from pathlib import Path
@@ -9,20 +9,17 @@ import pytest
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
-from fsar_ledger.events.configuration import CONFIGURATIONS
-from fsar_ledger.events.envelope import Architecture, Robot, Scenario, flat
+from fsar_ledger.events.envelope import Architecture, Robot, Scenario
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.events.world import ObstructionAppeared, PeersMet, RoutineDue, TaskArrived
-from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.store import append
-from fsar_ledger.ledger.store.record import VERSION
+from fsar_ledger.ledger.store import staging
+from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.projections.policy import ruled
-from fsar_ledger.runtime.capacity import expected
 from fsar_ledger.runtime.experiment import Experiment, run_experiment
 from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started, simulate_run
@@ -50,10 +47,6 @@ def made(
     configuration: Any = "full",
 ) -> LedgerRun:
     return simulate_run(RunSpec(42, architecture, configuration, scenario, fleet_size, 0), Constants(load=load))
-
-
-def list_values(record: LedgerRun) -> int:
-    return sum(len(value) for event in record.events for value in flat(event).values() if isinstance(value, tuple))
 
 
 # --- places ---
@@ -176,7 +169,7 @@ def test_the_rules_of_a_thousand_robots_are_as_many_as_its_roles_and_exceptions(
     assert outcomes == {None: 768, "deny": 255, "allow": 1}
 
 
-# --- runs of large fleets, and what a commit can hold ---
+# --- runs of large fleets ---
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
@@ -198,72 +191,11 @@ def test_a_fleet_of_a_thousand_robots_is_simulated_and_stored(tmp_path: Path, ar
     assert run_experiment(tmp_path / "ledger", experiment, workers=1).head.size > 50_000
 
 
-@pytest.mark.parametrize("fleet_size", [4, 16, 32])
-@pytest.mark.parametrize("scenario", ["door-relay", "mixed-trust-inspection"])
-def test_a_run_makes_no_more_than_is_expected_of_it(fleet_size: int, scenario: Scenario) -> None:
-    cells = [(architecture, "full") for architecture in ARCHITECTURES] + [
-        ("fsar", configuration) for configuration in CONFIGURATIONS[1:]
-    ]
-    for architecture, configuration in cells:
-        record = made(architecture, scenario, fleet_size, None, configuration)
-        most = expected((scenario, architecture, configuration), fleet_size, Constants())
-        assert 0.3 * most.events < len(record.events) < most.events, (architecture, configuration)
-        assert list_values(record) < most.list_values, (architecture, configuration)
-
-
-def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_largest_that_fits(
-    tmp_path: Path,
-) -> None:
-    def asked(fleet_size: int, runs: int = 20) -> Experiment:
-        return Experiment(ARCHITECTURES, SCENARIOS, runs, fleet_size=fleet_size)
-
-    with pytest.raises(InvalidExperiment, match="fleet size: found 256"):
-        asked(256).require_fits()
-    with pytest.raises(
-        InvalidExperiment,
-        match=f"fleet size: found 256, expected at most [0-9]+: a commit holds 25 runs at once and {MAX_ROWS:,} events",
-    ) as refused:
-        run_experiment(tmp_path / "ledger", asked(256), workers=1, version=VERSION)
-    assert not (tmp_path / "ledger").exists()
-    largest = int(str(refused.value).split("at most ")[1].split(":")[0])
-    asked(largest).require_fits()
-    with pytest.raises(InvalidExperiment, match=f"expected at most {largest}:"):
-        asked(largest + 4).require_fits()
-    few = Experiment(ARCHITECTURES, SCENARIOS[:1], 1, fleet_size=512, constants=Constants(load=Load(4)))
-    few.require_fits()
-    with pytest.raises(
-        InvalidExperiment, match=f"found 1000000000, expected at most {largest}: a commit holds 25 runs"
-    ):
-        asked(10**9).require_fits()
-    with pytest.raises(InvalidExperiment, match="a commit holds one run"):
-        Experiment(("dhma",), SCENARIOS[:1], 1, fleet_size=1024).require_fits()
-
-
-def test_the_runs_that_enlarge_a_ledger_are_as_many_a_commit_as_it_holds() -> None:
-    """All that is missing may be of the architecture whose runs are largest."""
-    whole = Experiment(ARCHITECTURES, ("fleet-contention",), 25, fleet_size=120)
-    whole.require_fits()
-    assert {len(batch) for batch in whole.batches()} == {25}
-    missing = whole.batches(lambda spec: spec.architecture != "dhma")
-    most = expected(("fleet-contention", "dhma", "full"), 120, Constants())
-    assert most.events * 25 > MAX_ROWS
-    assert all(
-        len(batch) * most.events <= MAX_ROWS and len(batch) * most.list_values <= MAX_LIST_VALUES for batch in missing
-    )
-    assert [spec for batch in missing for spec in batch] == [
-        spec for spec in whole.specs() if spec.architecture == "dhma"
-    ]
-    there = {*missing[0]}
-    assert (
-        whole.batches(lambda spec: spec.architecture != "dhma" or spec in there) == missing[1:]
-    )  # interrupted after the first
-
-
-def test_what_was_not_expected_is_refused_as_plainly_when_it_is_staged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(append, "MAX_ROWS", 500)
-    with pytest.raises(
-        InvalidExperiment, match=r"fleet size 4: found [0-9]+ events in 3 runs, expected at most 500 in one commit"
-    ):
-        run_experiment(tmp_path / "ledger", Experiment(ARCHITECTURES, ("door-relay",), 1), workers=1, version=VERSION)
+def test_what_one_segment_cannot_hold_is_staged_in_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = Experiment(ARCHITECTURES, ("door-relay",), 1)
+    whole = run_experiment(tmp_path / "whole", experiment, workers=1).head
+    monkeypatch.setattr(staging, "MAX_ROWS", 500)
+    parts = run_experiment(tmp_path / "parts", experiment, workers=1).head
+    assert (parts.size, parts.root) == (whole.size, whole.root)
+    assert parts.commits > whole.commits
+    assert verify(tmp_path / "parts").ok

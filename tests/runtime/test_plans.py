@@ -11,10 +11,10 @@ import pytest
 from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import ExperimentPlanned
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.record import CHAINED, VERSION
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.store.view import Head
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
@@ -41,9 +41,8 @@ def _small_batches(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def small_batches(patch: pytest.MonkeyPatch) -> None:
-    """Let a batch have three runs, of some 600 events each."""
-    patch.setattr(module, "BATCH_RUNS", 3)
-    patch.setattr(module, "COMMIT_EVENTS", 1_900)
+    """Let a batch have three runs of the paper's fleet."""
+    patch.setattr(module, "COMMIT_EVENTS", 4 * 3 * module.EVENTS_PER_ROBOT)
 
 
 def stop_after(batches: int) -> Callable[[int, int], None]:
@@ -54,10 +53,10 @@ def stop_after(batches: int) -> Callable[[int, int], None]:
     return progress
 
 
-def interrupted(path: Path, experiment: Experiment, batches: int, version: int | None = None) -> None:
+def interrupted(path: Path, experiment: Experiment, batches: int) -> None:
     """Stop the experiment when so many batches are there."""
     with pytest.raises(Stopped):
-        run_experiment(path, experiment, 1, stop_after(batches), version=version)
+        run_experiment(path, experiment, 1, stop_after(batches))
 
 
 def runs(path: Path) -> dict[str, LedgerRun]:
@@ -121,20 +120,19 @@ def test_an_enlarged_ledger_has_the_runs_and_metrics_of_a_fresh_one_and_another_
     assert replay(path).ok
 
 
-@pytest.mark.parametrize("version", [CHAINED, pytest.param(VERSION, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     ("of_small", "of_large"),
     [(1, 1), *(pytest.param(*at, marks=pytest.mark.slow) for at in ((0, 0), (0, 2), (2, 0), (2, 1)))],
 )
 def test_wherever_an_enlargement_is_interrupted_its_plans_decide_the_bytes(
-    tmp_path: Path, of_small: int, of_large: int, version: int
+    tmp_path: Path, of_small: int, of_large: int
 ) -> None:
     """The small experiment has two batches; the batches of the large one follow from what was there when it was
     planned."""
     if of_small < 2:
-        interrupted(tmp_path / "stopped", ONE, of_small, version)
+        interrupted(tmp_path / "stopped", ONE, of_small)
     else:
-        run_experiment(tmp_path / "stopped", ONE, 1, version=version)
+        run_experiment(tmp_path / "stopped", ONE, 1)
     shutil.copytree(tmp_path / "stopped", tmp_path / "straight")
     interrupted(tmp_path / "stopped", MORE, of_large)
     head = run_experiment(tmp_path / "straight", MORE, 1).head

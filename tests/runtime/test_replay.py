@@ -17,8 +17,9 @@ from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, WorldEvent
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.rows.codec import LedgerRun
-from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.fsar import FSAR
@@ -30,6 +31,7 @@ from fsar_ledger.runtime.knockouts import KNOCKOUTS, Knockout
 from fsar_ledger.runtime.replay import ReplayReport, replay, replay_run
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, handler_table_of, simulate_run
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
+from tests.ledger.forgery import segment_at
 from tests.ledger.hostile import stage_anything
 from tests.quick import few
 from tests.runtime import governed
@@ -89,7 +91,8 @@ def test_workers_find_the_same_in_the_same_order_and_progress_is_told(tmp_path: 
     assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
     assert report == replay(tmp_path / "ledger")
     assert [(one.commit, one.segment, one.run) for one in report.differences] == [
-        (at, f"segments/{at:012d}.parquet", run.run_id) for at, run in enumerate(forged, start=1)
+        (at, f"segments/{segment_at(tmp_path / 'ledger', at).name}", run.run_id)
+        for at, run in enumerate(forged, start=1)
     ]
     assert (report.commits, report.runs, report.events) == (1, 1, len(HONEST.events))
     assert replay(tmp_path / "ledger", commits=1).ok
@@ -103,7 +106,13 @@ def test_a_forged_run_that_verifies_is_found_by_replay(tmp_path: Path, name: str
     forgery = FORGERIES[name]
     [difference] = replay(committed(tmp_path / "ledger", forgery.run)).differences
     found = (difference.commit, difference.segment, difference.run, difference.seq, difference.field)
-    assert found == (0, "segments/000000000000.parquet", HONEST.run_id, forgery.seq, forgery.field), difference
+    assert found == (
+        0,
+        f"segments/{segment_at(tmp_path / 'ledger', 0).name}",
+        HONEST.run_id,
+        forgery.seq,
+        forgery.field,
+    ), difference
     assert (difference.handler or "none").endswith(forgery.handler or "none"), difference
 
 

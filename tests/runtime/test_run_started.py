@@ -13,6 +13,7 @@ from fsar_ledger.events.retired import RunStartedV1
 from fsar_ledger.ledger.opening import open_ledger
 from fsar_ledger.ledger.rows.codec import LedgerRun
 from fsar_ledger.ledger.rows.schema import LAYOUTS
+from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.projections import fleet
@@ -80,8 +81,9 @@ def test_a_simulated_run_observes_every_concern() -> None:
 
 
 @pytest.mark.parametrize("version", ["0.1.0", "0.2.0"])
-def test_runs_of_earlier_releases_observe_all_that_there_was(version: str) -> None:
-    started = [run.events[0] for run in open_ledger(LEDGERS / version / "ledger").runs()]
+def test_runs_of_earlier_releases_observe_all_that_there_was(version: str, tmp_path: Path) -> None:
+    upgrade(LEDGERS / version / "ledger", tmp_path / "upgraded")
+    started = [run.events[0] for run in open_ledger(tmp_path / "upgraded").runs()]
     assert [event.observes for event in started if isinstance(event, RunStarted)] == [CONCERNS] * 3
 
 

@@ -44,12 +44,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("made") / "ledger"
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setattr(staging, "COMMIT_EVENTS", SMALL)
-        run_experiment(path, WHOLE, 1, version=2)
+        run_experiment(path, WHOLE, 1)
     return path
 
 
-def test_in_both_formats_the_same_experiment_has_the_same_root(tmp_path: Path, small_commits: None, made: Path) -> None:
-    first, second = run_experiment(tmp_path / "1", WHOLE, 1, version=1).head, open_for_answers(made).head
+def test_in_commits_of_any_size_the_same_experiment_has_the_same_root(tmp_path: Path, made: Path) -> None:
+    first, second = run_experiment(tmp_path / "1", WHOLE, 1).head, open_for_answers(made).head
     assert (first.size, first.root) == (second.size, second.root)
     assert second.commits > 2 * 18 / 2
     assert list(open_for_answers(tmp_path / "1").runs()) == list(open_for_answers(made).runs())
@@ -61,23 +61,23 @@ def test_in_both_formats_the_same_experiment_has_the_same_root(tmp_path: Path, s
 def test_a_simulation_that_is_interrupted_within_a_run_goes_on_with_that_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_commits: None, made: Path, stop: int
 ) -> None:
-    from fsar_ledger.ledger.chain.append import ChainWriter
+    from fsar_ledger.ledger.chain.append import Writer
 
-    append = ChainWriter.append
+    append = Writer.append
     commits = 0
 
-    def interrupted(self: ChainWriter, *given: object) -> object:
+    def interrupted(self: Writer, *given: object) -> object:
         nonlocal commits
         commits += 1
         if commits > stop:
             raise KeyboardInterrupt
         return append(self, *given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(ChainWriter, "append", interrupted)
+    monkeypatch.setattr(Writer, "append", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        run_experiment(tmp_path / "stopped", WHOLE, 1, version=2)
-    monkeypatch.setattr(ChainWriter, "append", append)
-    again = run_experiment(tmp_path / "stopped", WHOLE, 1, version=2)
+        run_experiment(tmp_path / "stopped", WHOLE, 1)
+    monkeypatch.setattr(Writer, "append", append)
+    again = run_experiment(tmp_path / "stopped", WHOLE, 1)
     whole, found = open_for_answers(made), open_for_answers(tmp_path / "stopped")
     assert (found.head.size, found.head.root) == (whole.head.size, whole.head.root)
     assert again.held == WHOLE.size
@@ -87,11 +87,11 @@ def test_a_simulation_that_is_interrupted_within_a_run_goes_on_with_that_run(
 
 def test_any_number_of_workers_gives_the_same_bytes(tmp_path: Path) -> None:
     for workers in (1, 2):
-        run_experiment(tmp_path / str(workers), WHOLE, workers, version=2)
+        run_experiment(tmp_path / str(workers), WHOLE, workers)
     assert contents(tmp_path / "1") == contents(tmp_path / "2")
 
 
 def test_a_fleet_that_no_memory_holds_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(InvalidExperiment, match="fleet size: found 1000000000, expected at most 65536"):
-        run_experiment(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], 1, fleet_size=10**9), 1, version=2)
+        run_experiment(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], 1, fleet_size=10**9), 1)
     assert not (tmp_path / "ledger").exists()

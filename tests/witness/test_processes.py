@@ -13,9 +13,9 @@ from threading import Thread
 
 import pytest
 
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.log.note import parse_note
-from fsar_ledger.ledger.store.append import stage
-from fsar_ledger.ledger.writing import VERSIONS, open_writer
+from fsar_ledger.ledger.store.staging import stage
 from fsar_ledger.witness.cosignature import parse_cosigned, parse_secret
 from fsar_ledger.witness.state import new_state, open_state
 from tests.cli.conftest import Call, Called, in_a_process, one_message
@@ -69,10 +69,10 @@ class Place:
         return self._run("verify", ledger, "--witness-policy", policy, "--workers", 1, *options)
 
 
-@pytest.fixture(scope="module", params=VERSIONS, ids=["format 1", "format 2"])
-def ledgers(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture(scope="module")
+def ledgers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ledgers")
-    write_ledger(folder / "whole", SIZES, folder, request.param)
+    write_ledger(folder / "whole", SIZES, folder)
     (folder / "log.pub").write_text(f"{SIGNER.verifier}\n")
     return folder
 
@@ -86,7 +86,7 @@ def place(ledgers: Path, tmp_path: Path, call: Call) -> Iterator[Place]:
 def rewritten(path: Path, kept: Path, size: int) -> Path:
     """Return a ledger that begins like the kept one and continues differently, signed with the same key."""
     shutil.copytree(kept, path)
-    with open_writer(path, ORIGIN, SIGNER) as writer:
+    with Writer(path, ORIGIN, SIGNER) as writer:
         writer.append(stage(path, [made_up_run("run-9999", size, seed=99)]))
     return path
 
@@ -325,7 +325,7 @@ def test_what_a_witness_cannot_answer_is_explained(ledgers: Path, tmp_path: Path
         "no cosignature of it",
     )
     unsigned = tmp_path / "unsigned"
-    with open_writer(unsigned, ORIGIN) as writer:
+    with Writer(unsigned, ORIGIN) as writer:
         writer.append(stage(unsigned, [made_up_run("run", 9, seed=1)]))
     one_message(call("witness", "ask", unsigned, "--policy", policy), 2, "an unsigned checkpoint")
     assert parse_note("x", (tmp_path / "x").read_text()).checkpoint.size == 300

@@ -1,4 +1,4 @@
-"""A ledger of format 2: runs of any length, commits of any size.
+"""A ledger: runs of any length, commits of any size.
 
 ```
 record     the lines of a chain: commits, and placements of their rows
@@ -11,11 +11,13 @@ index      which runs are where
 indexed    whether it says what the rows say
 groups     which segments share runs
 paths      where the files are
-read       ChainView: what is committed
+read       View: what is committed
 checkpoint the file `checkpoint`, which may be behind
 prepare    what a writer does before it appends
 held       which runs a ledger holds, and how far
 compact    which segments are put together
-append     ChainWriter
+places     where the events of a run are
+proof      proof that one event is in a ledger
+append     Writer
 ```
 """

@@ -1,4 +1,4 @@
-"""Append commits to a ledger of format 2. Each is added whole or not at all, and is on disk when the call returns.
+"""Append commits to a ledger. Each is added whole or not at all, and is on disk when the call returns.
 
 Many events at once go into a segment of their own, and each step is durable before the next:
 1. `stage` (any number of workers) writes the segment to `staging/`, under its SHA-256.
@@ -25,16 +25,16 @@ from fsar_ledger.errors import InvalidRun, NotALedger, WriteFailed, option
 from fsar_ledger.ledger.chain import paths
 from fsar_ledger.ledger.chain.compact import mergeable, merged_segment
 from fsar_ledger.ledger.chain.derived import append_derived
-from fsar_ledger.ledger.chain.held import HeldRuns, continued
+from fsar_ledger.ledger.chain.held import Held, HeldRuns, continued
 from fsar_ledger.ledger.chain.index import index_line
 from fsar_ledger.ledger.chain.journal import Frame, JournalFile
 from fsar_ledger.ledger.chain.prepare import repair, require_own
-from fsar_ledger.ledger.chain.read import ChainView, open_chain
+from fsar_ledger.ledger.chain.read import View, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.chain.sealing import Sealing
 from fsar_ledger.ledger.chain.tables import require_staged, stage_made
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Signer
 from fsar_ledger.ledger.rows import canonical
@@ -43,20 +43,18 @@ from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.runs import LedgerRun, refusal
 from fsar_ledger.ledger.rows.small import rows_of
 from fsar_ledger.ledger.store import disk, growing, turns
-from fsar_ledger.ledger.store.append import Staged
-from fsar_ledger.ledger.store.held import Held
+from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING, staged_path
 from fsar_ledger.ledger.store.prepare import create, lock, require_name
-from fsar_ledger.ledger.store.read import read_manifest
-from fsar_ledger.ledger.store.record import CHAINED, sha256_hex
+from fsar_ledger.ledger.store.staging import Staged
 from fsar_ledger.ledger.store.view import Head
 
 SEAL_ROWS, SEAL_BYTES = 1 << 14, 1 << 23
 """A journal is sealed before it holds more events or bytes; so many always fit into a segment."""
 
 
-class ChainWriter:
-    """Appends to a ledger of format 2, which it creates if there is none. Use it as a context manager.
+class Writer:
+    """Appends to a ledger, which it creates if there is none. Use it as a context manager.
 
     Args:
         signer: The key that signs the notes of new commits, and whose name must be the origin. Without one they are
@@ -74,7 +72,7 @@ class ChainWriter:
 
     def __init__(self, ledger: Path, origin: str, signer: Signer | None = None, *, adopts: bool = False):
         require_name(origin, signer.verifier if signer is not None else None)
-        create(ledger, origin, CHAINED)
+        create(ledger, origin)
         self._path, self._origin, self._signer, self._adopts = ledger, origin, signer, adopts
         self._segments = ledger / SEGMENTS
         self._turn = turns.Turns(self._segments)
@@ -94,7 +92,7 @@ class ChainWriter:
             raise
         self._held: HeldRuns | None = None  # read when the first batch is appended
 
-    def _opened(self, *, is_alone: bool = False, settles: bool = True) -> ChainView:
+    def _opened(self, *, is_alone: bool = False, settles: bool = True) -> View:
         """Open the ledger, finish what an interrupted writer left, and check who signed it."""
         view = open_chain(self._path, read_manifest(self._path), has_turn=True)
         if view.manifest.origin != self._origin:
@@ -111,7 +109,7 @@ class ChainWriter:
         """Return how far the ledger goes."""
         return self._view.head
 
-    def __enter__(self) -> "ChainWriter":
+    def __enter__(self) -> "Writer":
         return self
 
     def __exit__(
@@ -195,7 +193,7 @@ class ChainWriter:
         """Commit these runs, or parts of runs, to the journal, durably: for a few events at a time.
 
         Raises:
-            InvalidRun: As `store.append.stage`, or as `append`; or they are more than a journal holds, 16,384 events or
+            InvalidRun: As `stage`, or as `append`; or they are more than a journal holds, 16,384 events or
                 8 MiB. The ledger is unchanged.
             LedgerCorrupted: Another writer made the ledger contradict itself.
             WriteFailed: The disk refused. The ledger is unchanged, unless the message says otherwise.

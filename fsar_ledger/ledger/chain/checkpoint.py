@@ -1,4 +1,4 @@
-"""The file `checkpoint` of a ledger of format 2: the note of a commit, the newest when the ledger was closed.
+"""The file `checkpoint` of a ledger: the note of a commit, the newest when the ledger was closed.
 
 It is written after each append to the chain, and when a writer closes the ledger, not for each commit in the journal.
 So it may be behind by the commits that the journal holds, and, after a crash, by the last append to the chain.
@@ -7,23 +7,25 @@ So it may be behind by the commits that the journal holds, and, after a crash, b
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.store.paths import CHECKPOINT
 from fsar_ledger.ledger.store.problem import Problem
 
 
-def behind(view: ChainView) -> int:
+def behind(view: View) -> int:
     """Return how many of the newest commits the checkpoint does not cover.
 
     Raises: LedgerCorrupted if it is the note of none of them, or of none that a crash leaves.
     """
     found = covered(view)
     if isinstance(found, Problem):
-        raise LedgerCorrupted(f"{view.path}/{found}; run fsar-ledger verify, and fsar-ledger recover if it says so")
+        raise LedgerCorrupted(
+            f"{view.path}/{found}; run fsar-ledger verify, and fsar-ledger maintain recover if it says so"
+        )
     return found
 
 
-def covered(view: ChainView) -> int | Problem:
+def covered(view: View) -> int | Problem:
     """Return how many of the newest commits the checkpoint does not cover, or why it is no note that a crash leaves."""
     if isinstance(found := view.checkpoint, Problem):
         return found
@@ -42,7 +44,7 @@ def covered(view: ChainView) -> int | Problem:
     )
 
 
-def check_chain_checkpoint(view: ChainView) -> list[Problem]:
+def check_chain_checkpoint(view: View) -> list[Problem]:
     """Compare the file with the notes of the newest commits. Returns the problems."""
     found = covered(view)
     number = len(view.commits) - 1 if view.commits else None

@@ -1,15 +1,15 @@
-"""Which segments of a ledger of format 2 are put together, and the segment that holds their rows."""
+"""Which segments of a ledger are put together, and the segment that holds their rows."""
 
 from collections.abc import Iterator, Sequence
 
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.chain.record import Placement
 from fsar_ledger.ledger.chain.tables import made_of, stage_made
 from fsar_ledger.ledger.rows import canonical, segment
-from fsar_ledger.ledger.store.append import Staged
+from fsar_ledger.ledger.store.staging import Staged
 
 MERGED_ROWS = 1 << 14
 """The most events of a segment that others are put into."""
@@ -32,7 +32,7 @@ def mergeable(placed: Sequence[Placement]) -> Iterator[Sequence[Placement]]:
         yield group
 
 
-def merged_segment(view: ChainView, old: Sequence[Placement]) -> Staged:
+def merged_segment(view: View, old: Sequence[Placement]) -> Staged:
     """Write the rows of these neighbouring segments into one, in the staging folder.
 
     Raises: LedgerCorrupted if their rows do not lead from the tree before them to the tree after.

@@ -1,4 +1,4 @@
-"""The files of a ledger of format 2 that are derived from the events that segments hold, and grow with these.
+"""The files of a ledger that are derived from the events that segments hold, and grow with these.
 
 `nodes` is the pack of the tree, `index.jsonl` the index.
 """
@@ -30,12 +30,12 @@ def read_node(ledger: Path, place: int) -> bytes:
             disk.close(handle)
     except OSError as error:
         raise LedgerCorrupted(
-            f"{path}: it cannot be read ({error.strerror}); run fsar-ledger recover, which derives it again"
+            f"{path}: it cannot be read ({error.strerror}); run fsar-ledger maintain recover, which derives it again"
         ) from error
     if len(found) != HASH_BYTES:
         raise LedgerCorrupted(
-            f"{path}: found no hash {place}, expected {HASH_BYTES} bytes there; run fsar-ledger recover, which derives "
-            "it again"
+            f"{path}: found no hash {place}, expected {HASH_BYTES} bytes there; run fsar-ledger maintain recover, "
+            "which derives it again"
         )
     return found
 

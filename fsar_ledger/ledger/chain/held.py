@@ -1,16 +1,23 @@
-"""Which runs a ledger of format 2 holds, and how far, for its writer: a run goes on where it stopped."""
+"""Which runs a ledger holds, and how far, for its writer: a run goes on where it stopped."""
 
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 from fsar_ledger.ledger.chain.index import Index
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.places import event_at, place_of
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.rows.blocks import BLOCK_COLUMNS, Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.runs import Flaw
-from fsar_ledger.ledger.store.held import Held
-from fsar_ledger.ledger.store.places import event_at, place_of
 
 _MOST_SOUGHT = 64
 """How many runs are sought in the index by name before all of it is read, which takes about as long."""
+
+
+class Held(NamedTuple):
+    """The names of the runs that a ledger holds, and of its plans."""
+
+    runs: frozenset[str]
+    plans: frozenset[str]
 
 
 class HeldRuns:
@@ -21,14 +28,14 @@ class HeldRuns:
     Raises: LedgerCorrupted if rows must be read and cannot be.
     """
 
-    def __init__(self, view: ChainView) -> None:
+    def __init__(self, view: View) -> None:
         self._runs = Runs()
         view.believe_index()
         self._index: Index | None = view.index  # None once all of it is read
         self._sought: set[str] = set()
         self._indexed: set[str] = set()  # what these observe is not known: the index does not say it
 
-    def add_from(self, view: ChainView, first: int) -> None:
+    def add_from(self, view: View, first: int) -> None:
         """Add the events of this view from that index on. Raises: LedgerCorrupted if they cannot be read."""
         for table in view.tables_from(first, BLOCK_COLUMNS):
             self.add(blocks_of(table))
@@ -72,7 +79,7 @@ class HeldRuns:
         known = self._runs.known.get(run)
         return 0 if known is None else known.next
 
-    def refused(self, blocks: Sequence[Block], view: ChainView) -> Flaw | None:
+    def refused(self, blocks: Sequence[Block], view: View) -> Flaw | None:
         """Return why these blocks cannot be the next of this ledger; None if they can.
 
         Raises: LedgerCorrupted if the beginning of a run that goes on cannot be read.
@@ -91,7 +98,7 @@ class HeldRuns:
                 return Flaw(-1, block.run, block.first, "seq", f"{block.first}", "no more of a run that has ended")
         return None
 
-    def _read_beginning(self, run: str, view: ChainView) -> None:
+    def _read_beginning(self, run: str, view: View) -> None:
         """Read what the run observes. Raises: LedgerCorrupted."""
         view.believe_index()
         observes = event_at(view, place_of(view, run, 0)).get("observes")

@@ -1,4 +1,4 @@
-"""The index of a ledger of format 2: which runs are in it, and where. The file `index.jsonl`, derived.
+"""The index of a ledger: which runs are in it, and where. The file `index.jsonl`, derived.
 
 It has a line for each append that added events, whose placement holds the line's size and hash. So a reader knows
 without reading rows whether a line is the one that was placed. One that is not there, or another, it derives from the
@@ -16,12 +16,12 @@ import pyarrow as pa
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.links import Chain
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX
-from fsar_ledger.ledger.chain.record import Placement
+from fsar_ledger.ledger.chain.record import Count, Placement
+from fsar_ledger.ledger.log.hashing import sha256_hex
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of, by_run
 from fsar_ledger.ledger.store import growing
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import Count, sha256_hex
 from fsar_ledger.ledger.store.view import Extent, Part, RunNames
 
 

@@ -6,10 +6,10 @@ of one; its rows are there, and lead to the root.
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.index import require_lines
-from fsar_ledger.ledger.chain.read import ChainView
+from fsar_ledger.ledger.chain.read import View
 
 
-def compare_index(view: ChainView) -> bool:
+def compare_index(view: View) -> bool:
     """Compare the lines of the index for each segment that is not believed; return whether all could be read.
 
     Raises: LedgerCorrupted if the rows of a segment have other lines than the chain says.
@@ -28,7 +28,7 @@ def compare_index(view: ChainView) -> bool:
     return is_read
 
 
-def require_index(view: ChainView) -> None:
+def require_index(view: View) -> None:
     """Require that the chain says of all rows where runs are.
 
     Raises: LedgerCorrupted if it does not, or some cannot be read.

@@ -24,11 +24,11 @@ from fsar_ledger.ledger.chain.links import Chain, Doubt
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
 from fsar_ledger.ledger.chain.record import Commit, line_at, parse_line
 from fsar_ledger.ledger.chain.torn import has_later_commit
-from fsar_ledger.ledger.log.hashing import leaves
+from fsar_ledger.ledger.log.hashing import leaves, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.rows.releases import is_later
 from fsar_ledger.ledger.store import disk, growing
-from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.ledger.store.problem import LaterRelease, Problem
 
 Result = TypeVar("Result")
 
@@ -200,7 +200,8 @@ class _Reading:
         else:
             name, found, expected = doubt
             said = f"{expected}, as {CHAIN} and the frames before say"
-            self.problem = Problem(self._name, f"{found!r}", said, number, field=name)
+            kind = LaterRelease if name == "release" and is_later(record.release) else Problem
+            self.problem = kind(self._name, f"{found!r}", said, number, field=name)
         self.is_damage = True  # a record that can be read, which no crash leaves
         return None
 

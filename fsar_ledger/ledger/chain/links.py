@@ -16,13 +16,12 @@ import msgspec
 from fsar_ledger.ledger.chain.paths import CHAIN
 from fsar_ledger.ledger.chain.record import LEAST_LINE_BYTES, Commit, Placement, Record, parse_line, parse_lines
 from fsar_ledger.ledger.chain.torn import has_later_append
-from fsar_ledger.ledger.log.hashing import digests
+from fsar_ledger.ledger.log.hashing import digests, sha256_hex
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, Frontier
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
-from fsar_ledger.ledger.store.append import Staged
 from fsar_ledger.ledger.store.paths import MANIFEST
-from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.ledger.store.problem import LaterRelease, Problem
+from fsar_ledger.ledger.store.staging import Staged
 from fsar_ledger.memory import without_collection
 
 _FEW_BYTES = 1 << 14
@@ -335,7 +334,8 @@ def _add(record: Record | ValueError, sha256: str, chain: Chain) -> Problem | No
         chain.add(record, sha256)
         return None
     name, found, expected = doubt
-    return Problem(CHAIN, f"{found!r}", f"{expected}", commit=number, field=name)
+    kind = LaterRelease if name == "release" and is_later(record.release) else Problem
+    return kind(CHAIN, f"{found!r}", f"{expected}", commit=number, field=name)
 
 
 def _parsed(data: bytes, lines: Sequence[bytes]) -> Iterable[Record | ValueError]:

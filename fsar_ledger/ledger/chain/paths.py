@@ -1,4 +1,4 @@
-"""Where the files of a ledger of format 2 are."""
+"""Where the files of a ledger are."""
 
 from fsar_ledger.ledger.chain.record import Placement
 from fsar_ledger.ledger.store.paths import CHAIN as CHAIN

@@ -1,4 +1,4 @@
-"""What a writer of format 2 does before it appends: finish what an interrupted one left."""
+"""What a writer does before it appends: finish what an interrupted one left."""
 
 import os
 import stat
@@ -9,18 +9,17 @@ from fsar_ledger.ledger.chain.checkpoint import behind
 from fsar_ledger.ledger.chain.derived import append_derived, derived_sizes
 from fsar_ledger.ledger.chain.journal import FIRST
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
-from fsar_ledger.ledger.chain.read import ChainView, open_chain
+from fsar_ledger.ledger.chain.read import View, open_chain
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import VerifierKey, doubt
 from fsar_ledger.ledger.store import disk, growing
+from fsar_ledger.ledger.store.manifest import read_manifest
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS, STAGING
-from fsar_ledger.ledger.store.read import read_manifest
-from fsar_ledger.ledger.store.record import sha256_hex
 
 
-def require_own(view: ChainView, key: VerifierKey) -> None:
+def require_own(view: View, key: VerifierKey) -> None:
     """Require that the key signed the newest commit, if there is one, because its next signature covers all before.
 
     Raises: UsageError if it did not.
@@ -33,7 +32,7 @@ def require_own(view: ChainView, key: VerifierKey) -> None:
         )
 
 
-def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainView:
+def repair(view: View, *, is_alone: bool, settles: bool = True) -> View:
     """Finish what an interrupted writer left, durably, and return the view of what is there then.
 
     The caller has its turn. What is staged and not placed is removed only if the writer `is_alone`: others may be
@@ -72,7 +71,7 @@ def repair(view: ChainView, *, is_alone: bool, settles: bool = True) -> ChainVie
     return open_chain(path, read_manifest(path), has_turn=True) if is_changed else view
 
 
-def _roll_forward(view: ChainView) -> None:
+def _roll_forward(view: View) -> None:
     """Move every placed segment into place. Raises: LedgerCorrupted if one is missing."""
     there = {
         entry.name: entry.stat(follow_symlinks=False)
@@ -89,7 +88,7 @@ def _roll_forward(view: ChainView) -> None:
             disk.move(found, target)
 
 
-def _clean(view: ChainView, *, is_alone: bool) -> None:
+def _clean(view: View, *, is_alone: bool) -> None:
     """Remove superseded segments and, for a writer that is alone, everything from staging."""
     if len(view.chain.placed) < len(view.chain.placements):
         superseded = set(map(segment_of, view.chain.placements)) - set(map(segment_of, view.chain.placed))
@@ -104,7 +103,7 @@ def _clean(view: ChainView, *, is_alone: bool) -> None:
             disk.remove(Path(entry.path))
 
 
-def _derive(view: ChainView, *, is_settled: bool) -> None:
+def _derive(view: View, *, is_settled: bool) -> None:
     """Bring pack and index up to the events that segments hold.
 
     What the last append added is written again if not settled.
@@ -119,7 +118,7 @@ def _derive(view: ChainView, *, is_settled: bool) -> None:
     _derive_index(view, good, sizes[INDEX])
 
 
-def _derive_index(view: ChainView, good: int, have: int) -> None:
+def _derive_index(view: View, good: int, have: int) -> None:
     """Write the lines of the index beyond the first so many events, or bytes. Raises: As `_derive`."""
     chain, at = view.chain, 0
     for number, placement in enumerate(chain.placed):
@@ -136,7 +135,7 @@ def _derive_index(view: ChainView, good: int, have: int) -> None:
         at += size
 
 
-def _derive_nodes(view: ChainView, good: int, have: int) -> None:
+def _derive_nodes(view: View, good: int, have: int) -> None:
     """Write the hashes of the pack beyond those of the first so many events, or bytes. Raises: As `_derive`."""
     placed = view.chain.placed
     begin = 0

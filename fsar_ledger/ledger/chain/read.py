@@ -1,4 +1,4 @@
-"""What is committed in a ledger of format 2, as a reader sees it.
+"""What is committed in a ledger, as a reader sees it.
 
 Readers never write. `snapshot` reads the chain and the journal beside writers; rows are read when they are asked for.
 """
@@ -7,6 +7,7 @@ import os
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from functools import cached_property
+from itertools import takewhile
 from pathlib import Path
 
 import msgspec
@@ -23,7 +24,7 @@ from fsar_ledger.ledger.chain.record import Commit, Placement, parse_line
 from fsar_ledger.ledger.chain.snapshot import take_snapshot
 from fsar_ledger.ledger.chain.tables import materialized, table_of
 from fsar_ledger.ledger.log import merkle
-from fsar_ledger.ledger.log.hashing import leaves_of
+from fsar_ledger.ledger.log.hashing import leaves_of, sha256_hex
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note
 from fsar_ledger.ledger.rows import canonical, codec, segment
@@ -34,18 +35,19 @@ from fsar_ledger.ledger.rows.pieces import gathered
 from fsar_ledger.ledger.rows.releases import RELEASE
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import growing
-from fsar_ledger.ledger.store.paths import MANIFEST
-from fsar_ledger.ledger.store.places import segments_of
+from fsar_ledger.ledger.store.manifest import Manifest, parse_manifest
+from fsar_ledger.ledger.store.paths import MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import CHAINED, Manifest, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.segments import Names, find_segment, read_segment
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Extent, Head, Part, RunNames
-from fsar_ledger.ledger.store.walk import Names, find_segment, read_segment
 
 _TRIES = 10
 
 
-class ChainView(msgspec.Struct, frozen=True, dict=True):
-    """A ledger of format 2 as it was when it was opened (see `store.view.View`).
+class View(msgspec.Struct, frozen=True, dict=True):
+    """A ledger as it was when it was opened; later commits do not show.
+
+    Its rows are in segments, in order; those that are still in the journal come last, as a segment outside the ledger.
 
     `followed` says how far the chain could be followed, `journal` what is not in a segment yet, `checkpoint` what the
     file of that name held, or why it cannot be read. What the chain says of the rows of the `believed` segments was
@@ -181,7 +183,7 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def _growing(self) -> tuple[str, ...]:
         return tuple(str(self.path / name) for name in (CHAIN, JOURNAL, SEALING))
 
-    def grown(self, lines: Sequence[bytes], placed: int, tree: Frontier) -> "ChainView":
+    def grown(self, lines: Sequence[bytes], placed: int, tree: Frontier) -> "View":
         """Return the view after these lines were appended to the chain: those that it lacks of the journal, and more.
 
         They place the rows of the first so many frames; the tree is that of all events.
@@ -333,8 +335,18 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def parts(self, run: str) -> list[Part]:
         """Return where the run of this name is. Raises: As `require_index`."""
         found = [Part(*self.chain.span_of_line(number), block) for number, block in self.index.of_run(run)]
-        self.require_index(*segments_of(self, found))
+        self.require_index(*self.segments_of(found))
         return found
+
+    def segments_of(self, parts: Sequence[Part]) -> list[int]:
+        """Return the numbers of the segments that hold these parts of a run, in order."""
+        return sorted({number for one in parts for number in self.segments_between(one.first, one.end)})
+
+    def segments_between(self, first: int, end: int) -> list[int]:
+        """Return the numbers of the segments that hold events from this index up to that, in order."""
+        count = len(self.releases)
+        start = bisect_right(range(count), first, key=self.end)
+        return list(takewhile(lambda number: self.first(number) < end, range(start, count)))
 
     def groups(self) -> list[tuple[int, ...]]:
         """Return the segments in groups that share no run, each of neighbours."""
@@ -343,10 +355,6 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
     def note(self) -> Note | None:
         """Return the note of the newest commit; None if there is none."""
         return self.chain.commits[-1].note(self.manifest.origin) if self.chain.commits else None
-
-    def published(self, index: int = 0) -> Note | None:  # noqa: ARG002  its tree has every event
-        """Return the note of the newest commit: what the pack lacks, the view derives."""
-        return self.note()
 
     def node(self, size: int) -> merkle.Node:  # noqa: ARG002  complete subtrees are those of every later tree
         """Return a function that gives the complete subtrees of the tree of this many events.
@@ -365,8 +373,8 @@ class ChainView(msgspec.Struct, frozen=True, dict=True):
         return self.journal.tree
 
 
-def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True, has_turn: bool = False) -> ChainView:
-    """Open a ledger of format 2 whose ledger.json holds these bytes.
+def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True, has_turn: bool = False) -> View:
+    """Open a ledger whose ledger.json holds these bytes.
 
     Args:
         path: Its folder.
@@ -375,10 +383,15 @@ def open_chain(path: Path, manifest_bytes: bytes, *, is_damage_told: bool = True
         has_turn: The caller has the turn of a writer.
 
     Raises:
-        LedgerCorrupted: A line of the chain or of the journal is not canonical, or contradicts those before it.
+        FormatVersionMismatch: It has another format, or holds events of a later release.
+        LedgerCorrupted: A line of the chain or of the journal is not canonical, or contradicts those before it; or a
+            folder is a link.
     """
-    manifest, sha256 = parse_manifest(path / MANIFEST, manifest_bytes, (CHAINED,)), sha256_hex(manifest_bytes)
+    for folder in (SEGMENTS, STAGING) if is_damage_told else ():
+        if os.path.islink(path / folder):
+            raise LedgerCorrupted(f"{path / folder}: found a link, expected a folder of the ledger; restore it")
+    manifest, sha256 = parse_manifest(path / MANIFEST, manifest_bytes), sha256_hex(manifest_bytes)
     found = take_snapshot(path, sha256, trusts_frontiers=is_damage_told, has_turn=has_turn)
-    if found.problem is not None and is_damage_told:
-        raise LedgerCorrupted(f"{path}/{found.problem}; restore the file, or run fsar-ledger verify")
-    return ChainView(path, manifest, sha256, *found)
+    if is_damage_told:
+        found.require_whole(path)
+    return View(path, manifest, sha256, *found)

@@ -22,12 +22,14 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
-from fsar_ledger.ledger.store.record import Count
+from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 
 LEAST_LINE_BYTES, MAX_LINE_BYTES = 200, 1 << 20
 """A record has more bytes than the first, and fewer than the second."""
 _KEY_ID_BYTES, _SIGNATURE_BYTES = 4, 64
 _AT_ONCE = 64  # records that are written again: their lines stay in the CPU caches
+
+Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)]
 
 Line = TypeVar("Line", bound=msgspec.Struct)
 

@@ -1,4 +1,4 @@
-"""Read what is committed in a ledger of format 2 at one moment, beside writers that go on.
+"""Read what is committed in a ledger at one moment, beside writers that go on.
 
 Readers read the chain, the checkpoint, and then the journal. If the chain grew meanwhile they follow it further, and
 read the others again. A commit that is hidden is on its way to the disk, or was left by a crash; what does not fit
@@ -10,15 +10,14 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import NamedTuple
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted
 from fsar_ledger.ledger.chain.journal import FIRST, Journal, after_lines, read_frames
 from fsar_ledger.ledger.chain.links import Chain, Followed, follow
 from fsar_ledger.ledger.chain.paths import CHAIN, JOURNAL, SEALING
 from fsar_ledger.ledger.chain.record import Commit, Placement, line_at, parse_line
-from fsar_ledger.ledger.store import growing, turns
-from fsar_ledger.ledger.store.derived import read_checkpoint
+from fsar_ledger.ledger.store import disk, growing, turns
 from fsar_ledger.ledger.store.paths import CHECKPOINT, SEGMENTS
-from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.problem import LaterRelease, Problem
 
 MAX_CHAIN_BYTES = 1 << 32
 MAX_JOURNAL_BYTES = 1 << 30
@@ -38,6 +37,13 @@ class Snapshot(NamedTuple):
     def problem(self) -> Problem | None:
         """Return what does not fit together; None if all does."""
         return self.followed.problem or self.journal.problem
+
+    def require_whole(self, path: Path) -> None:
+        """Raise what does not fit together. Raises: FormatVersionMismatch for a later release, else LedgerCorrupted."""
+        if isinstance(self.problem, LaterRelease):
+            raise FormatVersionMismatch(f"{path}/{self.problem}")
+        if self.problem is not None:
+            raise LedgerCorrupted(f"{path}/{self.problem}; restore the file, or run fsar-ledger verify")
 
 
 def take_snapshot(path: Path, manifest_sha256: str, *, trusts_frontiers: bool, has_turn: bool) -> Snapshot:
@@ -109,7 +115,7 @@ class _Reader:
         """Return what the ledger holds now, with or without whole commits that are hidden."""
         size = self._follow(counts_hidden=counts_hidden)
         has_sealing = os.access(self.path / SEALING, os.F_OK)  # one renamed after this is read under its new name too
-        note = _note(self.path)  # before the commits that it may be about
+        note = read_checkpoint(self.path)  # before the commits that it may be about
         newer, older = (growing.read_whole(self.path / name, MAX_JOURNAL_BYTES) for name in (JOURNAL, SEALING))
         shown, places = _with_hidden(newer)
         newer = shown if counts_hidden else newer[: places[0]] if places else newer
@@ -181,10 +187,12 @@ def _is_placement(line: bytes) -> bool:
         return False
 
 
-def _note(path: Path) -> str | Problem | None:
+def read_checkpoint(path: Path) -> str | Problem | None:
     """Return what the file `checkpoint` holds, None if there is none, or why it cannot be read."""
     try:
-        return read_checkpoint(path)
-    except LedgerCorrupted as error:
-        reason = error.__cause__.strerror if isinstance(error.__cause__, OSError) else "not text"
+        return disk.read_document(path / CHECKPOINT).decode()
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not text"
         return Problem(CHECKPOINT, f"an unreadable file ({reason})", "the note of a commit")

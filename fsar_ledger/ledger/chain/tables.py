@@ -11,14 +11,13 @@ import pyarrow as pa
 import pyarrow.json
 
 from fsar_ledger.errors import LedgerCorrupted, WriteFailed
-from fsar_ledger.ledger.log.hashing import HASH_BYTES
+from fsar_ledger.ledger.log.hashing import HASH_BYTES, sha256_hex
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.parsing import plain_table
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.append import Staged
 from fsar_ledger.ledger.store.paths import staged_path
-from fsar_ledger.ledger.store.record import sha256_hex
+from fsar_ledger.ledger.store.staging import Staged
 
 _PARSE = pyarrow.json.ParseOptions(
     explicit_schema=pa.schema([field.with_nullable(True) for field in SCHEMA]),
@@ -71,8 +70,7 @@ class Made(NamedTuple):
 def made_of(table: pa.Table, leaves: bytes) -> Made:
     """Make a segment of these rows, of runs that a ledger holds, with these packed leaf hashes."""
     data = segment.to_parquet(table)
-    runs = table.column("run_id")
-    return Made(data, Staged(sha256_hex(data), data.size, table.num_rows, runs[0].as_py(), runs[-1].as_py(), leaves))
+    return Made(data, Staged(sha256_hex(data), data.size, table.num_rows, leaves))
 
 
 def stage_made(ledger: Path, made: Made) -> None:

@@ -20,6 +20,11 @@ Added: TypeAlias = Callable[[int, bytes, bytes], tuple[bytes, bytes, bytes]]
 Roots: TypeAlias = Callable[[int, bytes, bytes, list[int]], bytes]
 
 
+def sha256_hex(data: bytes) -> str:
+    """Return the SHA-256 in hex."""
+    return hashlib.sha256(data).hexdigest()
+
+
 def leaves_plainly(lines: bytes) -> bytes:
     """As `leaves`, with hashlib."""
     sha256 = hashlib.sha256

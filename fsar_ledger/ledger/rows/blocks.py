@@ -1,6 +1,6 @@
 """The blocks of a table: which rows of which run it holds, where runs may begin or end in other tables.
 
-In a ledger of format 2 a run may span commits and segments. Each table is checked on its own (`check.first_flaw`);
+In a ledger a run may span commits and segments. Each table is checked on its own (`check.first_flaw`);
 `Runs` compares what follows from several of them, block by block.
 """
 

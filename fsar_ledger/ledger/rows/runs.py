@@ -23,7 +23,7 @@ class LedgerRun(msgspec.Struct, frozen=True):
     """One run in memory, or a part of it: its events, and one time and one cause for each.
 
     The seq of an event is its index, counted from `first`; that is 0 unless the run continues what an earlier commit
-    holds, as runs of a ledger of format 2 may. `goes_on` says that later commits may hold more of it.
+    holds, as runs of a ledger may. `goes_on` says that later commits may hold more of it.
     """
 
     run_id: str

@@ -18,7 +18,7 @@ _TAG_OF: dict[type, str] = {layout.cls: tag for tag, layout in LAYOUTS.items()}
 def rows_of(runs: Sequence[LedgerRun]) -> tuple[bytes, tuple[Block, ...]]:
     """Return the rows of these runs, the canonical bytes of each with a line feed after it, and their blocks.
 
-    Raises: InvalidRun for whatever `store.append.stage` refuses, but for its bounds on a segment.
+    Raises: InvalidRun for whatever `stage` refuses, but for its bounds on a segment.
     """
     if not runs:
         raise InvalidRun("found no runs to commit, expected at least 1")

@@ -1,4 +1,4 @@
-"""Files that grow, or change at a place: the chain, the journal and the pack of a ledger of format 2.
+"""Files that grow, or change at a place: the chain, the journal and the pack of a ledger.
 
 Every change is a plain call of `os`, as in `disk`.
 """

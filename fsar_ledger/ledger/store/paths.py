@@ -12,22 +12,7 @@ CHECKPOINT = "checkpoint"
 COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
 CHAIN, JOURNAL = "chain.jsonl", "journal.jsonl"
 _PARTS = (MANIFEST, SEGMENTS, COMMITS, CHAIN, JOURNAL)
-"""What shows a ledger of either format, even if some of it is lost."""
-
-
-def commit_name(number: int) -> str:
-    """Return the name of this commit's record within its folder."""
-    return f"{number:012d}.json"
-
-
-def commit_file(number: int) -> str:
-    """Return the name of this commit's record within the ledger."""
-    return f"{COMMITS}/{commit_name(number)}"
-
-
-def segment_file(number: int) -> str:
-    """Return the name of this commit's segment within the ledger, once it is in place."""
-    return f"{SEGMENTS}/{number:012d}.parquet"
+"""What shows a ledger, even of format 1, and even if some of it is lost."""
 
 
 def staged_file(sha256: str) -> str:
@@ -45,16 +30,6 @@ def segment_bytes(ledger: Path) -> int:
                     status = entry.stat(follow_symlinks=False)
                     size += min(status.st_size, status.st_blocks * 512)
     return size
-
-
-def commit_path(ledger: Path, number: int) -> Path:
-    """Return the path of the record of this commit."""
-    return ledger / commit_file(number)
-
-
-def segment_path(ledger: Path, number: int) -> Path:
-    """Return the path of the segment of this commit, once it is in place."""
-    return ledger / segment_file(number)
 
 
 def staged_path(ledger: Path, sha256: str) -> Path:
@@ -83,7 +58,7 @@ def is_unfinished(ledger: Path) -> bool:
     Raises: OSError if it cannot be read.
     """
     for entry in list(os.scandir(ledger)):
-        if entry.name not in (COMMITS, SEGMENTS, STAGING) or not entry.is_dir(follow_symlinks=False):
+        if entry.name not in (SEGMENTS, STAGING) or not entry.is_dir(follow_symlinks=False):
             return False
         leftovers = os.listdir(entry.path)
         if any(

@@ -45,6 +45,10 @@ class Problem(msgspec.Struct, frozen=True):
         )
 
 
+class LaterRelease(Problem, frozen=True):
+    """A record of a release after this one: this version cannot judge it."""
+
+
 def _printable(text: str) -> str:
     cut = text if len(text) <= MAX_TEXT else text[:MAX_TEXT] + "..."
     return "".join(

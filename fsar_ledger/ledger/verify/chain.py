@@ -1,21 +1,19 @@
-"""Derive again from the rows of a ledger of format 2 everything that it says about itself: a part of `verify`."""
+"""Derive again from the rows of a ledger everything that it says about itself: a part of `verify`."""
 
 import os
 import stat
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
-
-import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.chain.checkpoint import behind, covered
 from fsar_ledger.ledger.chain.derived import derived_sizes
 from fsar_ledger.ledger.chain.index import index_line, line_doubt
 from fsar_ledger.ledger.chain.journal import Frame
+from fsar_ledger.ledger.chain.links import Chain
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, JOURNAL, NODES, SEALING, segment_of
-from fsar_ledger.ledger.chain.read import ChainView, open_chain
+from fsar_ledger.ledger.chain.read import View, open_chain
 from fsar_ledger.ledger.chain.record import Commit, Placement
 from fsar_ledger.ledger.chain.tables import table_of
 from fsar_ledger.ledger.log import merkle, pack
@@ -24,11 +22,10 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import VerifierKey
 from fsar_ledger.ledger.rows.blocks import Block, Runs, blocks_of
 from fsar_ledger.ledger.rows.check import first_flaw
-from fsar_ledger.ledger.store import disk, growing
-from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, STAGING
+from fsar_ledger.ledger.store import growing
+from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem, refusal
-from fsar_ledger.ledger.store.record import CHAINED, VERSION
-from fsar_ledger.ledger.store.walk import MISSING, Names, check_manifest, names_in
+from fsar_ledger.ledger.store.segments import MISSING, Names, check_manifest, names_in
 from fsar_ledger.ledger.verify.notes import (
     Anchor,
     ByHashes,
@@ -38,19 +35,19 @@ from fsar_ledger.ledger.verify.notes import (
     not_compared,
     root_by_hashes,
 )
-from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, OF_CHAIN, Asked, Progress, VerifyReport
+from fsar_ledger.ledger.verify.report import MAX_PROBLEMS, NOT_LOOKED_AT, Asked, Progress, VerifyReport
 from fsar_ledger.ledger.verify.segment import SegmentFacts, examine_all
 
 FOLDERS = frozenset({SEGMENTS, STAGING})
 FILES = frozenset({MANIFEST, CHAIN, JOURNAL, SEALING, NODES, INDEX, CHECKPOINT})
 BEHIND = (
     "the pack, the index and the checkpoint are behind the chain, as a crash leaves them; the next writer, or "
-    "fsar-ledger recover, goes on from there"
+    "fsar-ledger maintain recover, goes on from there"
 )
 OPEN = "the checkpoint is behind the journal, as a writer that was not closed leaves it"
 SEALED = (
     "the journal is there though it was sealed, and what follows from that may be missing, as a crash leaves it; the "
-    "next writer, or fsar-ledger recover, goes on from there"
+    "next writer, or fsar-ledger maintain recover, goes on from there"
 )
 HIDDEN = (
     "the newest commit is whole, but its writer was interrupted before it made it visible; it counts, and the next "
@@ -61,50 +58,34 @@ SUPERSEDED = "segments are there that were compacted, as a crash leaves them; th
 _SYMBOLIC = "a link or something else than a file"
 
 
-def is_chained(path: Path) -> bool:
-    """Return whether the ledger at this path says that it has format 2 or, if it says nothing, has a file of it."""
-    with suppress(OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        version = msgspec.json.decode(disk.read_document(path / MANIFEST), type=dict[str, object]).get("version")
-        if version in (VERSION, CHAINED):
-            return version == CHAINED
-    return any(os.path.lexists(path / name) for name in (CHAIN, JOURNAL, SEALING)) and not os.path.lexists(
-        path / COMMITS
-    )
-
-
-def chain_moment(path: Path) -> tuple[int, ...]:
-    """Return what changes while a writer is at work. Raises: OSError."""
-    found = [path / CHAIN, path / JOURNAL, path / SEALING, path / NODES, path / INDEX]
-    return tuple(growing.size_of(file) for file in found) + tuple(growing.inode_of(file) for file in found)
-
-
-class ChainVerification:
-    """One look at a ledger of format 2, segment by segment."""
+class Verification:
+    """One look at a ledger, segment by segment."""
 
     def __init__(self, path: Path, asked: Asked) -> None:
         self.path, self.asked = path, asked
         self.problems: list[Problem] = []
         self.events = self.done = 0
-        self.derived: list[Problem] = []  # the first one of the pack, and of the index
+        self.derived: list[Problem] = []  # the first one of the checkpoint, the pack and the index
         self.index: list[bytes] = []  # its lines; empty where they are not as their placements say
         self.trusted = (0, 0)  # placements, and commits, before the first doubt about one
         self.runs = Runs()
         self.tree: Frontier | None = Frontier()  # by the rows; None: unknown, because some were not read
         self.roots: dict[int, bytes] = {0: merkle.EMPTY_ROOT}  # by the rows, at the end of each commit and anchor
 
-    def run(self, workers: int, progress: Progress | None) -> VerifyReport:
-        """Look at the whole ledger."""
-        self.problems += _check_names(self.path)
-        _, document, doubt = check_manifest(self.path)
-        if document is None or doubt is not None:
-            self.problems += [doubt] if doubt is not None else []
-            return VerifyReport(False, tuple(self.problems[:MAX_PROBLEMS]), 0, 0, 0, None)
+    def run(self, workers: int, progress: Progress | None, document: bytes | None = None) -> VerifyReport:
+        """Look at the whole ledger, whatever ledger.json holds if this is the `document` that it should be."""
+        names = list(_check_names(self.path))
+        if document is None:
+            _, document, doubt = check_manifest(self.path)
+            if document is None or doubt is not None:
+                self.problems += names + ([doubt] if doubt is not None else [])
+                return VerifyReport(False, tuple(self.problems[:MAX_PROBLEMS]), 0, 0, 0, None)
         view = open_chain(self.path, document, is_damage_told=False)
         chain = view.chain
         self.problems += [one for one in (view.followed.problem, view.journal.problem) if one is not None]
         segments = [(one.number, one, Names(segment_of(one), CHAIN)) for one in chain.placed]
         facts = examine_all(self.path, segments, workers, self.asked.second_reader, is_quick=self.asked.is_quick)
-        self.index = list(chain.index_lines(self._index_bytes()))
+        self.index = list(chain.index_lines(self._index_bytes(chain)))
         is_behind = self._is_behind(view) or bool(view.journal.sealed)
         for number, found in enumerate(facts):
             self._add(view, number, found, is_behind=is_behind)
@@ -114,21 +95,25 @@ class ChainVerification:
             self.tree = chain.tree()
         for number, frame in enumerate(view.journal.frames):
             self._add_frame(frame, SEALING if number < view.journal.sealing else JOURNAL)
-        self.problems += _check_segments(view)
+        self.problems += names
+        self.problems += [
+            Problem(name, "a file of no placement", "segments that the chain names; take it away")
+            for name in unplaced(view)
+        ]
         self.problems += self.derived
         remarks = self._check_derived(view, is_behind=is_behind)
         return self._report(view, remarks)
 
-    def _is_behind(self, view: ChainView) -> bool:
+    def _is_behind(self, view: View) -> bool:
         """Return whether the checkpoint is that of before the last append to the chain."""
         back = covered(view)
         if isinstance(back, Problem):
-            self.problems += [] if self.problems else [back]
+            self.derived += [] if self.problems else [back]
             return False
         size = view.commits[-back - 1].tree_size if back < len(view.commits) else 0
         return back > 0 and size < view.chain.placed_size
 
-    def _add(self, view: ChainView, number: int, facts: SegmentFacts, *, is_behind: bool) -> None:
+    def _add(self, view: View, number: int, facts: SegmentFacts, *, is_behind: bool) -> None:
         """Add one segment: its rows go into the tree, its blocks to the runs."""
         placement = view.chain.placed[number]
         self.problems += facts.problems
@@ -244,11 +229,11 @@ class ChainVerification:
             if self.done == commit.number + 1:
                 self.trusted = (self.trusted[0], self.done)
 
-    def _index_bytes(self) -> bytes:
+    def _index_bytes(self, chain: Chain) -> bytes:
         if self.asked.is_quick:
             return b""
         try:
-            return growing.read_at(self.path / INDEX, 0, growing.size_of(self.path / INDEX))
+            return growing.read_at(self.path / INDEX, 0, derived_sizes(chain)[INDEX])
         except OSError as error:
             self.derived.append(Problem(INDEX, f"an unreadable file ({error.strerror})", "the index"))
             return b""
@@ -269,7 +254,7 @@ class ChainVerification:
         there, expected = (data[place : place + HASH_BYTES].hex() or "nothing" for data in (found, nodes))
         self.derived.append(Problem(NODES, there, expected, field=f"hash {(start + place) // HASH_BYTES}"))
 
-    def _compare_index(self, view: ChainView, number: int, blocks: Sequence[Block], *, is_needed: bool) -> None:
+    def _compare_index(self, view: View, number: int, blocks: Sequence[Block], *, is_needed: bool) -> None:
         """Compare the lines of the index for the events of this segment with their placements, and with the file."""
         chain = view.chain
         placement, places = chain.placed[number], chain.added_in(number)
@@ -283,7 +268,7 @@ class ChainVerification:
                 found, expected = "another line, or none", f"{line!r:.200}"
                 self.derived.append(Problem(INDEX, found, expected, field=f"line {at + 1}"))
 
-    def _check_derived(self, view: ChainView, *, is_behind: bool) -> tuple[str, ...]:
+    def _check_derived(self, view: View, *, is_behind: bool) -> tuple[str, ...]:
         """Compare the size of the pack; return the remarks on what only a crash may have left."""
         if self.problems:
             return ()
@@ -302,23 +287,26 @@ class ChainVerification:
             *((SUPERSEDED,) if left else ()),
         )
 
-    def _report(self, view: ChainView, remarks: tuple[str, ...]) -> VerifyReport:
-        origin = view.manifest.origin
+    def check_signatures(self, view: View) -> tuple[list[Problem], Signatures]:
+        """Return what is wrong with the signatures of the commits, and what they say."""
+        chained = len(view.commits) - len(view.journal.frames) + view.journal.chained
+        judged = self._to_judge(view.commits)
+        return check_signatures(
+            [commit.note(view.manifest.origin) for commit in judged],
+            lambda at: CHAIN if judged[at].number < chained else JOURNAL,
+            self.asked.trusted,
+        )
+
+    def _report(self, view: View, remarks: tuple[str, ...]) -> VerifyReport:
         signed = Signatures("signer not checked")
         if not self.problems:
-            chained = len(view.commits) - len(view.journal.frames) + view.journal.chained
-            judged = self._to_judge(view.commits)
-            doubts, signed = check_signatures(
-                [commit.note(origin) for commit in judged],
-                lambda at: CHAIN if judged[at].number < chained else JOURNAL,
-                self.asked.trusted,
-            )
+            doubts, signed = self.check_signatures(view)
             self.problems += doubts
         anchored = self._check_anchors(view)
         ok = not self.problems
         quick = self.asked.is_quick
         if ok and quick:
-            remarks += (not_compared(anchored, view.head.size, view.head.size),)
+            remarks += (not_compared(anchored),)
         return VerifyReport(
             ok,
             tuple(self.problems[:MAX_PROBLEMS]),
@@ -333,7 +321,7 @@ class ChainVerification:
             anchored=anchored if ok else None,
             remarks=remarks,
             record_sha256=view.record_sha256 if ok else None,
-            not_looked_at=OF_CHAIN if quick else (),
+            not_looked_at=NOT_LOOKED_AT if quick else (),
         )
 
     def _to_judge(self, commits: Sequence[Commit]) -> list[Commit]:
@@ -342,7 +330,7 @@ class ChainVerification:
             return list(commits)
         return [*(commit for commit in commits[:-1] if commit.signature), *commits[-1:]]
 
-    def _check_anchors(self, view: ChainView) -> int | None:
+    def _check_anchors(self, view: View) -> int | None:
         """Check the anchors; return the events that the user's one vouches for."""
         for witnessed in self.asked.witnessed:
             self._check_anchor(view, witnessed, None)
@@ -351,11 +339,11 @@ class ChainVerification:
         self._check_anchor(view, anchor, self.asked.trusted)
         return anchor.note.checkpoint.size if anchor.note is not None else None
 
-    def _check_anchor(self, view: ChainView, anchor: Anchor, trusted: VerifierKey | None) -> None:
+    def _check_anchor(self, view: View, anchor: Anchor, trusted: VerifierKey | None) -> None:
         origin, size, found = view.manifest.origin, view.head.size, self._look_then(view, anchor)
-        self.problems += check_anchor(anchor, origin, size, found.root, trusted, found.missing, NODES)
+        self.problems += check_anchor(anchor, origin, size, found.root, trusted, found.missing)
 
-    def _look_then(self, view: ChainView, anchor: Anchor) -> ByHashes:
+    def _look_then(self, view: View, anchor: Anchor) -> ByHashes:
         """Return the root of the ledger when it had as many events as the anchor counts, if it is known."""
         then = anchor.note.checkpoint if anchor.note is not None else None
         if then is None or then.size > view.head.size:
@@ -387,9 +375,7 @@ def _check_names(path: Path) -> Iterator[Problem]:
         yield Problem(SEGMENTS, MISSING, "a folder of the ledger")
 
 
-def _check_segments(view: ChainView) -> Iterator[Problem]:
-    """Yield a problem for each file among the segments that no placement names."""
+def unplaced(view: View) -> list[str]:
+    """Return the files among the segments that no placement names."""
     known = {segment_of(placement) for placement in view.chain.placements}
-    for name in names_in(view.path / SEGMENTS):
-        if f"{SEGMENTS}/{name}" not in known:
-            yield Problem(f"{SEGMENTS}/{name}", "a file of no placement", "segments that the chain names; take it away")
+    return [name for file in names_in(view.path / SEGMENTS) if (name := f"{SEGMENTS}/{file}") not in known]

@@ -2,21 +2,18 @@
 
 import os
 from collections.abc import Callable, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError, option
+from fsar_ledger.ledger.chain.paths import NODES
 from fsar_ledger.ledger.log.merkle import Node, consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, names, parse_note, signers_of
-from fsar_ledger.ledger.log.tiles import TILE, node_of
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.derived import tile_reader
-from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST
+from fsar_ledger.ledger.store.paths import CHAIN, MANIFEST
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import CommitRecord
 
 
 class Signatures(msgspec.Struct, frozen=True):
@@ -107,22 +104,6 @@ def root_by_hashes(ledger: Path, nodes: Nodes, then: Checkpoint, size: int, root
     return ByHashes(then.root, size) if is_consistent(then.size, then.root, size, root, proof) else ByHashes()
 
 
-def root_by_tiles(ledger: Path, then: Checkpoint, records: Sequence[CommitRecord]) -> ByHashes:
-    """Return the root of an earlier checkpoint, which is not empty, as `root_by_hashes`.
-
-    The first of these records whose tiles are there gives the tree.
-    """
-    found = ByHashes()
-    for record in records:
-        if then.size > record.tree_size:
-            continue
-        size, root = record.tree_size, bytes.fromhex(record.tree_root)
-        found = root_by_hashes(ledger, partial(node_of, tile_reader(ledger)), then, size, root)
-        if not found.missing:
-            break
-    return found
-
-
 def check_anchor(
     anchor: Anchor,
     origin: str | None,
@@ -130,7 +111,6 @@ def check_anchor(
     root_then: bytes | None,
     trusted: VerifierKey | None,
     missing: str = "",
-    hashes: str = TILE,
 ) -> list[Problem]:
     """Check that the ledger, of this origin and size, begins with the events of the anchor.
 
@@ -141,7 +121,6 @@ def check_anchor(
         root_then: The root of the ledger when it had as many events as the anchor counts; None if unknown.
         trusted: The key that must have signed the anchor too.
         missing: What of the stored hashes is missing, if that is the only reason why that root is unknown.
-        hashes: Where those are.
     """
     if anchor.note is None:
         return [Problem(anchor.file, anchor.reason, "a checkpoint of this ledger")]
@@ -158,27 +137,27 @@ def check_anchor(
         ]
     if then.size > size:
         return [
-            Problem(COMMITS, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")
+            Problem(CHAIN, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")
         ]
     if missing:
         expected = (
             f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger "
-            f"recover, or verify without {option('quick')}"
+            f"maintain recover, or verify without {option('quick')}"
         )
-        return [Problem(hashes, f"one that cannot be read ({missing})", expected)]
+        return [Problem(NODES, f"one that cannot be read ({missing})", expected)]
     if root_then is None:
         found = f"no way from its {then.size} events to the ledger's {size}"
         return [
             Problem(
                 anchor.file,
                 found,
-                "a ledger that begins with them: history was rewritten, or rows or tiles were damaged",
+                "a ledger that begins with them: history was rewritten, or rows or hashes were damaged",
             )
         ]
     if root_then != then.root:
         return [
             Problem(
-                COMMITS,
+                CHAIN,
                 f"root {root_then.hex()} over the first {then.size} events",
                 f"{then.root.hex()}, as {anchor.file} says: history was rewritten",
             )
@@ -186,17 +165,8 @@ def check_anchor(
     return []
 
 
-def not_compared(anchored: int | None, proved: int, size: int) -> str:
-    """Say what a quick look leaves open.
-
-    The anchor's events begin the tree of `proved` events; the newest tree has `size`.
-    """
+def not_compared(anchored: int | None) -> str:
+    """Say what a quick look leaves open; the anchor has so many events."""
     if anchored is None:
         return "rows were not compared with the recorded roots"
-    if proved == size:
-        return f"the recorded roots only grew since the anchor's {anchored:,} events; rows were not compared with them"
-    return (
-        f"the recorded roots only grew from the anchor's {anchored:,} events to {proved:,}, those before the newest "
-        "commit, whose tiles are missing; "
-        "neither its root nor any rows were compared with them"
-    )
+    return f"the recorded roots only grew since the anchor's {anchored:,} events; rows were not compared with them"

@@ -1,8 +1,8 @@
 """Recover a ledger: finish or set aside what a crash left, explain what was altered, and delete nothing.
 
-1. First find what can be trusted, without changing anything (`trusted_prefix.py`).
-2. If that is the whole ledger, committed segments move into place, and what can be derived from the commits
-   (ledger.json, tiles, checkpoint) is made again where it is wrong. Everything else is set aside: it moves to
+1. First find what can be trusted, without changing anything (`trusted.py`). If nothing is to be mended, that is all.
+2. If it is the whole ledger, committed segments move into place, and what can be derived from the commits
+   (ledger.json, nodes, index, checkpoint) is made again where it is wrong. Everything else is set aside: it moves to
    `LEDGER.set-aside/NNN/` under the same name. A crash may follow any step; the next recovery goes on from there.
 3. If it is not, the ledger stays as it is, as evidence; `into` copies the trusted commits to a new ledger, byte for
    byte.
@@ -11,29 +11,22 @@
 import fcntl
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed, option
-from fsar_ledger.ledger.log.tiles import TILE
-from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.errors import LedgerCorrupted, UsageError, WriteFailed, option
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, SEGMENTS, STAGING, commit_path, segment_path
+from fsar_ledger.ledger.store.paths import SEGMENTS
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.store.view import Head
-from fsar_ledger.ledger.verify.chain import is_chained
-from fsar_ledger.ledger.verify.chain_recover import find_trusted, mend, write_copy
-from fsar_ledger.ledger.verify.rederive import Redo, derive, is_tile, put
 from fsar_ledger.ledger.verify.report import Asked, Progress, VerifyReport
-from fsar_ledger.ledger.verify.trusted_prefix import Later, TrustedPrefix, find_prefix
-from fsar_ledger.ledger.verify.verify import verify
+from fsar_ledger.ledger.verify.trusted import Found, Later, find_trusted, mend, write_copy
+from fsar_ledger.ledger.verify.verify import require_ledger, verify
 
 Outcome = Literal["whole", "mended", "damaged", "continued"]
 Did = Literal["moved into place", "made again", "set aside"]
@@ -54,7 +47,7 @@ class Recovery(msgspec.Struct, frozen=True):
     the trusted commits in a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits.
     `problems` are those of the first commit after them, `later` each commit after them, judged on its own. `anchored`
     counts the trusted events that the anchor vouches for, None if it cannot or none was given. `report` is what
-    `verify` says about the mended or the new ledger.
+    `verify` says about the whole, the mended or the new ledger.
     """
 
     outcome: Outcome
@@ -87,47 +80,28 @@ def recover(
             goes on.
     """
     asked = asked or Asked()
-    _require_ledger(path)
+    require_ledger(path)
     _require_free(path, into)
     if asked.anchor is not None and asked.anchor.note is None:
         raise UsageError(
             f"{option('anchor', asked.anchor.file)}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
         )
     with _alone(path):
-        if is_chained(path):
-            return _recover_chain(path, workers, progress, asked, into)
-        prefix = find_prefix(path, workers, progress, asked)
-        if not prefix.problems:
-            return _mend(path, prefix, workers, progress, asked)
-        report = None
-        if into is not None:
-            write = partial(_write_copy, path, prefix)
-            report = _copy(path, prefix.problems[0], prefix.head, write, into, workers, progress, asked)
-        return Recovery(
-            "damaged" if into is None else "continued",
-            prefix.head,
-            (),
-            prefix.problems,
-            prefix.later,
-            prefix.anchored,
-            report,
-        )
-
-
-def _require_ledger(path: Path) -> None:
-    names = set(os.listdir(path)) if os.path.isdir(path) else set()
-    if not names & {MANIFEST, COMMITS, SEGMENTS}:
-        raise NotALedger(
-            f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to"
-        )
-    if names <= {COMMITS, SEGMENTS, STAGING} and not any(
-        os.listdir(path / name) for name in names - {STAGING} if os.path.isdir(path / name)
-    ):
-        raise NotALedger(
-            f"{path}: found a ledger whose creation was interrupted before anything was in it, expected one with "
-            f"{MANIFEST}; "
-            "run the command that creates it again"
-        )
+        found = find_trusted(path, workers, progress, asked)
+        if found.problems:
+            report = _copy(path, found, into, workers, progress, asked) if into is not None else None
+            outcome: Outcome = "damaged" if into is None else "continued"
+            return Recovery(outcome, found.head, (), found.problems, tuple(found.later()), found.anchored, report)
+        if found.is_whole:
+            return Recovery("whole", found.head, anchored=found.anchored, report=found.report)
+        mending = _Mending(path)
+        with disk.refusals(path, "mending"):
+            mend(found, mending.set_aside, mending.did)
+            for folder in (path, path / SEGMENTS) if mending.steps else ():
+                disk.sync_folder(folder)
+        report = verify(path, workers, progress, asked)
+    outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
+    return Recovery(outcome, found.head, tuple(mending.steps), report.problems, anchored=found.anchored, report=report)
 
 
 def _require_free(path: Path, into: Path | None) -> None:
@@ -164,25 +138,6 @@ def _lock(path: Path, handle: int) -> None:
         return
 
 
-# --- a ledger that can be trusted as a whole ---
-
-
-def _mend(path: Path, prefix: TrustedPrefix, workers: int, progress: Progress | None, asked: Asked) -> Recovery:
-    """Mend the ledger and verify it."""
-    mending = _Mending(path)
-    with disk.refusals(path, "mending"):
-        mending.make_room(prefix)
-        mending.settle(prefix)
-        mending.make_again(prefix)
-        mending.set_strays_aside(prefix)
-        mending.confirm()
-    report = verify(path, workers, progress, asked)
-    outcome: Outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
-    return Recovery(
-        outcome, prefix.head, tuple(mending.steps), report.problems, anchored=prefix.anchored, report=report
-    )
-
-
 class _Mending:
     """The steps on one ledger. A crash may follow any of them; all of them can be repeated."""
 
@@ -190,51 +145,6 @@ class _Mending:
         self.path = path
         self.steps: list[Step] = []
         self._aside: Path | None = None
-
-    def make_room(self, prefix: TrustedPrefix) -> None:
-        """Set aside what is in the place of a file of the ledger, and make the folders."""
-        for name in prefix.strays:
-            if not is_tile(name):
-                self.set_aside(name)
-        self._remove_empty_folders(prefix)
-        for name in (COMMITS, SEGMENTS):
-            if not (self.path / name).is_dir():
-                disk.make_folder(self.path / name)
-
-    def set_strays_aside(self, prefix: TrustedPrefix) -> None:
-        """Set aside everything that is not the ledger's.
-
-        Tiles of an earlier tree go last: the next writer needs them until the later ones are there.
-        """
-        for name in prefix.strays:
-            if is_tile(name):
-                self.set_aside(name)
-        self._remove_empty_folders(prefix)
-
-    def _remove_empty_folders(self, prefix: TrustedPrefix) -> None:
-        for folder in sorted((self.path / TILE).rglob("*"), reverse=True) if prefix.strays or prefix.redo else ():
-            if folder.is_dir() and not any(folder.iterdir()):
-                os.rmdir(folder)
-
-    def settle(self, prefix: TrustedPrefix) -> None:
-        """Move every committed segment into place, after syncing its record."""
-        for number, name in enumerate(prefix.files):
-            place = segment_path(self.path, number)
-            if self.path / name != place:
-                disk.sync_folder(self.path / COMMITS)
-                disk.move(self.path / name, place)
-                self.steps.append(Step("moved into place", name, str(place.relative_to(self.path))))
-
-    def make_again(self, prefix: TrustedPrefix) -> None:
-        """Make again what follows from the commits: ledger.json, the tiles, the checkpoint."""
-        made = put(self.path, {MANIFEST: prefix.manifest or b""}, self.set_aside)
-        made += derive(open_ledger(self.path), prefix.redo, self.set_aside)
-        self.steps += [Step("made again", name, name) for name in made]
-
-    def confirm(self) -> None:
-        """Sync the folders if anything was done: an earlier process may have been killed before doing so."""
-        for folder in (self.path, self.path / COMMITS, self.path / SEGMENTS) if self.steps else ():
-            disk.sync_folder(folder)
 
     def did(self, did: Did, file: str, to: str) -> None:
         """Note what was done."""
@@ -263,53 +173,21 @@ def _new_folder(ledger: Path) -> Path:
     raise AssertionError("count() never ends")
 
 
-# --- a ledger of which a part can be trusted ---
-
-
-def _recover_chain(path: Path, workers: int, progress: Progress | None, asked: Asked, into: Path | None) -> Recovery:
-    """Recover a ledger of format 2; nobody else writes."""
-    found = find_trusted(path, workers, progress, asked)
-    if found.problems:
-        report = (
-            None
-            if into is None
-            else _copy(path, found.problems[0], found.head, partial(write_copy, found), into, workers, progress, asked)
-        )
-        outcome: Outcome = "damaged" if into is None else "continued"
-        return Recovery(outcome, found.head, (), found.problems, tuple(found.later()), found.anchored, report)
-    mending = _Mending(path)
-    with disk.refusals(path, "mending"):
-        mend(found, mending.set_aside, mending.did)
-        for folder in (path, path / SEGMENTS) if mending.steps else ():
-            disk.sync_folder(folder)
-    report = verify(path, workers, progress, asked)
-    outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
-    return Recovery(outcome, found.head, tuple(mending.steps), report.problems, anchored=found.anchored, report=report)
-
-
-def _copy(
-    path: Path,
-    problem: Problem,
-    head: Head,
-    write: Callable[[Path], None],
-    into: Path,
-    workers: int,
-    progress: Progress | None,
-    asked: Asked,
-) -> VerifyReport:
+def _copy(path: Path, found: Found, into: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
     """Copy the trusted commits to a new ledger, byte for byte, and verify it; on failure nothing is there."""
-    if not head.commits:
+    if not found.head.commits:
         raise LedgerCorrupted(
-            f"{problem}\n{path}: found no commit that can be trusted, expected one to copy to {into}; "
+            f"{found.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; "
             "begin a new ledger there"
         )
     work = disk.temporary_name(into)
-    if asked.anchor is not None and asked.anchor.note is not None and asked.anchor.note.checkpoint.size > head.size:
+    note = asked.anchor.note if asked.anchor is not None else None
+    if note is not None and note.checkpoint.size > found.head.size:
         asked = msgspec.structs.replace(asked, anchor=None)
     try:
         with disk.refusals(into, "copying the trusted commits"):
             disk.make_folder(into.parent)
-            write(work)
+            write_copy(found, work)
         report = verify(work, workers, progress, asked)
         if not report.ok:
             raise LedgerCorrupted(
@@ -323,19 +201,3 @@ def _copy(
         shutil.rmtree(work, ignore_errors=True)
         raise
     return report
-
-
-def _write_copy(path: Path, prefix: TrustedPrefix, work: Path) -> None:
-    """Write a ledger of the trusted commits to the new folder, durably. Raises: OSError."""
-    for folder in (work, work / COMMITS, work / SEGMENTS, work / STAGING):
-        folder.mkdir()
-    for number, (name, record) in enumerate(zip(prefix.files, prefix.records, strict=True)):
-        with open(path / name, "rb") as source, open(segment_path(work, number), "xb") as target:
-            shutil.copyfileobj(source, target)
-            target.flush()
-            os.fsync(target.fileno())
-        disk.write_temporary(commit_path(work, number), canonical.document(record))
-    disk.write_temporary(work / MANIFEST, prefix.manifest or b"")
-    derive(open_ledger(work), Redo(0), os.unlink)
-    for folder in (work / COMMITS, work / SEGMENTS, work / STAGING, work):
-        disk.sync_folder(folder)

@@ -1,4 +1,4 @@
-"""What `verify` is asked, and what it reports, for a ledger of any format."""
+"""What `verify` is asked, and what it reports."""
 
 from collections.abc import Callable
 
@@ -36,9 +36,8 @@ class Asked(msgspec.Struct, frozen=True):
         return {anchor.note.checkpoint.size for anchor in anchors if anchor is not None and anchor.note is not None}
 
 
-OF_RECORDS = ("rows", "tiles", "first_run and last_run of records")
-OF_CHAIN = ("rows of segments", NODES, INDEX, f"continues, goes_on and index_sha256 in {CHAIN}")
-"""What a quick look does not look at, in formats 1 and 2."""
+NOT_LOOKED_AT = ("rows of segments", NODES, INDEX, f"continues, goes_on and index_sha256 in {CHAIN}")
+"""What a quick look does not look at."""
 
 
 class VerifyReport(msgspec.Struct, frozen=True):

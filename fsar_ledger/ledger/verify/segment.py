@@ -19,13 +19,13 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.arrow import Columns
 from fsar_ledger.ledger.rows.blocks import Block, blocks_of
-from fsar_ledger.ledger.rows.check import first_flaw, run_starts, standing_alone
+from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_layout
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.rows.segment import read_coded, to_parquet
 from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
-from fsar_ledger.ledger.store.walk import Names, Stored, find_segment, names_of, read_segment
+from fsar_ledger.ledger.store.segments import Names, Stored, find_segment, read_segment
 from fsar_ledger.workers import WorkerPool
 
 _MOST_SEGMENTS, _MOST_ROWS = 16, 1 << 18
@@ -40,24 +40,21 @@ class Digest(NamedTuple):
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
-    """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None if the rows are in doubt.
+    """What a segment holds. `leaves` (packed leaf hashes) are None if the rows are in doubt.
 
-    `alone` are those of `runs` that are not runs but one event that stands alone. `blocks` are those of a segment of a
-    ledger of format 2. `digest` is that of the rows of a file that is what they are written as, which a second reader
-    has not read yet.
+    `blocks` are those of a segment without a flaw. `digest` is that of the rows of a file that is what they are written
+    as, which a second reader has not read yet.
     """
 
     file: str
     problems: tuple[Problem, ...] = ()
     rows: int = 0
-    runs: tuple[str, ...] | None = None
     leaves: bytes | None = None
-    alone: frozenset[str] = frozenset()
     blocks: tuple[Block, ...] = ()
     digest: Digest | None = None
 
 
-_Asked: TypeAlias = tuple[int, Stored | None, Names | None]
+_Asked: TypeAlias = tuple[int, Stored, Names]
 """The number of a segment, its record and its names."""
 
 
@@ -80,14 +77,13 @@ class SecondReader(Protocol):
 def examine(
     ledger: str,
     number: int,
-    record: Stored | None,
+    record: Stored,
+    names: Names,
     second_reader: SecondReader | None = None,
-    names: Names | None = None,
 ) -> SegmentFacts:
-    """Compare the segment of this commit, or with these names, with its record and what the second reader finds.
+    """Compare the segment with these names with its record and what the second reader finds.
 
-    What that reads by digest is left to `examine_some`. Where names are given, the ledger has format 2, whose runs may
-    begin or end in other segments.
+    What that reads by digest is left to `examine_some`. Its runs may begin or end in other segments.
 
     Raises: Only what `unexpected` raises.
     """
@@ -101,7 +97,7 @@ def examine_some(
     second_reader: SecondReader | None,
 ) -> list[SegmentFacts]:
     """Return what each of these segments holds, each as by `one`, which is `examine`; digests are compared at once."""
-    found = [one(ledger, number, record, second_reader, names) for number, record, names in segments]
+    found = [one(ledger, number, record, names, second_reader) for number, record, names in segments]
     digests = {f"{ledger}/{facts.file}": facts.digest for facts in found if facts.digest is not None}
     others = second_reader.by_digest(digests) if second_reader is not None and digests else {}
     for at, (facts, (number, _, _)) in enumerate(zip(found, segments, strict=True)):
@@ -111,8 +107,8 @@ def examine_some(
     return found
 
 
-def examine_file(ledger: str, number: int, record: Stored | None, names: Names | None = None) -> SegmentFacts:
-    """Compare the file of this commit's segment, or with these names, with its record, without reading the rows.
+def examine_file(ledger: str, number: int, record: Stored, names: Names) -> SegmentFacts:
+    """Compare the file of the segment with these names with its record, without reading the rows.
 
     Raises: Only what `unexpected` raises.
     """
@@ -131,7 +127,7 @@ def examine_all(
 
     Args:
         ledger: Its folder.
-        segments: Number, record and names of each; nothing is read of one without a record.
+        segments: Number, record and names of each.
         workers: Processes, or threads if `is_quick`: hashing releases the interpreter lock.
         second_reader: As in `examine`.
         is_quick: Read no rows.
@@ -160,32 +156,29 @@ def _together(segments: Sequence[_Asked], workers: int) -> Iterator[list[_Asked]
     part: list[_Asked] = []
     rows = 0
     for number, record, names in segments:
-        rows += record.rows if record is not None else 0
+        rows += record.rows
         if part and (len(part) == most or rows > _MOST_ROWS):
             yield part
-            part, rows = [], record.rows if record is not None else 0
+            part, rows = [], record.rows
         part.append((number, record, names))
     if part:
         yield part
 
 
-_Check = Callable[[Path, str, int, Stored, Names | None], SegmentFacts]
+_Check = Callable[[Path, str, int, Stored, Names], SegmentFacts]
 
 
-def _guarded(check: _Check, ledger: Path, number: int, record: Stored | None, names: Names | None) -> SegmentFacts:
-    place = (names or names_of(number)).place
-    if record is None:
-        return SegmentFacts(place)
+def _guarded(check: _Check, ledger: Path, number: int, record: Stored, names: Names) -> SegmentFacts:
     try:
         return _checked(check, ledger, number, record, names)
     except FileNotFoundError:  # its writer moved it into place meanwhile
         try:
             return _checked(check, ledger, number, record, names)
         except FileNotFoundError as error:
-            return SegmentFacts(place, (unexpected(place, number, error),))
+            return SegmentFacts(names.place, (unexpected(names.place, number, error),))
 
 
-def _checked(check: _Check, ledger: Path, number: int, record: Stored, names: Names | None) -> SegmentFacts:
+def _checked(check: _Check, ledger: Path, number: int, record: Stored, names: Names) -> SegmentFacts:
     """Check the segment where it is found.
 
     Raises:
@@ -202,20 +195,20 @@ def _checked(check: _Check, ledger: Path, number: int, record: Stored, names: Na
         return SegmentFacts(found.file, (unexpected(found.file, number, error),))
 
 
-def _examine_file(ledger: Path, file: str, number: int, record: Stored, names: Names | None) -> SegmentFacts:
+def _examine_file(ledger: Path, file: str, number: int, record: Stored, names: Names) -> SegmentFacts:
     _, problem = read_segment(ledger, file, number, record, names, is_kept=False)
     return SegmentFacts(file, (problem,)) if problem is not None else SegmentFacts(file, rows=record.rows)
 
 
 def _examine(
-    second_reader: SecondReader | None, ledger: Path, file: str, number: int, record: Stored, names: Names | None
+    second_reader: SecondReader | None, ledger: Path, file: str, number: int, record: Stored, names: Names
 ) -> SegmentFacts:
     data, problem = read_segment(ledger, file, number, record, names)
     if problem is not None:
         return SegmentFacts(file, (problem,))
     if record.release not in FINGERPRINTS:  # its rows cannot be judged; the record is a problem already
         return SegmentFacts(file, rows=record.rows)
-    says = f"as {(names or names_of(number)).said_by} says"
+    says = f"as {names.said_by} says"
 
     def fail(found: object, expected: object, field: str) -> SegmentFacts:
         return SegmentFacts(file, (Problem(file, str(found), str(expected), commit=number, field=field),))
@@ -231,12 +224,10 @@ def _examine(
         return fail(fingerprint(layout.schema), f"{record.schema_sha256}, {says}", "schema_sha256")
     table = read_coded(path, data, layout)
     columns = Columns(table)
-    flaw = first_flaw(columns, is_whole=names is None)
+    flaw = first_flaw(columns, is_whole=False)
     problems = (
         () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
     )
-    run_ids = columns.arrays["run_id"]
-    runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
     stored = table.select(layout.schema.names)
     is_as_written, misleading = _misleading(data, layout, stored, columns)
     again = second_reader.by_value(str(path), stored) if second_reader is not None and not is_as_written else None
@@ -250,9 +241,8 @@ def _examine(
         ),
     )
     leaves = canonical.leaves(columns)
-    alone = frozenset(run_ids.filter(pa.array(standing_alone(columns.arrays["type"]))).to_pylist())
-    blocks = tuple(blocks_of(table)) if names is not None and flaw is None else ()
-    return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone, blocks, digest)
+    blocks = tuple(blocks_of(table)) if flaw is None else ()
+    return SegmentFacts(file, problems, table.num_rows, leaves, blocks, digest)
 
 
 def _misleading(data: bytes, layout: Layout, table: pa.Table, columns: Columns) -> tuple[bool, tuple[str, str] | None]:

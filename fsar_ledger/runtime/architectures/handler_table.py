@@ -1,7 +1,6 @@
 """The handler table of an architecture: which handler decides a command, and which reactions follow an event."""
 
 from types import ModuleType
-from typing import NamedTuple
 
 import msgspec
 
@@ -78,18 +77,3 @@ class HandlerTable(msgspec.Struct, frozen=True, eq=False):
         if missing:
             raise ValueError(f"a handler table lacks what it names: {', '.join(missing)}")
         return cls(decides | (own or {}), reacts, actors)
-
-
-class Growth(NamedTuple):
-    """What an architecture adds to the world's facts, in events and in elements of their lists.
-
-    Upper bounds of what runs were seen to make: for each robot; for each set of tasks of a team; and for each delegated
-    step in these and each team whose robot may be a candidate for it.
-    """
-
-    of_robot: float
-    of_team: float
-    of_candidate: float
-    list_of_robot: float
-    list_of_team: float
-    list_of_candidate: float

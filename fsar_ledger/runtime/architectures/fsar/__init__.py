@@ -3,7 +3,7 @@
 Paper: eq:federation, eq:fleet-model.
 """
 
-from fsar_ledger.runtime.architectures.handler_table import COMMON, PUBLIC, Growth, HandlerTable
+from fsar_ledger.runtime.architectures.handler_table import COMMON, PUBLIC, HandlerTable
 from fsar_ledger.runtime.handlers import assistance
 
 from . import authority, availability, discovery, execution, recovery, request
@@ -19,6 +19,3 @@ FSAR: HandlerTable = HandlerTable.of(
     availability,
     *PUBLIC,
 )
-
-GROWTH = Growth(5, 350, 0, 3, 180, 2.0)
-"""The registry names every candidate in its answer."""

@@ -19,13 +19,13 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.ledger.chain.read import View
 from fsar_ledger.ledger.log.hashing import HASH_BYTES
 from fsar_ledger.ledger.log.merkle import Node, inclusion_proof, leaf_hash, root_of_inclusion
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, parse_note, signers_of
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.view import View
 
 TITLE = "c2sp.org/tlog-proof@v1"
 SUFFIX = ".tlog-proof"
@@ -75,7 +75,7 @@ def prove(view: View, index: int) -> Proof:
     if not 0 <= index < view.head.size:
         raise ValueError(f"found index {index}, expected one of {view.head.size} events")
     event = view.event(index)
-    note = view.published(index)
+    note = view.note()
     assert note is not None  # as there is an event
     leaf, hashes = prove_inclusion(view.path, view.node(note.checkpoint.size), note.checkpoint, index)
     if leaf_hash(event) != leaf:
@@ -101,7 +101,7 @@ def prove_inclusion(ledger: Path, node: Node, tree: Checkpoint, index: int) -> t
         raise LedgerCorrupted(
             f"{ledger}: the stored hashes lead from event {index} to the root "
             f"{found.hex() if found else 'of no tree'}, expected {tree.root.hex()} of {tree.size} "
-            "events; run fsar-ledger verify, and fsar-ledger recover if only these are damaged"
+            "events; run fsar-ledger verify, and fsar-ledger maintain recover if only these are damaged"
         )
     return leaf, hashes
 

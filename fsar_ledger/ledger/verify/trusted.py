@@ -1,9 +1,11 @@
-"""Recover a ledger of format 2: mend what a crash left, find what can be trusted, and delete nothing."""
+"""How much of a ledger can be trusted, how it is mended, and a copy of what is trusted: parts of `recover`."""
 
 import os
+import re
 import shutil
 from bisect import bisect_right
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from operator import attrgetter
 from pathlib import Path
 from typing import Literal
@@ -11,46 +13,74 @@ from typing import Literal
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.chain.append import ChainWriter
+from fsar_ledger.ledger.chain.append import Writer
 from fsar_ledger.ledger.chain.checkpoint import behind
 from fsar_ledger.ledger.chain.derived import derived_sizes
 from fsar_ledger.ledger.chain.index import line_of
 from fsar_ledger.ledger.chain.links import Chain
 from fsar_ledger.ledger.chain.paths import CHAIN, INDEX, NODES, segment_of
 from fsar_ledger.ledger.chain.prepare import repair
-from fsar_ledger.ledger.chain.read import ChainView, open_chain
+from fsar_ledger.ledger.chain.read import View, open_chain
 from fsar_ledger.ledger.chain.record import Placement, Record
+from fsar_ledger.ledger.chain.snapshot import read_checkpoint
 from fsar_ledger.ledger.log import pack
-from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.log.note import doubt
+from fsar_ledger.ledger.log.hashing import sha256_hex
+from fsar_ledger.ledger.log.merkle import Frontier, consistency_proof, is_consistent
+from fsar_ledger.ledger.log.note import Checkpoint, Note, VerifierKey, doubt, parse_note
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.store import disk, growing
+from fsar_ledger.ledger.store.manifest import FORMAT, VERSION, Manifest
 from fsar_ledger.ledger.store.paths import CHECKPOINT, MANIFEST, SEGMENTS, STAGING
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import CHAINED, FORMAT, Manifest, sha256_hex
+from fsar_ledger.ledger.store.segments import check_manifest, names_in
 from fsar_ledger.ledger.store.view import EMPTY_HEAD, Head
-from fsar_ledger.ledger.store.walk import names_in
-from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, ChainVerification
-from fsar_ledger.ledger.verify.notes import check_anchor
-from fsar_ledger.ledger.verify.rederive import begins_with, checkpoint_note
-from fsar_ledger.ledger.verify.report import Asked, Progress
-from fsar_ledger.ledger.verify.trusted_prefix import FITS, NO_SEGMENT, Later
+from fsar_ledger.ledger.verify.chain import FILES, FOLDERS, Verification, unplaced
+from fsar_ledger.ledger.verify.notes import Nodes, check_anchor
+from fsar_ledger.ledger.verify.report import Asked, Progress, VerifyReport
 
 SetAside = Callable[[str], None]
 Done = Callable[[Literal["moved into place", "made again", "set aside"], str, str], None]
 
 
+_SEGMENT_NAME = re.compile(rf"{SEGMENTS}/[0-9]{{12,}}-[0-9]{{12,}}\.parquet")
+
+FITS = "record and segment fit each other"
+NO_SEGMENT = "the segment is missing or not as its record says"
+
+
+class Later(msgspec.Struct, frozen=True):
+    """A commit after the trusted ones, judged on its own.
+
+    `restore` is the SHA-256 of its segment if that is lost or altered and all records up to this one are whole: whoever
+    has the file with this SHA-256 can put it back as `file` of the ledger.
+    """
+
+    number: int
+    found: str
+    restore: str | None = None
+    file: str | None = None
+
+
 class Found(msgspec.Struct, frozen=True):
     """What of a ledger can be trusted: the view of it, and how many of its placements and commits.
 
-    `problems` are why no more; none if the ledger is whole but for what is derived.
+    `problems` are why no more; none if the ledger is whole but for what is derived. `report` is what `verify` says
+    before anything is mended, had ledger.json what it should have.
     """
 
-    view: ChainView
+    view: View
     placements: int
     commits: int
     problems: tuple[Problem, ...]
+    report: VerifyReport
     anchored: int | None = None
+
+    @property
+    def is_whole(self) -> bool:
+        """Return whether there is nothing to mend, and nothing that a crash left."""
+        _, manifest, _ = check_manifest(self.view.path)
+        is_described = manifest is not None and sha256_hex(manifest) == self.view.manifest_sha256
+        return is_described and self.report.ok and not self.report.remarks and not names_in(self.view.path / STAGING)
 
     def later(self) -> Iterator[Later]:
         """Yield each commit after the trusted ones, with what its segment, or the journal, shows of it alone."""
@@ -85,12 +115,15 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ask
 
     Raises: LedgerCorrupted if ledger.json cannot be read, and nothing says what was in it.
     """
-    view = open_chain(path, manifest_of(path), is_damage_told=False)
-    look = ChainVerification(path, msgspec.structs.replace(asked, is_quick=False))
-    report = look.run(workers, progress)
-    problems = [one for one in report.problems if one.where.split("/")[0] not in (NODES, INDEX, CHECKPOINT, MANIFEST)]
-    problems = [one for one in problems if not _is_stray(one.where)]
-    problems += _removed(view)
+    manifest = manifest_of(path)
+    view = open_chain(path, manifest, is_damage_told=False)
+    look = Verification(path, msgspec.structs.replace(asked, is_quick=False))
+    report = look.run(workers, progress, manifest)
+    mendable = {NODES, INDEX, CHECKPOINT, MANIFEST, *_strays(view)}
+    problems = [one for one in look.problems if one.where not in mendable]
+    problems += _removed(view) + _contradicted(view, asked.trusted)
+    if not problems and not report.ok:
+        problems += look.check_signatures(view)[0]  # which `verify` does only of a ledger without a problem
     placements, commits = look.trusted
     if asked.trusted is not None:
         key, origin = asked.trusted, view.manifest.origin
@@ -101,10 +134,10 @@ def find_trusted(path: Path, workers: int, progress: Progress | None, asked: Ask
     if problems:
         commits = min(commits, _commits_to(view, view.chain.placed[placements - 1].end if placements else 0))
     anchored = _anchored(view, look, asked, commits) if report.problems else report.anchored
-    return Found(view, placements, commits, tuple(problems), anchored)
+    return Found(view, placements, commits, tuple(problems), report, anchored)
 
 
-def _anchored(view: ChainView, look: ChainVerification, asked: Asked, commits: int) -> int | None:
+def _anchored(view: View, look: Verification, asked: Asked, commits: int) -> int | None:
     """Count the events of the first so many commits that the anchor vouches for; None if it cannot."""
     anchor, origin, size = asked.anchor, view.manifest.origin, _size(view, commits)
     if anchor is None or anchor.note is None:
@@ -114,34 +147,73 @@ def _anchored(view: ChainView, look: ChainVerification, asked: Asked, commits: i
         return None if check_anchor(anchor, origin, size, look.roots.get(then.size), asked.trusted) else then.size
     is_own = not check_anchor(anchor, origin, then.size, then.root, asked.trusted)
     root = view.commits[commits - 1].tree_root if commits else ""
-    return size if is_own and begins_with(view.node, then, size, root) else None
+    return size if is_own and _begins_with(view.node, then, size, root) else None
 
 
-def _size(view: ChainView, commits: int) -> int:
+def _begins_with(nodes: Nodes, then: Checkpoint, size: int, root: str) -> bool:
+    """Return whether these hashes prove that a checkpoint's tree begins with the tree of so many events, at least one.
+
+    Only the proof counts, not the hashes as such.
+    """
+    if not 0 < size <= then.size:
+        return False
+    try:
+        proof = consistency_proof(nodes(then.size), size, then.size)
+    except LedgerCorrupted:
+        return False
+    return is_consistent(size, bytes.fromhex(root), then.size, then.root, proof)
+
+
+def _size(view: View, commits: int) -> int:
     return view.commits[commits - 1].tree_size if commits else 0
 
 
-def _commits_to(view: ChainView, size: int) -> int:
+def _commits_to(view: View, size: int) -> int:
     return sum(commit.tree_size <= size for commit in view.commits)
 
 
-def _is_stray(name: str) -> bool:
-    return name.split("/")[0] not in FILES | FOLDERS
+def _strays(view: View) -> list[str]:
+    """Return what is in the ledger's folder, or among its segments, and does not belong to it.
+
+    A file with the name of a segment is none of them: it says that its commits were removed.
+    """
+    strays = [name for name in names_in(view.path) if name not in FILES | FOLDERS]
+    return strays + [name for name in unplaced(view) if not _SEGMENT_NAME.fullmatch(name)]
 
 
-def _removed(view: ChainView) -> list[Problem]:
+def _removed(view: View) -> list[Problem]:
     """Return a problem if something is there only because the ledger once had more commits."""
     expected = (
         f"nothing of a tree of more than the {view.head.size} events that are committed: the newest commits were "
         "removed"
     )
-    note = checkpoint_note(view.path)
+    note = _checkpoint_note(view.path)
     if note is not None and note.checkpoint.origin == view.manifest.origin and note.checkpoint.size > view.head.size:
         return [Problem(CHECKPOINT, f"a checkpoint of {note.checkpoint.size} events", expected)]
     for name, size in derived_sizes(view.chain).items():
         if (found := growing.size_of(view.path / name)) > size:
             return [Problem(name, f"{found} bytes", expected)]
     return []
+
+
+def _contradicted(view: View, key: VerifierKey | None) -> list[Problem]:
+    """Return a problem if the key signed the file `checkpoint` and no commit has its tree."""
+    note, origin = _checkpoint_note(view.path), view.manifest.origin
+    if note is None or key is None or doubt(note, key) is not None:
+        return []
+    if note.checkpoint in (commit.note(origin).checkpoint for commit in view.commits):
+        return []
+    expected = "the tree of a commit, because the trusted key signed it: history was rewritten"
+    return [Problem(CHECKPOINT, f"a checkpoint of {note.checkpoint.size} events", expected)]
+
+
+def _checkpoint_note(path: Path) -> Note | None:
+    """Return the note in the file `checkpoint`; None if there is none."""
+    text = read_checkpoint(path)
+    try:
+        return parse_note(CHECKPOINT, text) if isinstance(text, str) else None
+    except LedgerCorrupted:
+        return None
 
 
 def manifest_of(path: Path) -> bytes:
@@ -156,9 +228,9 @@ def manifest_of(path: Path) -> bytes:
             return data
     except OSError:
         pass
-    note = checkpoint_note(path)
+    note = _checkpoint_note(path)
     if note is not None:
-        made = canonical.document(Manifest(FORMAT, note.checkpoint.origin, CHAINED))
+        made = canonical.document(Manifest(FORMAT, note.checkpoint.origin, VERSION))
         if sha256_hex(made) == _first_hash(path):
             return made
     if data:
@@ -181,13 +253,8 @@ def _first_hash(path: Path) -> str:
 def mend(found: Found, set_aside: SetAside, done: Done) -> None:
     """Make the ledger whole again: its derived files, and what an interrupted writer left. Raises: OSError."""
     view, path = found.view, found.view.path
-    for name in names_in(path):
-        if _is_stray(name):
-            set_aside(name)
-    known = {segment_of(placement) for placement in view.chain.placements}
-    for name in names_in(path / SEGMENTS):
-        if f"{SEGMENTS}/{name}" not in known:
-            set_aside(f"{SEGMENTS}/{name}")
+    for name in _strays(view):
+        set_aside(name)
     _make_again(path, MANIFEST, manifest_of(path), set_aside, done)
     for placement in view.chain.placed:
         place = path / segment_of(placement)
@@ -209,15 +276,10 @@ def mend(found: Found, set_aside: SetAside, done: Done) -> None:
 
 def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: Done) -> None:
     """Write the file if it does not hold these bytes; what is there goes aside. No bytes are no file."""
-    try:
-        there: bytes | None = disk.read_large(path / name, max(len(data), growing.size_of(path / name)))
-    except FileNotFoundError:
-        there = None
-    except OSError:
-        there = b""
-    if there == data or (there is None and not data):
-        return
-    if there is not None:
+    with suppress(OSError):  # missing, a link or longer
+        if disk.read_large(path / name, len(data)) == data:
+            return
+    if os.path.lexists(path / name):
         set_aside(name)
     if data:
         disk.make_folder(path / STAGING)
@@ -225,7 +287,7 @@ def _make_again(path: Path, name: str, data: bytes, set_aside: SetAside, done: D
         done("made again", name, name)
 
 
-def _nodes(view: ChainView) -> bytes:
+def _nodes(view: View) -> bytes:
     tree, found = Frontier(), []
     for number in range(len(view.chain.placed)):
         tree, nodes = pack.grow(tree, view.leaves(number))
@@ -233,7 +295,7 @@ def _nodes(view: ChainView) -> bytes:
     return b"".join(found)
 
 
-def _index(view: ChainView) -> bytes:
+def _index(view: View) -> bytes:
     return b"".join(line for number in range(len(view.chain.placed)) for line in view.index_lines(number))
 
 
@@ -264,7 +326,7 @@ def write_copy(found: Found, work: Path) -> None:
         disk.write_temporary(
             work / CHECKPOINT, str(view.commits[found.commits - 1].note(view.manifest.origin)).encode()
         )
-    with ChainWriter(work, view.manifest.origin):
+    with Writer(work, view.manifest.origin):
         pass  # derives the rest
 
 
