@@ -16,10 +16,12 @@ import pytest
 
 import fsar_ledger
 from fsar_ledger.ledger.chain.append import Writer
+from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.metrics.library import library
 from tests.cli.conftest import Call, Called, in_a_process, one_message
 from tests.cli.test_interruption import limited_disk
 from tests.ledger.crash_trials import RUNS, piece
+from tests.ledger.keep_release import LEDGERS
 from tests.ledger.samples import ORIGIN
 
 READER = """
@@ -35,7 +37,7 @@ with duckdb.connect(file, read_only=True) as connection:
             writer.write_table(table)
 assert not any(name.startswith("fsar_ledger") for name in sys.modules)
 """
-OLD = Path(__file__).parents[1] / "ledgers/0.1.0/ledger"
+OLD = LEDGERS / "0.1.0" / "ledger"
 
 
 def read_elsewhere(file: Path, folder: Path, *calls: str) -> list[list[dict[str, Any]]]:
@@ -76,15 +78,23 @@ def opened(ledger: Path, tmp_path_factory: pytest.TempPathFactory) -> Opened:
 
 
 @pytest.fixture(scope="module")
-def old(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def upgraded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The ledger of release 0.1.0 in today's format."""
+    path = tmp_path_factory.mktemp("upgraded") / "ledger"
+    upgrade(OLD, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def old(upgraded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A file of another ledger, to be copied."""
-    return fsar_ledger.open_ledger(OLD).open(tmp_path_factory.mktemp("old") / "l.duckdb").file
+    return fsar_ledger.open_ledger(upgraded).open(tmp_path_factory.mktemp("old") / "l.duckdb").file
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("is_old", [False, True], ids=["new", "0.1.0"])
-def test_every_relation_reads_elsewhere_as_here(ledger: Path, tmp_path: Path, *, is_old: bool) -> None:
-    opened = fsar_ledger.open_ledger(OLD if is_old else ledger)
+def test_every_relation_reads_elsewhere_as_here(ledger: Path, upgraded: Path, tmp_path: Path, *, is_old: bool) -> None:
+    opened = fsar_ledger.open_ledger(upgraded if is_old else ledger)
     written = opened.open(tmp_path / "l.duckdb")
     assert written.provenance.head == opened.head
     calls = defaulted()

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.ledger.v1 import upgrade
 from tests.cli.conftest import Call, one_message
+from tests.ledger.keep_release import LEDGERS
 
 ROOT = Path(__file__).resolve().parents[2]
 VIOLATED = "policy_violations > 0"
@@ -163,11 +165,12 @@ def test_a_call_of_whatif_that_makes_no_sense_is_an_error(
 def test_a_run_that_cannot_be_made_again_is_not_forked_and_nothing_is_written(
     call: Call, tmp_path: Path, release: str, run: str, found: str
 ) -> None:
-    kept = ROOT / "tests" / "ledgers" / release / "ledger"
+    kept = tmp_path / "kept"
+    upgrade(LEDGERS / release / "ledger", kept)
     words = ("--change", "drop window:*", "--out", tmp_path / "forks")
     one_message(call("whatif", kept, "--run", run, *words), 2, found, "only such a run can be made again with a change")
     one_message(call("cause", kept, "--run", run, "--outcome", "policy_violations > 0"), 2, found)
-    assert list(tmp_path.iterdir()) == []
+    assert list(tmp_path.iterdir()) == [kept]
 
 
 def test_forks_are_not_stored_in_the_ledger_of_their_bases(call: Call, ledger: Path, tmp_path: Path) -> None:

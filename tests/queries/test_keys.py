@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.ledger.rows.codec import LedgerRun, encode
+from fsar_ledger.ledger.v1 import upgrade
 from fsar_ledger.metrics.database import Database, connect, from_rows, from_table
 from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, library
 from tests.queries.histories import event, run
@@ -49,8 +50,9 @@ def test_keys_tell_the_rows_of_the_commanded_run_apart() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", KEPT, ids=lambda path: path.parent.name)
-def test_keys_tell_the_rows_of_a_kept_ledger_apart(path: Path) -> None:
-    with connect(path) as database:
+def test_keys_tell_the_rows_of_a_kept_ledger_apart(path: Path, tmp_path: Path) -> None:
+    upgrade(path, tmp_path / "upgraded")
+    with connect(tmp_path / "upgraded") as database:
         assert broken_keys(database, (query for name, query in FILES.items() if name not in DRAWN)) == []
 
 
