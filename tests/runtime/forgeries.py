@@ -133,7 +133,9 @@ FORGERIES = {
     "an execution without admission": Forgery(
         dropped(HONEST, ADMITTED), ADMITTED, "type", "fsar.request.evaluate_request"
     ),
-    "an execution that nobody accepted": Forgery(dropped(HONEST, ACCEPTED), ACCEPTED, "type", "fsar.execution.take_turn"),
+    "an execution that nobody accepted": Forgery(
+        dropped(HONEST, ACCEPTED), ACCEPTED, "type", "fsar.execution.take_turn"
+    ),
     "an acceptance by another robot": Forgery(
         restated(ACCEPTED, decided_by="robot/C1"), ACCEPTED, "decided_by", "fsar.execution.take_turn"
     ),
