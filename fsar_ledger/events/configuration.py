@@ -73,11 +73,9 @@ def without(mechanisms: Iterable[str]) -> Configuration:
 
 def removed_mechanisms(configuration: str) -> frozenset[str]:
     """Return the mechanisms that the configuration of this name lacks; none for any other text."""
-    return (
-        frozenset(configuration.removeprefix(_WITHOUT).split("+"))
-        if configuration.startswith(_WITHOUT)
-        else frozenset()
-    )
+    if configuration.startswith(_WITHOUT):
+        return frozenset(configuration.removeprefix(_WITHOUT).split("+"))
+    return frozenset()
 
 
 def is_known(configuration: str) -> bool:

@@ -93,11 +93,9 @@ def _takes(kind: Any, before: Any) -> bool:
         return any(_takes(one, before) for one in get_args(kind))
     if get_origin(before) is Literal:
         words = get_args(before)
-        return (
-            set(words) <= set(get_args(kind))
-            if get_origin(kind) is Literal
-            else all(type(word) is kind for word in words)
-        )
+        if get_origin(kind) is Literal:
+            return set(words) <= set(get_args(kind))
+        return all(type(word) is kind for word in words)
     return False
 
 

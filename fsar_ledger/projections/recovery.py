@@ -77,11 +77,9 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
             return put(state, event.failed_action, asked)
         case AssistanceAdmitted() | AssistanceDeclined():
             action_id = event.subject.action_id or ""
-            return (
-                put(state, action_id, msgspec.structs.replace(state[action_id], awaited=None))
-                if action_id in state
-                else state
-            )
+            if action_id not in state:
+                return state
+            return put(state, action_id, msgspec.structs.replace(state[action_id], awaited=None))
         case SupervisorCalled():
             called = state.get(event.subject.action_id)
             if called is None or event.purpose != "recovery":

@@ -256,12 +256,10 @@ def _voided(state: Requests, event: ContractVoided) -> Requests:
 
 def _issued(state: Requests, event: RequestIssued) -> Requests:
     """Record the request as sent; one that belongs to no step begins here. Paper: eq:request."""
-    task_id, action_id, robot, executor = (
-        event.subject.task_id,
-        event.subject.action_id,
-        event.principals.requested_by,
-        event.principals.executed_by,
-    )
+    task_id = event.subject.task_id
+    action_id = event.subject.action_id
+    robot = event.principals.requested_by
+    executor = event.principals.executed_by
     carried = event.carried_policy or "allow"
     if action_id in state.open or task_id is None or action_id is None or robot is None or executor is None:
         return _changed(state, action_id, carried=carried, relay=event.relay, override=event.override)
@@ -284,11 +282,9 @@ def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDe
     if known is None:
         return state
     if isinstance(event, ExecutionFinished):
-        return (
-            _changed(state, known.action_id, result=event.result)
-            if known.is_adhoc or event.result != "success"
-            else state
-        )
+        if not (known.is_adhoc or event.result != "success"):
+            return state
+        return _changed(state, known.action_id, result=event.result)
     return _changed(state, known.action_id, is_over=True)
 
 

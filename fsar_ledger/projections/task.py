@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import assert_never
 
 import msgspec
+from msgspec.structs import replace
 
 from fsar_ledger.constants import END_US
 from fsar_ledger.events.envelope import Robot
@@ -49,10 +50,16 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
             known = state.get(event.subject.task_id)
             if known is None:  # another system's record may lack the arrival
                 known = Task(event.subject.task_id, event.robot, 0, (), 0, 0, event.step - 1, has_arrived=False)
-            return put(state, event.subject.task_id, _at(known, 0, event.attempt, event.subject.action_id))
+            return put(
+                state, event.subject.task_id, replace(known, attempt=event.attempt, action_id=event.subject.action_id)
+            )
         case StepCompleted():
             known = state.get(event.subject.task_id)
-            return state if known is None else put(state, event.subject.task_id, _at(known, 1, 0, ""))
+            return (
+                state
+                if known is None
+                else put(state, event.subject.task_id, replace(known, step=known.step + 1, attempt=0, action_id=""))
+            )
         case TaskArrived():
             about = (event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)
             task = Task(*about, checkpoints=event.checkpoints, is_time_critical=event.is_time_critical)
@@ -81,20 +88,3 @@ def checkpoint(state: Tasks, task_id: str, step: int) -> str | None:
     if task is None or not 1 <= step <= len(task.steps):
         return None
     return f"{task_id}/{step}" if task.checkpoints is None or str(step) in task.checkpoints else None
-
-
-def _at(task: Task, more: int, attempt: int, action_id: str) -> Task:
-    return Task(
-        task.task_id,
-        task.robot,
-        task.team,
-        task.steps,
-        task.budget_us,
-        task.due_us,
-        task.step + more,
-        attempt,
-        action_id,
-        task.checkpoints,
-        task.is_time_critical,
-        task.has_arrived,
-    )

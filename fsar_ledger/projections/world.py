@@ -94,11 +94,11 @@ def evolve(state: World, event: HANDLES) -> World:
         case PolicyWindowOpened():
             windows = state.local if event.scope == "local" else state.fleet
             opened = put(windows, event.robot, (*windows.get(event.robot, ()), (event.window, event.outcome)))
-            return _with_windows(state, event.scope, opened)
+            return msgspec.structs.replace(state, **{event.scope: opened})
         case PolicyWindowClosed():
             windows = state.local if event.scope == "local" else state.fleet
             left = tuple(entry for entry in windows.get(event.robot, ()) if entry[0] != event.window)
-            return _with_windows(state, event.scope, put(windows, event.robot, left))
+            return msgspec.structs.replace(state, **{event.scope: put(windows, event.robot, left)})
         case ObstructionAppeared():
             inside = (*state.obstructions.get(event.robot, ()), event.obstruction)
             return msgspec.structs.replace(state, obstructions=put(state.obstructions, event.robot, inside))
@@ -143,9 +143,3 @@ def _graded(state: World, robot: Robot, grade: Grade) -> World:
 
 def _cleared(state: World, robot: Robot) -> World:
     return msgspec.structs.replace(state, obstructions=put(state.obstructions, robot, ()))
-
-
-def _with_windows(state: World, scope: str, windows: Windows) -> World:
-    if scope == "local":
-        return msgspec.structs.replace(state, local=windows)
-    return msgspec.structs.replace(state, fleet=windows)

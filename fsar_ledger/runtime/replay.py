@@ -361,11 +361,9 @@ class _Replay(RecordedKernel):
     def _missed_decision(self, seq: int) -> _Mismatch | None:
         """Return the difference if the recorded event is where a handler had its turn and made nothing, else None."""
         decide = dict(self._silent).get(self._stored.times_us[seq])
-        return (
-            None
-            if decide is None
-            else _Mismatch(self._stored.run_id, seq, "type", _name(decide), "nothing", self._actual(seq))
-        )
+        if decide is None:
+            return None
+        return _Mismatch(self._stored.run_id, seq, "type", _name(decide), "nothing", self._actual(seq))
 
 
 def _name(function: Callable[..., object]) -> str:

@@ -53,7 +53,7 @@ def test_every_version_stays_what_it_was_whichever_is_changed_or_read(
 ) -> None:
     versions: list[tuple[SharedMap[int, int], dict[int, int]]] = [(SharedMap.of(begin), begin)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(maps, "_LARGE", 7)
+        patch.setattr(maps, "_SHARED_FROM", 7)
         for key, value in changes:
             found, expected = versions[-1] if chance.random() < 0.8 else chance.choice(versions)
             if value is not None:
@@ -112,5 +112,5 @@ def test_a_run_is_the_same_whatever_the_size_of_a_large_mapping(
 ) -> None:
     spec = RunSpec(11, architecture, "full", "door-relay", 16, 0)
     expected = simulate_run(spec, Constants())
-    monkeypatch.setattr(maps, "_LARGE", 2)
+    monkeypatch.setattr(maps, "_SHARED_FROM", 2)
     assert simulate_run(spec, Constants()) == expected

@@ -105,24 +105,18 @@ class Forgery(NamedTuple):
     handler: str | None
 
 
-TRUST, ADMITTED, ACCEPTED, STARTED = (
-    seq_of(RoleTrustSet),
-    seq_of(RequestAdmitted),
-    seq_of(RequestAccepted),
-    seq_of(ExecutionStarted),
-)
-ISSUED, FAILED, RESOLVED, REFUSED = (
-    seq_of(RequestIssued),
-    seq_of(ExecutionFailed),
-    seq_of(FailureResolved),
-    seq_of(RequestDenied),
-)
-FINISHED, DUE, WITHHELD, LAST = (
-    seq_of(ExecutionFinished),
-    seq_of(RoutineDue),
-    seq_of(RoutineWithheld),
-    len(HONEST.events) - 1,
-)
+TRUST = seq_of(RoleTrustSet)
+ADMITTED = seq_of(RequestAdmitted)
+ACCEPTED = seq_of(RequestAccepted)
+STARTED = seq_of(ExecutionStarted)
+ISSUED = seq_of(RequestIssued)
+FAILED = seq_of(ExecutionFailed)
+RESOLVED = seq_of(FailureResolved)
+REFUSED = seq_of(RequestDenied)
+FINISHED = seq_of(ExecutionFinished)
+DUE = seq_of(RoutineDue)
+WITHHELD = seq_of(RoutineWithheld)
+LAST = len(HONEST.events) - 1
 PERFORMED, ATTEMPT, OBSTRUCTED = seq_of(RoutinePerformed), seq_of(RecoveryAttempted), seq_of(ObstructionAppeared)
 withheld = HONEST.events[WITHHELD]
 assert isinstance(withheld, RoutineWithheld)
@@ -139,9 +133,11 @@ FORGERIES = {
     "an execution without admission": Forgery(
         dropped(HONEST, ADMITTED), ADMITTED, "type", "fsar.request.evaluate_request"
     ),
-    "an execution that nobody accepted": Forgery(dropped(HONEST, ACCEPTED), ACCEPTED, "type", "fsar.request.take_turn"),
+    "an execution that nobody accepted": Forgery(
+        dropped(HONEST, ACCEPTED), ACCEPTED, "type", "fsar.execution.take_turn"
+    ),
     "an acceptance by another robot": Forgery(
-        restated(ACCEPTED, decided_by="robot/C1"), ACCEPTED, "decided_by", "fsar.request.take_turn"
+        restated(ACCEPTED, decided_by="robot/C1"), ACCEPTED, "decided_by", "fsar.execution.take_turn"
     ),
     "a request in the name of another": Forgery(
         restated(ISSUED, requested_by="robot/C1"), ISSUED, "requested_by", "fsar.request.issue_request"
@@ -196,7 +192,7 @@ FORGERIES = {
         added(HONEST, ACCEPTED, HONEST.events[ACCEPTED], HONEST.times_us[ACCEPTED], 1),
         ACCEPTED,
         "caused_by",
-        "fsar.request.take_turn",
+        "fsar.execution.take_turn",
     ),
     "a task is begun that did not arrive": Forgery(
         added(

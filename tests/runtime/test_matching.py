@@ -26,11 +26,9 @@ def test_version_ranges_obey_their_laws(version: str, wanted: str, other: str) -
     assert is_in_range(version, version)
     assert is_in_range(version, "^" + version)
     assert is_in_range(version, ">=" + version)
-    is_exact, is_compatible, is_at_least = (
-        is_in_range(version, wanted),
-        is_in_range(version, "^" + wanted),
-        is_in_range(version, ">=" + wanted),
-    )
+    is_exact = is_in_range(version, wanted)
+    is_compatible = is_in_range(version, "^" + wanted)
+    is_at_least = is_in_range(version, ">=" + wanted)
     assert not is_exact or is_compatible
     assert not is_compatible or is_at_least
     found, lowest = version_of(version), version_of(wanted)

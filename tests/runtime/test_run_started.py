@@ -53,11 +53,9 @@ def test_a_group_that_is_there_makes_another_run_and_is_recorded() -> None:
 
 
 def test_equal_constants_are_one_text() -> None:
-    ours, given = (
-        Constants(),
-        Constants(
-            world=msgspec.structs.replace(WorldConstants(), horizon_s=240), load=Load(task_sets=2, interval_s=30)
-        ),
+    ours = Constants()
+    given = Constants(
+        world=msgspec.structs.replace(WorldConstants(), horizon_s=240), load=Load(task_sets=2, interval_s=30)
     )
     assert ours.world == given.world
     assert write_constants(given) == write_constants(Constants(load=Load(task_sets=2, interval_s=30.0)))

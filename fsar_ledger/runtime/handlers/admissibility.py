@@ -72,10 +72,8 @@ def evaluate(state: State, request: Request, executor: Robot, is_reviewed: bool 
         return Evaluation("reject", conjunct, trust, conjunct not in ("trust", "authority"), False, "none")
     asked: OverrideLevel = "none"
     if request.override != "none":
-        asked, allowed = (
-            override_asked(state.authority, request, executor),
-            override_allowed(state.authority, state.registry, request, executor),
-        )
+        asked = override_asked(state.authority, request, executor)
+        allowed = override_allowed(state.authority, state.registry, request, executor)
         if rank(asked) > rank(allowed):
             return Evaluation("negotiate", None, trust, True, False, allowed)
     if outcome == "review":

@@ -264,10 +264,8 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
 
 def _rolling_out(registry: Registry, robot: Robot, capability: str) -> Advertisement | None:
     """Return the record of another version than the installed one, if there is one."""
-    module, record = (
-        registry.modules.get(robot, {}).get(capability),
-        advertisement(registry, robot, capability),
-    )
+    module = registry.modules.get(robot, {}).get(capability)
+    record = advertisement(registry, robot, capability)
     return None if module is None or record is None or record.version == module.version else record
 
 

@@ -81,11 +81,9 @@ def _failed(action: Action, recovery: Recovery, who: Robot, cause: FailureCause)
 
 @HANDLERS.react(AssistanceAdmitted)
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        (Scheduled(StopAssistance(event.subject.action_id, event.helper)),)
-        if state.world.obstructions.get(event.helper)
-        else ()
-    )
+    if not state.world.obstructions.get(event.helper):
+        return ()
+    return (Scheduled(StopAssistance(event.subject.action_id, event.helper)),)
 
 
 @HANDLERS.react(ObstructionAppeared)

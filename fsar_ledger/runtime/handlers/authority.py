@@ -311,11 +311,9 @@ def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
 
 @HANDLERS.react(TaskCompleted, TaskAbandoned)
 def _on_end(state: State, event: TaskCompleted | TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        (Scheduled(ExpireContext(event.task_id)),)
-        if state.authority.rights and _in_context(state.authority, event.task_id)
-        else ()
-    )
+    if not (state.authority.rights and _in_context(state.authority, event.task_id)):
+        return ()
+    return (Scheduled(ExpireContext(event.task_id)),)
 
 
 @HANDLERS.react(TrustSet)

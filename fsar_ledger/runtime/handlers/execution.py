@@ -59,10 +59,8 @@ def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> 
 
     A second approach for the same action is another way.
     """
-    action, request = (
-        state.execution.actions[event.subject.action_id],
-        state.request.open.get(event.subject.action_id),
-    )
+    action = state.execution.actions[event.subject.action_id]
+    request = state.request.open.get(event.subject.action_id)
     again = action.failures + action.preemptions + (request.round if request is not None else 0)
     way = lasts("approach", f"{event.subject.action_id}/{again}" if again else event.subject.action_id)
     return (start_action(event.subject.action_id, action.capability, 0, (way,)),)

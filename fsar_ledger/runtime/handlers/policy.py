@@ -3,7 +3,7 @@
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY, PolicyOutcome, PolicyScope, Principals, Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import POLICY, Parties, PolicyOutcome, PolicyScope, Robot, Subject, Supervisor
 from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.projections.fleet import Fleet
 from fsar_ledger.projections.fold import State
@@ -103,23 +103,15 @@ def conflict(
     is_uncomposed = "policy-composition" in state.fleet.without and requester != executor
     if is_uncomposed or ruled(state.policy, "fleet", executor, capability, task_id) is None:
         return ()
-    own, fleet = (
-        own_policy(state.policy, state.world, executor, capability, task_id),
-        fleet_policy(state.knowledge, state.policy, executor, capability, task_id),
-    )
+    own = own_policy(state.policy, state.world, executor, capability, task_id)
+    fleet = fleet_policy(state.knowledge, state.policy, executor, capability, task_id)
     if (own, fleet) != ("deny", "allow"):
         return ()
     supervisor = supervisor_for(state.fleet, state.world, executor, is_cross_robot=requester != executor)
     return (
         PolicyConflictEscalated(
             Subject(task_id, action_id),
-            Principals(
-                decided_by=POLICY,
-                requested_by=requester,
-                executed_by=executor,
-                supervised_by=supervisor,
-                path=(POLICY,),
-            ),
+            Parties(requested_by=requester, executed_by=executor, supervised_by=supervisor).decided(POLICY),
             capability,
             own,
             fleet,

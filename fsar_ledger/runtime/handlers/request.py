@@ -7,7 +7,7 @@ sec:model:request.
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import OverrideLevel, Parties, Principals, RequestSubject, Result, Robot, Subject
+from fsar_ledger.events.envelope import OverrideLevel, RequestSubject, Result, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.request import GapDetected, OfferAnswered, RequestIssued
 from fsar_ledger.projections.authority import LEVELS
@@ -16,7 +16,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Registry
 from fsar_ledger.projections.request import Request, Requests
 
-from .attribution import on_shift, parties, recorded_by
+from .attribution import parties, recorded_by
 from .commands import (
     Handlers,
     PublicCommand,
@@ -74,22 +74,12 @@ def request_capability(state: State, command: RequestCapability) -> tuple[Event,
     if reason is not None:
         return rejected(command, command.action_id, reason, command.requester)
     robot, context, action_id = command.requester, command.context, command.action_id
-    supervisor = on_shift(state.fleet, state.world, robot)
+    parties = recorded_by(state.fleet, state.world, robot, requested_by=robot, executed_by=command.executor)
     return (
-        GapDetected(
-            Subject(context, action_id),
-            Parties(requested_by=robot, executed_by=command.executor, supervised_by=supervisor),
-            command.capability,
-        ),
+        GapDetected(Subject(context, action_id), parties, command.capability),
         RequestIssued(
             subject=RequestSubject(context, action_id, action_id),
-            principals=Principals(
-                decided_by=robot,
-                requested_by=robot,
-                executed_by=command.executor,
-                supervised_by=supervisor,
-                path=(robot,),
-            ),
+            principals=parties.decided(robot),
             capability=command.capability,
             carried_policy=own_policy(state.policy, state.world, robot, command.capability, context),
             override=command.override,

@@ -6,7 +6,7 @@ Paper: eq:supervision.
 from collections.abc import Callable
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Principals, Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, Principal, Robot, Supervisor
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.supervision import (
     ActuatorServiced,
@@ -148,10 +148,8 @@ def _responded(
 
     A failure that was put before the supervisor is over, and a degraded robot is serviced.
     """
-    action, request = (
-        state.execution.actions.get(call.subject.action_id),
-        state.request.open.get(call.subject.action_id),
-    )
+    action = state.execution.actions.get(call.subject.action_id)
+    request = state.request.open.get(call.subject.action_id)
     requested_by = executed_by = None
     if action is not None:
         requested_by, executed_by = action.requested_by, action.executed_by
@@ -159,8 +157,8 @@ def _responded(
         requested_by, executed_by = name_requester(request), request.target
     by = call.supervisor
     responded = SupervisorResponded(
-        Subject(call.subject.task_id, call.subject.action_id),
-        Principals(decided_by=by, requested_by=requested_by, executed_by=executed_by, supervised_by=by, path=(by,)),
+        call.subject,
+        Parties(requested_by=requested_by, executed_by=executed_by, supervised_by=by).decided(by),
         call.purpose,
         approves,
         preferred,
@@ -168,9 +166,7 @@ def _responded(
     recovery = state.recovery.get(call.subject.action_id)
     if call.purpose != "recovery" or recovery is None:
         return (responded,)
-    resolved = FailureResolved(
-        Subject(call.subject.task_id, call.subject.action_id), recovery.robot, recovery.failure, "human"
-    )
+    resolved = FailureResolved(call.subject, recovery.robot, recovery.failure, "human")
     if recovery.robot in state.world.degraded:
         return (responded, ActuatorServiced(recovery.robot), resolved)
     return (responded, resolved)
@@ -197,10 +193,8 @@ def set_supervision_density(state: State, command: SetSupervisionDensity) -> tup
 @HANDLERS.react(SupervisorCalled)
 def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
     """Schedule the response to the executor's call; before there is an executor, the requester calls."""
-    action, request = (
-        state.execution.actions.get(event.subject.action_id),
-        state.request.open.get(event.subject.action_id),
-    )
+    action = state.execution.actions.get(event.subject.action_id)
+    request = state.request.open.get(event.subject.action_id)
     if action is not None:
         return awaiting(state, event, action.robot)
     return awaiting(state, event, None if request is None else request.target or request.requester)

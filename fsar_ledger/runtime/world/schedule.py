@@ -257,10 +257,8 @@ def _merged(spells: list[tuple[int, int]]) -> list[tuple[int, int]]:
 def _outages(outages: Outages, key: bytes, robot: Robot, until_s: float) -> list[Fact]:
     off, back = (Stream(key, f"{name}/{robot}") for name in ("off", "off-length"))
     down, up = (Stream(key, f"{name}/{robot}") for name in ("link", "link-length"))
-    from_us, lost = (
-        round(outages.from_s * 1e6),
-        _arrivals(Stream(key, f"loss/{robot}"), _mean_s(outages.loss_rate_per_s), until_s - outages.from_s),
-    )
+    from_us = round(outages.from_s * 1000000.0)
+    lost = _arrivals(Stream(key, f"loss/{robot}"), _mean_s(outages.loss_rate_per_s), until_s - outages.from_s)
     return [
         *_spells(
             off,

@@ -60,6 +60,12 @@ def by_coordinator(executor: Robot | None) -> Principals:
     return Parties(requested_by=None, executed_by=executor, supervised_by=FLEET_SUPERVISOR).decided(COORDINATOR)
 
 
+def gap_of(request: Request) -> GapDetected:
+    """Return the gap of this request, without naming the robot that has it."""
+    parties = Parties(requested_by=None, executed_by=None, supervised_by=FLEET_SUPERVISOR)
+    return GapDetected(Subject(request.task_id, None), parties, request.capability)
+
+
 def to_coordinator(action_id: str, item: str, wait: Ask) -> Scheduled:
     """Send the coordinator a message about the action."""
     return Scheduled(ReachCoordinator(action_id, item), 0, (wait,))
@@ -152,14 +158,7 @@ def reach_coordinator(
         denied = RequestDenied(RequestSubject(task_id, None, None), by_coordinator(None), NO_TIME)
         queued = (denied, TaskAbandoned(task_id))
     if command.item == "step" and request is not None and request.is_delegated:
-        return (
-            GapDetected(
-                Subject(task_id, None),
-                Parties(requested_by=None, executed_by=None, supervised_by=FLEET_SUPERVISOR),
-                request.capability,
-            ),
-            *queued,
-        )
+        return (gap_of(request), *queued)
     return queued
 
 

@@ -15,7 +15,6 @@ from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, Own
 from fsar_ledger.events.request import (
     CandidateMatched,
     CommandIssued,
-    GapDetected,
     RequestAccepted,
     RequestClosed,
     RequestDeferred,
@@ -53,6 +52,7 @@ from .coordinator import (
     by_coordinator,
     candidates_of,
     copied_policy,
+    gap_of,
     to_coordinator,
     until_next_sync_us,
 )
@@ -238,11 +238,7 @@ def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
     """Deny the outsider's request for lack of trust."""
     request = state.request.open[command.action_id]
     return (
-        GapDetected(
-            Subject(request.task_id, None),
-            Parties(requested_by=None, executed_by=None, supervised_by=FLEET_SUPERVISOR),
-            request.capability,
-        ),
+        gap_of(request),
         RequestDenied(RequestSubject(request.task_id, None, None), by_coordinator(None), "no trust"),
     )
 
@@ -266,11 +262,9 @@ def _on_denial(state: State, event: RequestDenied | RequestUnanswered, now_us: i
 def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "review":
         return (Scheduled(CommandReviewed(event.subject.action_id)),)
-    return (
-        (Scheduled(QueueOrdered(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
-        if event.purpose == "ordering"
-        else ()
-    )
+    if event.purpose != "ordering":
+        return ()
+    return (Scheduled(QueueOrdered(event.subject.action_id), 1, (at_once(event.principals.decided_by),)),)
 
 
 @HANDLERS.react(CommandIssued)

@@ -128,11 +128,9 @@ def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
 
 @HANDLERS.react(ExecutionFinished)
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    return (
-        (Scheduled(CloseExecution(event.subject.action_id)),)
-        if event.subject.action_id in state.authority.claims
-        else ()
-    )
+    if event.subject.action_id not in state.authority.claims:
+        return ()
+    return (Scheduled(CloseExecution(event.subject.action_id)),)
 
 
 @HANDLERS.react(ContextChanged)

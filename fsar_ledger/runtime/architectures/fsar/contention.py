@@ -35,18 +35,16 @@ def put_in_order(state: State, request: Request, executor: Robot, principals: Pr
     ]
     if any(not order.is_answered or _goes_first(state.contention, order, rival) for order, rival in orders):
         return (RequestDeferred(request.request_subject, principals),)
+    if orders:
+        return ()
     return (
-        ()
-        if orders
-        else (
-            SupervisorCalled(
-                subject=request.subject,
-                supervisor=FLEET_SUPERVISOR,
-                purpose="ordering",
-                robot=executor,
-                competing=rivals[0].action_id,
-            ),
-        )
+        SupervisorCalled(
+            subject=request.subject,
+            supervisor=FLEET_SUPERVISOR,
+            purpose="ordering",
+            robot=executor,
+            competing=rivals[0].action_id,
+        ),
     )
 
 

@@ -48,10 +48,8 @@ def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
     for name in sorted(_untrusting(state, query, answer), key=lambda name: not is_idle(state.execution, name)):
         for peer in _relays(state, request, name):
             others = [place for place, robot in enumerate(answer.rejected) if robot != name]
-            rejected, rejected_by = (
-                tuple(answer.rejected[place] for place in others),
-                tuple(answer.rejected_by[place] for place in others),
-            )
+            rejected = tuple(answer.rejected[place] for place in others)
+            rejected_by = tuple(answer.rejected_by[place] for place in others)
             return Answer((name,), (request.capability,), rejected, rejected_by, answer.domain, answer.as_of_us), peer
     return answer, None
 

@@ -349,10 +349,10 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     if event.purpose == "ordering":
         waiting = in_order(state.contention, event.subject.action_id, event.preferred)
         return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
+    if event.purpose != "review":
+        return ()
     return (
-        (Scheduled(AdmitReviewed(event.subject.action_id, event.approves), 1, (at_once(event.principals.decided_by),)),)
-        if event.purpose == "review"
-        else ()
+        Scheduled(AdmitReviewed(event.subject.action_id, event.approves), 1, (at_once(event.principals.decided_by),)),
     )
 
 
@@ -365,11 +365,9 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
         return (
             Scheduled(CloseRequest(event.subject.action_id), 0, (message(event.robot, event.subject.action_id, 4),)),
         )
-    return (
-        (Scheduled(CompleteStep(event.subject.action_id)),)
-        if event.result == "success"
-        else _again(state, event.subject.action_id)
-    )
+    if event.result == "success":
+        return (Scheduled(CompleteStep(event.subject.action_id)),)
+    return _again(state, event.subject.action_id)
 
 
 @HANDLERS.react(RequestClosed)
