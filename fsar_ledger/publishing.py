@@ -1,4 +1,4 @@
-"""Write a file complete at its path, or not at all; check before long work that this can be done."""
+"""Write a file atomically, and check before long work that it can be written."""
 
 import os
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""Say in words what can be compared in a ledger, what cannot, and why."""
+"""Explain what can be compared in a ledger, what cannot, and why."""
 
 from collections.abc import Iterable, Sequence
 

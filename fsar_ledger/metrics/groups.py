@@ -1,4 +1,4 @@
-"""The packaged queries as people look for them: by group, and as text."""
+"""The packaged queries by group, for lists, and as text."""
 
 from .library import Query, library
 

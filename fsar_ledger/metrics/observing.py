@@ -1,4 +1,4 @@
-"""Tell what the runs of a ledger do not observe of the events that a query reads.
+"""Report which of the events that a query reads are not observed by the runs of a ledger.
 
 An empty answer about such events says nothing.
 """

@@ -1,4 +1,4 @@
-"""What SQL of anyone gets beside views: table macros, a list of what there is, and a check of the answer's columns.
+"""Table macros, a list of relations and a check of columns, for SQL that users write.
 
 DuckDB's own list would be of the relations that some SQL has needed so far. So `SHOW TABLES` reads ours, which has all,
 and `DESCRIBE NAME` of a macro describes a call of it.

@@ -1,4 +1,4 @@
-"""Hand the paths of files to DuckDB, which takes most of what people put into a name for a pattern or a command.
+"""Pass file paths to DuckDB, which would read many characters of file names as patterns or commands.
 
 In a path as text it expands `*`, `?`, `[...]` and a leading `~`, and reads `file:` and its like as a scheme.
 """

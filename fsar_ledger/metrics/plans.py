@@ -1,4 +1,4 @@
-"""Tell whether all planned runs are there, as a sentence beside numbers that rest on them."""
+"""Report whether all planned runs exist, as a sentence to print beside numbers that rest on them."""
 
 from typing import Any
 

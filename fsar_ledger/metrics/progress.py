@@ -14,7 +14,7 @@ Showing = Callable[[str, str], AbstractContextManager[Progress | None]]
 
 
 def each(items: Sequence[_One], progress: Progress | None) -> Iterator[_One]:
-    """Yield each item; when the work on one is done, tell how many of them are."""
+    """Yield each item, and report progress after each."""
     for done, item in enumerate(items, start=1):
         yield item
         if progress is not None:

@@ -1,4 +1,4 @@
-"""Run SQL that anyone may have written where it can read one ledger and do nothing else.
+"""Run untrusted SQL in a process that can read one ledger and do nothing else.
 
 A separate process (`sandbox.py`) holds the committed segments as one registered dataset, gives up every other right,
 and runs exactly one SELECT or EXPLAIN under limits of memory and processor time; this process kills it at a wall-clock

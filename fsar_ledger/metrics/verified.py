@@ -1,14 +1,13 @@
-"""Remember the heads whose rows a whole look has compared with their root.
+"""A cache of the ledger heads whose rows a full verification has compared with their root.
 
-They are remembered beside the user's other caches, never in a ledger.
+It lies beside the user's other caches, never in a ledger. An entry is only a file name: a SHA-256 over the hash of the
+newest commit record, which covers the hash of every segment, and over the versions of everything that reads the rows.
+Whoever opens a ledger with that record, and compares its segments with their hashes, has the very bytes that were
+checked.
 
-All that is remembered is a name: a SHA-256 over the hash of the newest commit record, which vouches for every segment's
-hash, and the versions of everything that reads the rows. Whoever opens a ledger with that record, and compares its
-segments with their hashes, has the very bytes that were checked.
-
-Only exactly that head counts. After another commit the rows that the look saw are only a part, and no answer says which
-part it came from. The memory belongs to this user on this machine, who could as well change the program; no other
-memory is trusted, and losing it costs one more look.
+Only exactly that head counts: after another commit the rows that were checked are only a part, and no answer says which
+part it came from. The cache belongs to this user on this machine, who could as well change the program. No other cache
+is trusted, and losing it costs one more verification.
 """
 
 import hashlib
@@ -41,7 +40,7 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 def full_verify(
     ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, asked: Asked | None = None
 ) -> VerifyReport:
-    """Return the report of `verify`; remember the head if it read the rows and doubts nothing.
+    """Return the report of `verify`; cache the head if the rows were read and no problem was found.
 
     Raises: as `verify`.
     """
@@ -57,10 +56,10 @@ def full_verify(
 
 
 def ensure_verified(ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> str:
-    """Return the SHA-256 of the newest record after a whole look that doubts nothing; for `is_verified`.
+    """Verify the ledger; return the SHA-256 of its newest record, for `is_verified`.
 
     Raises:
-        LedgerCorrupted: The look doubts something; the message names the first problem.
+        LedgerCorrupted: There is a problem; the message names the first one.
         NotALedger: As `verify`.
     """
     report = full_verify(ledger, workers, progress)

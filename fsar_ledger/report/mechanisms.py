@@ -1,4 +1,4 @@
-"""Find out which mechanism carries which number.
+"""Measure how much each mechanism contributes to each number.
 
 Each architecture is compared in full and without one mechanism, on the same worlds, metric by metric.
 """

@@ -1,4 +1,4 @@
-"""The records of the evaluation rest on the queries as they are, and say which of them judges otherwise now."""
+"""What the report says of the packaged records, and what became of the registered predictions."""
 
 import json
 from importlib.resources import files
@@ -7,17 +7,29 @@ from typing import Any
 
 import msgspec
 import pytest
+import typst
 
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.metrics import study_results as bound
 from fsar_ledger.metrics.library import Library, library, plain_sql
-from fsar_ledger.metrics.study_results import CLAIMS, METRICS, Calibration, changed, packaged, rules
-from fsar_ledger.report import document, numbers
+from fsar_ledger.metrics.study_results import (
+    CLAIMS,
+    METRICS,
+    Calibration,
+    Comparison,
+    Outcome,
+    changed,
+    encoded,
+    packaged,
+    rules,
+)
+from fsar_ledger.report import document, numbers, specs
 from fsar_ledger.report.findings import Findings
+from fsar_ledger.report.printing import flat
 from fsar_ledger.studies.comparison import judge
 from tests import records
 from tests.records import RELATIONS, renew, stale
-from tests.report.test_predictions import of_the_record
+from tests.report.conftest import PARAMETERS
 
 CONFLICTS = "facts/conflicts"
 
@@ -111,3 +123,70 @@ def test_records_are_made_until_one_has_other_results(
     assert capsys.readouterr().out == "".join(f"{name}.json: {CONFLICTS}\n" for name in RELATIONS)
     assert records.main([]) == 1
     assert capsys.readouterr().out == "predictions.json: the same results\ncomparison.json: other results; kept\n"
+
+
+def of_the_record(findings: Findings, **other: Any) -> Findings:
+    """The same, of the model and the constants that the packaged record is of."""
+    record = json.loads(specs.text("comparison.json"))
+    parameters = dict(flat("", json.loads(record["parameters"])))
+    return msgspec.structs.replace(
+        findings, **({"model_version": record["model_version"], "parameters": parameters} | other)
+    )
+
+
+def write(folder: Path, *holds: bool | None) -> None:
+    told = [
+        Outcome(name=f"p{n}", implies="as said", holds=one, held=3 if one else 1, of=3, checks=[])
+        for n, one in enumerate(holds)
+    ]
+    result = Comparison(model_version="1", parameters=PARAMETERS, rules=rules(METRICS), cells=[], predictions=told)
+    (folder / "comparison.json").write_bytes(encoded(result))
+
+
+@pytest.mark.slow
+def test_the_first_page_says_which_registered_predictions_fail_and_a_table_says_all(
+    findings: Findings, tmp_path: Path
+) -> None:
+    registered = json.loads(specs.text("comparison.json"))["predictions"]
+    found = of_the_record(findings)
+    data = document.data(found, None)
+    rows = data["tables"]["predictions"].rows
+    assert [(row[0].value, row[3].value) for row in rows] == [(one["name"], one["holds"]) for one in registered]
+    assert [row[2].printed for row in rows] == [f"{one['held']} of {one['of']}" for one in registered]
+    (tmp_path / "report.typ").write_text(specs.text("templates", "report.typ"))
+    (tmp_path / "data.json").write_bytes(document.encoded(data))
+    for name, svg in document.drawings(found).items():
+        (tmp_path / name).write_bytes(svg)
+    [passage] = json.loads(typst.query(tmp_path / "report.typ", "<predicted>"))
+    failed = [one["name"] for one in registered if not one["holds"]]
+    assert f"{len(failed)} do not ({', '.join(failed)})." in json.dumps(passage, ensure_ascii=False)
+
+
+def test_predictions_are_those_of_the_runs_model_and_constants_or_none(findings: Findings, tmp_path: Path) -> None:
+    assert numbers.judged(findings, tmp_path) is None, "no record"
+    write(tmp_path, True, False)
+    assert len(numbers.outcomes(numbers.judged(findings, tmp_path))) == 2
+    assert numbers.judged(msgspec.structs.replace(findings, model_version="2"), tmp_path) is None
+    assert numbers.judged(msgspec.structs.replace(findings, parameters={}), tmp_path) is None
+    (tmp_path / "comparison.json").write_text("{}")
+    with pytest.raises(FsarLedgerError, match=r"comparison\.json: .*; write it again"):
+        numbers.judged(findings, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("holds", "words"),
+    [
+        ((True, False, False), "1 holds (p0) and 2 do not (p1, p2)."),
+        ((True, False), "1 holds (p0) and 1 does not (p1)."),
+        ((False, False), "0 hold and 2 do not (p0, p1)."),
+        ((True, None), "1 holds (p0) and 0 do not; 1 cannot be decided (p1)."),
+    ],
+)
+def test_the_sentence_counts_and_names_what_holds_and_what_does_not(
+    findings: Findings, tmp_path: Path, holds: tuple[bool | None, ...], words: str
+) -> None:
+    write(tmp_path, *holds)
+    assert numbers.predictions_said(numbers.judged(findings, tmp_path)) == {
+        "sentence": f"Of {len(holds)} predictions registered before they were run, {words}"
+    }
+    assert numbers.predictions_said(None) is None

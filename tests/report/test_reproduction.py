@@ -13,7 +13,7 @@ from fsar_ledger.report import document
 from fsar_ledger.report.build import write_report
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.numbers import reproduction, tally
-from tests.report.test_specification_curves import found
+from tests.report.test_all_readings import found
 
 
 @pytest.fixture(scope="module")
