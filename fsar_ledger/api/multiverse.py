@@ -146,7 +146,6 @@ def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
 
 
 def _named(row: Ranking) -> "Row":
-    """Return the ranking with combinations of readings as text."""
     changed, not_best = _texts(row.changed_under), _texts(row.fsar_not_best_under)
     return {**structs.asdict(row), "changed_under": changed, "fsar_not_best_under": not_best}
 

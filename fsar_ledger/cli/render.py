@@ -89,7 +89,6 @@ class Screen:
 
 
 def _gift(what: str, clock: Callable[[], int]) -> object:
-    """Return what `Gives` names."""
     if what == "now":
         return clock()
     if what == "walk":
@@ -98,7 +97,6 @@ def _gift(what: str, clock: Callable[[], int]) -> object:
 
 
 def _walk(steps: "Steps", title: str) -> None:
-    """Let a user walk through a run by keys."""
     from .stepper import Stepper
 
     Stepper(steps, title).run()
@@ -188,7 +186,6 @@ def respond(
 
 
 def _pieces(answer: Any, form: Form, screen: Screen) -> Iterable[Shown]:
-    """Return the answer in this form, as text."""
     if isinstance(answer, Answer):
         if form.as_json:
             document = answer.document(screen)
