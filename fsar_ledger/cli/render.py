@@ -19,7 +19,7 @@ from fsar_ledger.printable import Shown
 from .progress import Progress
 from .streaming import Form, Kept, answer_json
 from .tables import fitted
-from .terminal import has_keys, pause, say, width_of_names
+from .terminal import has_keys, pause, say, show, width_of_names
 
 if TYPE_CHECKING:
     from fsar_ledger.api.ledger import Ledger
@@ -93,7 +93,8 @@ def _gift(what: str, clock: Callable[[], int]) -> object:
         return clock()
     if what == "walk":
         return _walk if has_keys() else None
-    return {"clock": clock, "ticks": time.monotonic, "pause": pause, "say": say, "showing": Progress}[what]
+    given = {"clock": clock, "ticks": time.monotonic, "pause": pause, "say": say, "show": show, "showing": Progress}
+    return given[what]
 
 
 def _walk(steps: "Steps", title: str) -> None:
